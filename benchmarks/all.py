@@ -41,7 +41,7 @@ from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle
 from quadexp.reference.random_polynomial import RandomPolynomial
-from quadexp.sweeps.engine import run_cells
+from quadexp.sweeps.engine import Workers
 from quadexp.sweeps.sweep import run_sweep
 from quadexp.world import SimplifiedPlant
 from quadexp.world.blade_element import BladeElementPlant
@@ -127,7 +127,13 @@ def waiting() -> Iterator[Row]:
         run_sweep(cells, name)
         yield timed("a finished sweep of 100 flights again", lambda: run_sweep(cells, name), 9)
         jobs = {str(i): (i,) for i in range(300)}
-        yield timed("300 empty jobs on 2 workers", lambda: deque(run_cells(abs, jobs, workers=2, preload=()), 0), 3)
+        yield timed("300 empty jobs on 2 workers", lambda: empty_jobs(jobs), 3)
+
+
+def empty_jobs(jobs: dict[str, tuple[int]]) -> None:
+    """Jobs that do nothing, in processes of their own."""
+    with Workers(2, preload=()) as processes:
+        deque(processes.run(abs, jobs), 0)
 
 
 def commands() -> Iterator[Row]:

@@ -219,7 +219,7 @@ def store(cells: int) -> Record:
 
 
 def dask_engine(workers: int) -> Engine:
-    from quadexp.sweeps.cluster.engines import build_engine
+    from quadexp.sweeps.sweep import build_engine
 
     return build_engine(compose(["engine=dask", f"evaluate.workers={workers}"]))
 

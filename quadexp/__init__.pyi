@@ -1,4 +1,5 @@
 # What type checkers and editors see of quadexp/__init__.py, which imports these names when they are first used.
+from quadexp.api.calls import bench as bench
 from quadexp.api.calls import collect as collect
 from quadexp.api.calls import fit_drag as fit_drag
 from quadexp.api.calls import fit_gp as fit_gp
@@ -6,6 +7,7 @@ from quadexp.api.calls import fit_nn as fit_nn
 from quadexp.api.calls import load as load
 from quadexp.api.calls import simulate as simulate
 from quadexp.api.calls import sweep as sweep
+from quadexp.api.calls import tune as tune
 from quadexp.api.checkpoint import Checkpoint as Checkpoint
 from quadexp.api.frames import Dataset as Dataset
 from quadexp.api.frames import Flight as Flight
@@ -14,8 +16,6 @@ from quadexp.api.frames import Results as Results
 from quadexp.api.frames import Tuning as Tuning
 from quadexp.api.loop import ControlLoop as ControlLoop
 from quadexp.api.loop import controller as controller
-from quadexp.api.searches import bench as bench
-from quadexp.api.searches import tune as tune
 from quadexp.control.base import Measurement as Measurement
 from quadexp.control.base import Window as Window
 from quadexp.errors import DataError as DataError

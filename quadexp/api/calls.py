@@ -8,17 +8,19 @@ stream. Errors are QuadexpError and its kinds (quadexp/errors.py) with a one-lin
 
 from __future__ import annotations
 
+import contextlib
 import os
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_origin
 
 import pandas as pd
 
 from quadexp.api.checkpoint import Checkpoint
 from quadexp.api.frames import Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.api.overrides import Given, overrides
-from quadexp.api.scratch import Scratch
+from quadexp.bench import Bench
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
@@ -26,10 +28,28 @@ from quadexp.experiment.fit import fit_checkpoint
 from quadexp.files.writer import check_output
 from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
 from quadexp.parts.compose import compose, session
+from quadexp.parts.settings import S, declared
 from quadexp.progress import Progress
+from quadexp.tune import Tune
 
 Place = str | os.PathLike[str]
 RESULTS, MODEL = "results.parquet", "model.json"
+
+
+class Scratch:
+    """A folder that is removed when nothing refers to it any more, at the latest when Python ends."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="quadexp-", ignore_cleanup_errors=True)
+
+    def __fspath__(self) -> str:
+        return self._folder.name
+
+    def __truediv__(self, name: str) -> Path:
+        return Path(self._folder.name) / name
+
+    def __reduce__(self) -> tuple[type[Path], tuple[str]]:
+        return Path, (self._folder.name,)  # a copy in another process does not own the folder
 
 
 def simulate(
@@ -41,7 +61,7 @@ def simulate(
     Returns the flight, a row a control instant; how it went is its `outcome`, no error.
     Raises UsageError for wrong settings, a missing model, or a path that the vehicle cannot fly.
     """
-    config = compose(overrides(settings, keywords), conf_folder(conf))
+    config = compose(overrides(settings, keywords), _folder(conf))
     path = None if out is None else check_output(Path(out), force=force)
     flight = fly_one(config)
     if path is not None:
@@ -62,11 +82,11 @@ def collect(
 
     A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
     """
-    config = compose(overrides(settings, keywords, "collect"), conf_folder(conf))
+    config = compose(overrides(settings, keywords, "collect"), _folder(conf))
     scratch = Scratch()
     path = scratch / "residuals.parquet" if out is None else check_output(Path(out), force=force)
     given = [_file(one, scratch, f"flight_{i:03d}") for i, one in enumerate(flights)]
-    with Shown("seconds of flight", progress) as shown:
+    with _shown("seconds of flight", progress) as shown:
         collect_dataset(config, path, flights=given, force=force, progress=shown)
     return Dataset.of(*read_table(path, "residuals"))
 
@@ -102,11 +122,11 @@ def _fit(
     progress: bool = False,
     **keywords: Any,
 ) -> Checkpoint:
-    config = compose(overrides(settings, keywords, kind), conf_folder(conf))
+    config = compose(overrides(settings, keywords, kind), _folder(conf))
     scratch = Scratch()
     path = scratch / kind if out is None else check_output(Path(out), force=force, folder=True)
     file = _file(data, scratch, "residuals")
-    with Shown("fit", progress) as shown:
+    with _shown("fit", progress) as shown:
         fit_checkpoint(kind, config, file, path, force=force, figures=False, progress=shown)
     return Checkpoint(path, scratch if out is None else None)
 
@@ -127,15 +147,14 @@ def sweep(
     for as long as the table. old: cells at `out` flown by other sources than these: refuse, fly again, or keep.
     Returns a row a flight; of one that could not be flown `outcome` and `cause` say why.
     """
-    from quadexp.sweeps.cluster.engines import build_engine
-    from quadexp.sweeps.sweep import run_sweep
+    from quadexp.sweeps.sweep import build_engine, run_sweep
 
-    with session(conf_folder(conf)) as composer:
+    with session(_folder(conf)) as composer:
         cells = composer.expand(overrides(settings, keywords, lists=True), check=False)
     first = cells[0].config
     folder = Scratch() if out is None else Path(out)
     chosen = first.evaluate
-    with Shown("flights", progress) as shown:
+    with _shown("flights", progress) as shown:
         made = run_sweep(
             cells, os.fspath(folder), metric=chosen.metric, baseline=chosen.baseline, confidence=chosen.confidence,
             engine=build_engine(first), force=force, old=old, progress=shown,
@@ -143,6 +162,65 @@ def sweep(
     results = _results(folder)
     results.attrs["notes"] = made.notes
     return results
+
+
+def tune(
+    *settings: Given, out: Place | None = None, conf: Place | None = None, force: bool = False,
+    progress: bool = False, **keywords: Any,
+) -> Tuning:  # fmt: skip
+    """Choose settings of a controller by flights, as `quadexp tune`.
+
+    settings, keywords: the cells of a trial, lists as in `sweep`; keywords that are keys of `quadexp.tune.Tune`, such
+    as vary="KEY=LOW..HIGH" or flights=200, are of the search. out: a folder, where a search goes on that was
+    interrupted; else the options are kept for as long as the table.
+    Returns a row a trial, the first one as it was; `choice` names what was found, `settings` what it changes.
+    Raises UsageError where the budget does not pay two trials, or several controllers are asked for.
+    """
+    from quadexp.tune.call import HISTORY
+    from quadexp.tune.call import tune as search
+
+    folder, asked = Scratch() if out is None else Path(out), _request(Tune, keywords)
+    place: dict[str, Any] = {"out": Path(folder), "conf": _folder(conf), "force": force, "figure": out is not None}
+    with _shown("flights", progress) as shown:
+        tuned = search(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
+    table = Tuning.of(*read_table(Path(folder) / HISTORY, "tuning"), folder)
+    table.attrs |= {"best": tuned.best, "choice": tuned.choice, "lines": list(tuned.lines)}
+    table.attrs["settings"] = dict(tuned.record["settings"])
+    return table
+
+
+def bench(
+    *settings: Given, out: Place | None = None, conf: Place | None = None, progress: bool = False, **keywords: Any
+) -> Leaderboard:
+    """Rank controllers by a protocol that does not change, as `quadexp bench`.
+
+    settings: of engine and evaluate only. keywords: keys of `quadexp.bench.Bench`, such as size="standard" or
+    controllers=["NAME KEY=VALUE"], and of evaluate. out: a folder, where a run goes on that was interrupted; else the
+    flights are kept as long as the table.
+    Returns a row a flight; `boards` has the tables of ranks by family.
+    Raises UsageError before anything is flown, also for results of another protocol. A flight that failed is a row with
+    its cause, and counts as lost.
+    """
+    from quadexp.bench.board import FILE
+    from quadexp.bench.run import bench as fly
+
+    folder, asked = Scratch() if out is None else Path(out), _request(Bench, keywords)
+    with _shown("flights", progress) as shown:
+        given = overrides(settings, keywords, "evaluate")
+        made = fly(given, asked, out=Path(folder), conf=_folder(conf), progress=shown)
+    table = Leaderboard.of(*read_table(Path(folder) / FILE, "leaderboard"), folder)
+    failed = [f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}"] if made.failed else []
+    table.attrs["notes"] = [*made.notes, *failed]
+    return table
+
+
+def _request(kind: type[S], keywords: dict[str, Any]) -> S:
+    """The record of a request, whose keys are taken from the keywords; one value stands for a list of one."""
+    given = {name: keywords.pop(name) for name in declared(kind) if name in keywords}
+    for name, value in given.items():
+        if get_origin(declared(kind)[name].type) is tuple and isinstance(value, (str, os.PathLike)):
+            given[name] = (value,)
+    return kind(**given)
 
 
 def load(path: Place) -> Flight | Dataset | Results | Checkpoint | Frame:
@@ -173,7 +251,7 @@ def _results(folder: Path | Scratch) -> Results:
     return Results.of(*read_table(folder / RESULTS, "results"), folder)
 
 
-def conf_folder(folder: Place | None) -> Path | None:
+def _folder(folder: Place | None) -> Path | None:
     return None if folder is None else Path(folder)
 
 
@@ -186,15 +264,6 @@ def _file(given: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
     return write_table(scratch / f"{name}.parquet", given.columns_as_arrays(), given.record, given.kind)
 
 
-class Shown:
-    """Progress where it is asked for."""
-
-    def __init__(self, label: str, wanted: bool) -> None:
-        self._progress = Progress(label) if wanted else None
-
-    def __enter__(self) -> Any:
-        return self._progress.__enter__() if self._progress else lambda done, total: None
-
-    def __exit__(self, *error: Any) -> None:
-        if self._progress:
-            self._progress.__exit__(*error)
+def _shown(label: str, wanted: bool) -> Any:
+    """Progress where it is asked for, as a context."""
+    return Progress(label) if wanted else contextlib.nullcontext(lambda done, total: None)

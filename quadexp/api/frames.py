@@ -276,7 +276,7 @@ class Leaderboard(Frame):
         from quadexp.bench.protocol import read_protocol
         from quadexp.report.result_rows import from_columns
 
-        protocol = read_protocol(int(self["protocol"].iloc[0]))
+        protocol = read_protocol()
         options: Any = {"metric": protocol.metric, "baseline": protocol.baseline}
         found = families_of(from_columns(self.columns_as_arrays())).items()
         return {name: board_table(own, title=name, **options) for name, own in found}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.bench.protocol import SHORT, Protocol
+from quadexp.bench.protocol import FORMER, SHORT, Protocol
 from quadexp.bench.ranking import Row, Standing, standings
 from quadexp.errors import UsageError
 from quadexp.files.writer import write_text
@@ -70,12 +70,17 @@ def joined(rows: Sequence[Row], more: Sequence[Row], where: str) -> list[Row]:
 
 def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None:
     """Raise UsageError where some rows are not of this protocol and size."""
-    for name, what, mine, most in (("protocol_sha256", "protocol", sha256, SHORT), ("size", "size", size, None)):
-        other = {str(row[name])[:most] for row in rows} - {mine[:most]}
-        if other:
+    for name, what, asked in (("protocol_sha256", "protocol", sha256[:SHORT]), ("size", "size", size)):
+        others = sorted({str(row[name])[: SHORT if what == "protocol" else None] for row in rows} - {asked})
+        if others and others[0] in FORMER:
             raise UsageError(
-                f"{where}: is of {what} {', '.join(sorted(other))}, not {mine[:most]}: results of different {what}s"
-                " are not ranked together"
+                f"{where}: is of protocol {FORMER[others[0]]}, which is flown no more: fly its entries again, with"
+                " `quadexp bench --controller NAME`"
+            )
+        if others:
+            raise UsageError(
+                f"{where}: is of {what} {', '.join(others)}, not {asked}: results of different {what}s are not ranked"
+                " together"
             )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -14,26 +14,32 @@ from quadexp.bench.protocol import Family, Protocol
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.checkpoints import find_model
+from quadexp.experiment.collect import collect_dataset
+from quadexp.experiment.fit import fit_checkpoint
+from quadexp.experiment.identity import digest
+from quadexp.files.writer import write_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
+from quadexp.provenance import DECIDING, package_folder, source_hash
 from quadexp.tune.preset import BY_HAND, provenance_of
 
 ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
 SHIPPED = "as shipped"
+MODEL = "model.json"
+MAKING = (*DECIDING, "models", "experiment")  # sources that decide a checkpoint
 
 
 @dataclass(frozen=True)
 class Entry:
     """name: of its rows. overrides: what makes it. bound: whether it is told the plant's equations. settings:
-    as shipped, tuned with so many flights, or set by hand, on which seeds. models: whether it may need a checkpoint.
-    network: whether that is a network."""
+    as shipped, tuned with so many flights, or set by hand, on which seeds. model: the protocol's rule for the
+    checkpoint that it may read, "fit" or "network"; "" where it reads none."""
 
     name: str
     overrides: tuple[str, ...]
     bound: bool
     settings: str
-    models: bool
-    network: bool
+    model: str
 
 
 def field() -> list[str]:
@@ -48,25 +54,28 @@ def read_entries(
     was tuned on the seeds of the protocol."""
     entries: dict[str, Entry] = {}
     for text in texts:
-        entry = _entry(text, composer, protocol, extra)
-        entries.setdefault(entry.name, entry)
+        words = shlex.split(text)
+        if not words:
+            raise UsageError("--controller: is empty; give a controller's name")
+        given = [word if "=" in word or i else f"controller={word}" for i, word in enumerate(words)]
+        for word in given:
+            if word.partition("=")[0].partition(".")[0] not in ALLOWED:
+                raise UsageError(
+                    f"--controller {text!r}: {word}: may set {', '.join(ALLOWED)} only; the rest is the protocol's"
+                )
+        config = composer.compose(given)
+        name = " ".join(word.removeprefix("controller=") for word in given)
+        settings = _settings(given, protocol, extra)
+        entries.setdefault(name, Entry(name, tuple(given), config.controller.knows_plant, settings, _rule(config)))
     return list(entries.values())
 
 
-def _entry(text: str, composer: Composer, protocol: Protocol, extra: Path | None) -> Entry:
-    words = shlex.split(text)
-    if not words:
-        raise UsageError("--controller: is empty; give a controller's name")
-    given = [word if "=" in word or i else f"controller={word}" for i, word in enumerate(words)]
-    for word in given:
-        if word.partition("=")[0].partition(".")[0] not in ALLOWED:
-            raise UsageError(
-                f"--controller {text!r}: {word}: may set {', '.join(ALLOWED)} only; the rest is the protocol's"
-            )
-    config = composer.compose(given)
-    name = " ".join(word.removeprefix("controller=") for word in given)
-    settings, needed = _settings(given, protocol, extra), may_need_model(config)
-    return Entry(name, tuple(given), config.controller.knows_plant, settings, needed, needs_network(config))
+def _rule(config: Config) -> str:
+    """Which checkpoint the controller, or what is around it, may read; see Entry."""
+    residual = getattr(config.controller, "residual", "none")
+    if residual == "neural":
+        return "network"
+    return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
 
 
 def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> str:
@@ -74,23 +83,21 @@ def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> s
 
     A bundle without provenance counts as set by hand, as keys do: no publication has its values.
     """
-    last = max(int(one["seeds"]) for family in protocol.families.values() for one in family.sizes.values())
-    flights, by_hand, watched = 0, False, set[int]()
+    last = max(family.chosen(size)[0] for family in protocol.families.values() for size in family.sizes)
+    flights, by_hand, watched = 0, any(word.partition("=")[0].count(".") for word in given), set[int]()
     for word in given:
         group, _, option = word.partition("=")
         about = provenance_of(option, extra, group) if group in ("controller", "remedies", *REMEDIES) else None
         if about is None:
             by_hand |= group == "remedies"
-            continue
-        if BY_HAND in about:
+        elif BY_HAND in about:
             watched |= {*about["seeds"]}
-            continue
-        if common := {*about.get("seeds", [])} & {*protocol.seeds(last)}:
+        elif common := {*about.get("seeds", [])} & {*protocol.seeds(last)}:
             raise UsageError(f"{word}: was tuned on seed {min(common)}, which the protocol flies: tune it on others")
-        flights += int(about.get("flights", 0))
-    own = [word for word in given if word.partition("=")[0].count(".")]
+        else:
+            flights += int(about.get("flights", 0))
     parts = [f"tuned, {flights} flights"] if flights else []
-    if own or by_hand or watched:
+    if by_hand or watched:
         parts.append("set by hand" + (f", seeds {min(watched)} to {max(watched)}" if watched else ""))
     return ", ".join(parts) or SHIPPED
 
@@ -110,17 +117,6 @@ def configs_of(
     return found
 
 
-def may_need_model(config: Config) -> bool:
-    """Whether a controller, or what is around it, may read a checkpoint."""
-    none = getattr(config.controller, "residual", "none") in ("none", "plant", "blade_element")
-    return not none or bool(remedies(config))
-
-
-def needs_network(config: Config) -> bool:
-    """Whether its controller flies with a network."""
-    return getattr(config.controller, "residual", "none") == "neural"
-
-
 def why_not(config: Config) -> str:
     """Why a controller cannot be built for a family, in one line; "" where it can."""
     vehicle = build_vehicle(config.vehicle)
@@ -129,3 +125,40 @@ def why_not(config: Config) -> str:
     except UsageError as error:
         return str(error)
     return ""
+
+
+# ------------------------------------------------------------------------------------------------------------- models
+def make_model(
+    family: Family, rule: str, composer: Composer, folder: Path, say: Callable[[str], None] = lambda text: None
+) -> Path:
+    """The checkpoint that a rule of the family makes from flights in still air, in `folder`: "fit", Gaussian processes
+    and linear drag, or "network", which is fitted to the same rows.
+
+    One that is there is used again if the same sources made it by the same protocol.
+    """
+    name = f"{family.name}_network" if rule == "network" else family.name
+    out, data = folder / name, folder / f"{family.name}.parquet"
+    hashed = source_hash(package_folder() / part for part in MAKING)
+    rules = {part: family.models[part] for part in ("collect", rule)}
+    if _is_made(out / MODEL, key := digest([rules, name, hashed])):
+        return out
+    say(f"{family.name}: {'a network' if rule == 'network' else 'models'} of the air, from flights in still air")
+    data.parent.mkdir(parents=True, exist_ok=True)
+    if not _is_made(data, rows := digest([family.models["collect"], family.name, hashed])):
+        _mark(data).unlink(missing_ok=True)
+        collect_dataset(composer.compose(family.models["collect"]), data)
+        write_text(_mark(data), rows + "\n")
+    _mark(out / MODEL).unlink(missing_ok=True)
+    kind = "nn" if rule == "network" else "gp"
+    fit_checkpoint(kind, composer.compose(family.models[rule]), data, out, force=True, figures=False)
+    write_text(_mark(out / MODEL), key + "\n")
+    return out
+
+
+def _mark(path: Path) -> Path:
+    return path.with_name(f".{path.name}.made")
+
+
+def _is_made(path: Path, key: str) -> bool:
+    mark = _mark(path)
+    return path.is_file() and mark.is_file() and mark.read_text(encoding="utf-8").strip() == key

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from quadexp import __version__
 from quadexp.cli.bench import bench
@@ -29,7 +31,19 @@ from quadexp.cli.terminal import end, fail, output_failed, prepare
 from quadexp.cli.tune import tune
 from quadexp.cli.validate import validate
 
+
+class Grouped(TyperGroup):
+    """Commands in the help by what they are for."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Called by typer."""
+        for heading, commands in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(200)) for name in commands])
+
+
 app = typer.Typer(
+    cls=Grouped,
     name="quadexp",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -56,53 +70,25 @@ def root(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", callback=_debug, help="Show where an error came from.")] = False,
 ) -> None:
-    """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation.
-
-    \b
-    quadexp simulate    one flight                          -> runs/*.parquet
-    quadexp import      logs of real flights                -> flights/*.parquet
-    quadexp check       wrong units, frames or clocks in flights
-    quadexp collect     flights for learning                -> data/residuals.parquet
-    quadexp fit-gp      Gaussian processes from a data set  -> models/gp
-    quadexp identify    thrust, drag and air from flights   -> models/*
-    quadexp validate    models against flights left out of the fit
-    quadexp evaluate    controllers compared                -> results/*
-    quadexp tune        settings of a controller by flights -> tuned/*
-    quadexp plot        results over any key                -> plot.png
-    quadexp bench       controllers ranked by one protocol  -> results/bench*
-    quadexp report      results as one page                 -> report.html
-    quadexp options     what there is to choose and to set
-    quadexp new         a part of your own                  -> my_parts/
-    """
+    """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation."""
 
 
 INTERRUPTED = 130  # what typer returns for Ctrl-C
-COMMANDS = {
-    "simulate": simulate,
-    "collect": collect,
-    "fit-gp": fit_gp,
-    "fit-drag": fit_drag,
-    "fit-nn": fit_nn,
-    "evaluate": evaluate,
-    "show": show,
-    "check": check,
-    "identify": identify,
-    "import": import_flights,
-    "results": results,
-    "validate": validate,
-    "compare": compare_two,
-    "plot": plot,
-    "report": report,
-    "export": export,
-    "animate": animate,
-    "tune": tune,
-    "bench": bench,
-    "new": new,
-    "options": options,
-    "cache": cache,
-}
-for name, command in COMMANDS.items():
-    app.command(name)(command)
+GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "Fly": {"simulate": simulate, "evaluate": evaluate, "tune": tune, "bench": bench},
+    "Learn": {
+        "import": import_flights, "check": check, "collect": collect, "fit-gp": fit_gp, "fit-drag": fit_drag,
+        "fit-nn": fit_nn, "identify": identify, "validate": validate,
+    },
+    "Look": {
+        "show": show, "compare": compare_two, "results": results, "plot": plot, "report": report, "animate": animate,
+        "export": export,
+    },
+    "Extend": {"options": options, "new": new, "cache": cache},
+}  # fmt: skip
+COMMANDS = {name: function for commands in GROUPS.values() for name, function in commands.items()}
+for name, function in COMMANDS.items():
+    app.command(name)(function)
 
 
 def main() -> None:

@@ -2,68 +2,28 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Format, Json, OptionalOut, Overrides
-from quadexp.cli.terminal import answered, console, format_of, guarded, print_lines, say
+from quadexp.bench import Bench
+from quadexp.cli.command import Answer, Ask, command
+from quadexp.cli.options import Conf, OptionalOut, Overrides
+from quadexp.cli.terminal import say
 from quadexp.parts.option_files import groups
-
-SIZES = ("quick", "standard", "full")
-
-
-def _sizes(incomplete: str) -> list[str]:
-    return [size for size in SIZES if size.startswith(incomplete)]
 
 
 def _controllers(ctx: typer.Context, incomplete: str) -> list[str]:
-    return [
-        name
-        for name in groups(Path(ctx.params["conf"]) if ctx.params.get("conf") else None)["controller"]
-        if name.startswith(incomplete)
-    ]
+    names = groups(Path(ctx.params["conf"]) if ctx.params.get("conf") else None)["controller"]
+    return [name for name in names if name.startswith(incomplete)]
 
 
-@guarded
-def bench(
-    overrides: Overrides = None,
-    size: Annotated[
-        str,
-        typer.Option(
-            "--size", help="quick: minutes; standard: an hour; full: a night, on two cores.", autocompletion=_sizes
-        ),
-    ] = "quick",
-    controller: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--controller",
-            metavar="NAME",
-            help="Takes part too, as 'NAME observer=...'; repeatable.",
-            autocompletion=_controllers,
-        ),
-    ] = None,
-    only: Annotated[bool, typer.Option("--only", help="Without the field of this program.")] = False,
-    add: Annotated[
-        list[Path] | None, typer.Option("--add", metavar="FILE", help="Rank rows of another leaderboard with these.")
-    ] = None,
-    seeds: Annotated[
-        int,
-        typer.Option("--seeds", min=0, help="Only the first seeds of the size; 0: all. A later run flies more."),
-    ] = 0,
-    protocol: Annotated[
-        int | None, typer.Option("--protocol", help="Version of the protocol; the latest by default.")
-    ] = None,
-    markdown: Annotated[
-        Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables between the marks of this file.")
-    ] = None,
-    page: Annotated[Path | None, typer.Option("--page", metavar="FILE", help="Where to write the page.")] = None,
-    out: OptionalOut = None,
-    conf: Conf = None,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+CONTROLLER = Ask("Takes part too, as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)
+
+
+@partial(command, controllers=CONTROLLER)
+def bench(asked: Bench, overrides: Overrides = None, out: OptionalOut = None, conf: Conf = None) -> Answer:
     """Rank controllers by a protocol that does not change: the same tasks, worlds and seeds for all.
 
     Settings after the command are those of the engine and its limits (engine=..., evaluate.workers=...). Models that
@@ -76,34 +36,12 @@ def bench(
     quadexp bench --size standard --only --controller my_controller --conf my_conf --add docs/leaderboard.parquet
     """
     from quadexp.bench.run import bench as fly
-    from quadexp.errors import QuadexpError
     from quadexp.progress import Progress
 
-    form = format_of(format, json)
     with Progress("flights") as progress:
-        made = fly(
-            overrides or [],
-            size=size,
-            controllers=controller or [],
-            only=only,
-            add=add or [],
-            seeds=seeds,
-            version=protocol,
-            page=page,
-            target=markdown,
-            out=out,
-            conf=conf,
-            progress=progress,
-            say=say,
-        )
-    for note in made.notes:
-        say(f"note: {note}")
+        made = fly(overrides or [], asked, out=out, conf=conf, progress=progress, say=say)
     boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in made.tables.items()}
-    record = {"protocol": made.protocol.name, "size": size, "boards": boards, "files": dict(made.files)}
-    if not answered(form, record, lambda: list(made.tables.values()), "bench"):
-        for table in made.tables.values():
-            console().print(table.rich())
-            print_lines(table.notes)
-        print_lines(made.files.values())
-    if made.failed:
-        raise QuadexpError(f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}")
+    record = {"protocol": made.protocol.name, "size": asked.size, "boards": boards, "files": dict(made.files)}
+    tables = list(made.tables.values())
+    failed = [f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}"] if made.failed else []
+    return Answer(record, tables, [*tables, *made.files.values()], made.notes, failed)

@@ -4,18 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
-from quadexp.cli.options import Format, Json
-from quadexp.cli.terminal import answered, format_of, guarded
+from quadexp.cli.command import Answer, Ask, command
 
 
-@guarded
-def cache(
-    clear: Annotated[bool, typer.Option("--clear", help="Remove all of it; it is made again when needed.")] = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+@command
+def cache(clear: Annotated[bool, Ask("Remove all of it; it is made again when needed.")] = False) -> Answer:
     """Show, or clear, the folder of compiled functions and composed options.
 
     It is QUADEXP_CACHE, or else the user's cache folder. Compiled functions that were not used for longest go first.
@@ -26,12 +19,10 @@ def cache(
     """
     from quadexp.files import cache as kept
 
-    form = format_of(format, json)
     folder = kept.cache_folder()
     if clear:
         kept.clear(folder)
     sizes = [about.st_size for about in kept.libraries(folder).values()]
     record = {"folder": folder.path, "libraries": len(sizes), "bytes": sum(sizes), "bound": kept.BOUND}
-    if not answered(form, record, lambda: [record], "cache"):
-        print(f"{len(sizes)} compiled functions, {sum(sizes) / 1e6:.1f} of at most {kept.BOUND / 1e6:.0f} MB")
-        print(folder.path)
+    full = f"{sum(sizes) / 1e6:.1f} of at most {kept.BOUND / 1e6:.0f} MB"
+    return Answer(record, [record], [f"{len(sizes)} compiled functions, {full}", folder.path])

@@ -6,19 +6,17 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Format, Json
-from quadexp.cli.terminal import answered, format_of, guarded, print_lines
+from quadexp.cli.command import Answer, command
+from quadexp.cli.options import Conf
 
 
-@guarded
+@command
 def options(
     asked: Annotated[
         str, typer.Argument(metavar="[GROUP | GROUP=OPTION | WORD]", help="A group, an option, or a word to look for.")
     ] = "",
     conf: Conf = None,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """What there is to choose: groups, options, and the keys of an option with value, range, unit and meaning.
 
     \b
@@ -30,15 +28,14 @@ def options(
     from quadexp.parts.listing import listed
     from quadexp.parts.plugins import import_from
 
-    form = format_of(format, json)
     if conf is not None:
         import_from(conf.resolve())
     records = listed(asked, conf)
-    if answered(form, {"asked": asked, "found": records}, lambda: records, "options"):
-        return
     first = max((len(next(iter(one.values()))) for one in records), default=0)
+    lines = []
     for one in records:
         name, *rest = one.values()
         if "key" in one:
             rest = [f"{one['value']:12s}", f"{one['allowed']:18s}", one["meaning"]]
-        print_lines(["  ".join([f"{name:{min(first, 34)}s}", *rest]).rstrip()])
+        lines.append("  ".join([f"{name:{min(first, 34)}s}", *rest]).rstrip())
+    return Answer({"asked": asked, "found": records}, records, lines)

@@ -11,16 +11,12 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Force, Format, Json, OptionalOut, Out
-from quadexp.cli.terminal import answered, format_of, guarded, print_lines, single_values
+from quadexp.cli.command import Answer, Ask, command, single_values
+from quadexp.cli.options import Force, OptionalOut, Out
 
 
-@guarded
-def show(
-    path: Annotated[Path, typer.Argument(help="A flight, data set, checkpoint folder, or results.")],
-    format: Format = None,
-    json: Json = False,
-) -> None:
+@command
+def show(path: Annotated[Path, typer.Argument(help="A flight, data set, checkpoint folder, or results.")]) -> Answer:
     """Show what a file holds: its kind, configuration, units, seed, versions, size.
 
     \b
@@ -29,24 +25,18 @@ def show(
     """
     from quadexp.report.summary import summarise
 
-    form = format_of(format, json)
     summary = summarise(path)
     record = {key: value for key, value in summary.items() if key not in ("lines", "tables")}
-    if not answered(form, record, lambda: summary.get("tables", []), f"show {path}"):
-        print_lines(summary["lines"])
+    return Answer(record, summary.get("tables", []), summary["lines"])
 
 
-@guarded
+@command
 def compare_two(
     first: Annotated[Path, typer.Argument(help="A flight, results folder, or checkpoint folder.")],
     others: Annotated[list[Path], typer.Argument(help="Others of the same kind, each compared with the first.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="PATH", help="Draw them too: a png, pdf or svg.")
-    ] = None,
+    out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Show how flights, results or checkpoints differ: configuration, outcome, figures.
 
     \b
@@ -55,40 +45,28 @@ def compare_two(
     """
     from quadexp.report.compare import compare, compare_tables
 
-    form = format_of(format, json)
-    path = None
     if out is not None:
         from quadexp.report.draw import check_path
 
-        path = check_path(out, force, ("png", "pdf", "svg"))
+        out = check_path(out, force, ("png", "pdf", "svg"))
     report = compare(first, *others)
-    if path is not None:
+    if out is not None:
         from quadexp.report.compare_picture import picture
         from quadexp.report.draw import save_figure
 
-        save_figure(picture(report["kind"], [first, *others]), path, force=force)
-    picked = {key: value for key, value in report.items() if key != "lines"} | ({"picture": path} if path else {})
-    if not answered(form, picked, lambda: compare_tables(first, *others), "compare"):
-        print_lines(report["lines"])
-        if path:
-            print_lines([path])
+        save_figure(picture(report["kind"], [first, *others]), out, force=force)
+    record = {key: value for key, value in report.items() if key != "lines"} | ({"picture": out} if out else {})
+    return Answer(record, lambda: compare_tables(first, *others), [*report["lines"], *([out] if out else [])])
 
 
-@guarded
+@command
 def report(
     results: Annotated[Path, typer.Argument(help="Results folder of `quadexp evaluate --sweep`.")],
     out: Out = Path("report.html"),
-    figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures as PDF too, for a paper.")
-    ] = None,
-    baseline: Annotated[
-        str | None,
-        typer.Option("--baseline", metavar="CONTROLLER", help="Controller to compare the others with."),
-    ] = None,
+    figures: Annotated[Path | None, Ask("Write the figures as PDF too, for a paper.", "DIR")] = None,
+    baseline: Annotated[str | None, Ask("Controller to compare the others with.", "CONTROLLER")] = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Write a comparison as one page that opens without a network: answer, tables, figures, replay, provenance.
 
     \b
@@ -97,14 +75,12 @@ def report(
     """
     from quadexp.report.page import make_report
 
-    form = format_of(format, json)
     made = make_report(results, out, figures=figures, baseline=baseline, force=force)
-    if answered(form, made, lambda: _files({"page": made["path"], **made["figures"]}), "report"):
-        return
-    print_lines([*made["answer"], made["note"], *made["figures"].values(), made["path"]])
+    lines = [*made["answer"], made["note"], *made["figures"].values(), made["path"]]
+    return Answer(made, _files({"page": made["path"], **made["figures"]}), lines)
 
 
-@guarded
+@command
 def export(
     flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep, or a results folder.")],
     to: Annotated[
@@ -113,9 +89,7 @@ def export(
     target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Write a flight for other programs; mcap and rerun need the extra [viz]. Write results for a tracker, without a
     network: mlflow and wandb need the extra of their name.
 
@@ -127,7 +101,6 @@ def export(
     from quadexp.errors import UsageError
     from quadexp.log.exporters import export_flight
 
-    form = format_of(format, json)
     if target is not None and out is not None:
         raise UsageError("export: give the place to write to once, as OUT or as --out")
     if flight.is_dir() or flight.name == "results.parquet":
@@ -136,8 +109,7 @@ def export(
         files = export_results(flight, to, out or target, force=force)
     else:
         files = export_flight(flight, to, out or target, force=force)
-    if not answered(form, {"format": to, "files": files}, lambda: _files(files), "export"):
-        print_lines(files.values())
+    return Answer({"format": to, "files": files}, _files(files), list(files.values()))
 
 
 def _files(files: Mapping[str, Path]) -> list[dict[str, Any]]:
@@ -145,17 +117,15 @@ def _files(files: Mapping[str, Path]) -> list[dict[str, Any]]:
     return [{"file": name, "path": path} for name, path in files.items()]
 
 
-@guarded
+@command
 def animate(
     flights: Annotated[list[Path], typer.Argument(help="Flights over one reference, such as those of one sweep.")],
     out: Out = Path("replay.gif"),
-    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Frames a second, 1 to 50.")] = 20.0,
-    begin: Annotated[float, typer.Option("--from", metavar="S", help="Time of the first frame.")] = 0.0,
-    end: Annotated[float | None, typer.Option("--to", metavar="S", help="Time of the last frame.")] = None,
+    rate: Annotated[float, Ask("Frames a second, 1 to 50.", "HZ")] = 20.0,
+    begin: Annotated[float, Ask("Time of the first frame.", "S", "--from")] = 0.0,
+    end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Draw flights over one reference as a moving picture in real time, a GIF or WebP file.
 
     \b
@@ -163,7 +133,5 @@ def animate(
     """
     from quadexp.report.animation import animate as draw
 
-    form = format_of(format, json)
     made = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
-    if not answered(form, made, lambda: [single_values(made)], "animate"):
-        print_lines([f"{made['frames']} frames, {made['duration']:.1f} s", made["path"]])
+    return Answer(made, [single_values(made)], [f"{made['frames']} frames, {made['duration']:.1f} s", made["path"]])

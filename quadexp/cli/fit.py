@@ -7,56 +7,50 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Format, Json, Out, Overrides
-from quadexp.cli.terminal import answered, format_of, guarded, print_lines
+from quadexp.cli.command import Answer, Ask, command
+from quadexp.cli.options import Conf, Force, Out, Overrides
 
 DataSet = Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")]
-After = Annotated[
-    Path | None,
-    typer.Option("--after", help="Checkpoint that explains a part; the rest is fitted, for a sum of the two."),
-]
+After = Annotated[Path | None, Ask("Checkpoint that explains a part; the rest is fitted, for a sum of the two.")]
+Figures = Annotated[bool, Ask("Draw the fit.", flag="--figures/--no-figures")]
 
 
-@guarded
+@command
 def fit_gp(
     dataset: DataSet,
     overrides: Overrides = None,
     out: Out = Path("models/gp"),
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the fit.")] = True,
+    figures: Figures = True,
     after: After = None,
     conf: Conf = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Fit Gaussian processes to a data set and write the checkpoint.
 
     \b
     quadexp fit-gp data/residuals.parquet --out models/gp
     quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
     """
-    _fit("gp", dataset, overrides, out, conf, force, format_of(format, json), figures=figures, after=after)
+    return _fit("gp", dataset, overrides, out, conf, force, figures=figures, after=after)
 
 
-@guarded
+@command
 def fit_drag(
     dataset: DataSet,
     overrides: Overrides = None,
     out: Out = Path("models/drag"),
     conf: Conf = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Fit linear rotor drag to a data set and write the checkpoint.
 
     \b
     quadexp fit-drag data/residuals.parquet --out models/drag
     """
-    _fit("drag", dataset, overrides, out, conf, force, format_of(format, json))
+    return _fit("drag", dataset, overrides, out, conf, force)
 
 
-@guarded
+@command
 def fit_nn(
     dataset: DataSet,
     overrides: Overrides = None,
@@ -64,28 +58,19 @@ def fit_nn(
     after: After = None,
     conf: Conf = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Fit a neural network to a data set and write the checkpoint.
 
     \b
     quadexp fit-nn data/residuals.parquet --out models/nn
     quadexp fit-nn data/residuals.parquet nn.hidden=[24,24] nn.spectral=8 --out models/nn24
     """
-    _fit("nn", dataset, overrides, out, conf, force, format_of(format, json), after=after)
+    return _fit("nn", dataset, overrides, out, conf, force, after=after)
 
 
 def _fit(
-    kind: str,
-    dataset: Path,
-    overrides: list[str] | None,
-    out: Path,
-    conf: Path | None,
-    force: bool,
-    form: str,
-    **options: Any,
-) -> None:
+    kind: str, dataset: Path, overrides: list[str] | None, out: Path, conf: Path | None, force: bool, **options: Any
+) -> Answer:
     from quadexp.experiment.fit import fit_checkpoint
     from quadexp.files.writer import check_output
     from quadexp.parts.compose import compose
@@ -95,6 +80,4 @@ def _fit(
     path = check_output(out, force=force, folder=True)
     with Progress("fit") as progress:
         report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
-    if answered(form, report, lambda: report["rows"], f"fit-{kind}"):
-        return
-    print_lines([*report["lines"], path])
+    return Answer(report, report["rows"], [*report["lines"], path])

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
-from quadexp.cli.terminal import answered, emit, format_of, guarded, print_lines, print_table, say, single_values
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.cli.command import Answer, Ask, command, single_values
+from quadexp.cli.options import Conf, Force, OptionalOut, Out, Overrides
+from quadexp.cli.terminal import say
+from quadexp.errors import UsageError
 from quadexp.files.names import file_name
 
 FIGURES = 5  # of a usual sweep
@@ -23,20 +21,11 @@ NEEDED = {  # kind of a trajectory or controller -> modules, beside those that e
     "file": ("quadexp.reference.from_file",),
     "feedback": ("quadexp.control.feedback.controller",),
 }
-
-
 FOREIGN = (".csv", ".json", ".txt", ".mcap", ".ulg", ".h5")  # formats that a flight is exported to, or imported from
 
 
-@guarded
-def simulate(
-    overrides: Overrides = None,
-    out: OptionalOut = None,
-    conf: Conf = None,
-    force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+@command
+def simulate(overrides: Overrides = None, out: OptionalOut = None, conf: Conf = None, force: Force = False) -> Answer:
     """Fly one configuration and write the flight.
 
     \b
@@ -50,7 +39,6 @@ def simulate(
     from quadexp.report.margin_line import delays_note, world_note
     from quadexp.report.summary import flight_lines
 
-    form = format_of(format, json)
     if out is not None and out.suffix in FOREIGN:
         parquet = out.with_suffix(".parquet")
         raise UsageError(
@@ -61,39 +49,22 @@ def simulate(
     path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
     flight = fly_one(config)
     write_flight(path, flight, force=force)
-    if note := unused_model([config]):
-        say(f"note: {note}")
-    row = flight.metadata["row"]
-    record = {"path": path, **row, "residual": flight.metadata["residual"]}
-    if answered(form, record, lambda: [{**row, "path": path}], "simulate"):
-        return
-    if flight.metadata["reference_note"]:
-        say(f"note: {flight.metadata['reference_note']}")
-    if note := world_note(flight.metadata["margins"]):
-        say(f"note: {note}")
-    if note := delays_note(flight.columns):
-        say(f"note: {note}")
-    print_lines([*flight_lines(flight.metadata), path])
+    about = flight.metadata
+    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"]), delays_note(flight.columns)]
+    record = {"path": path, **about["row"], "residual": about["residual"]}
+    return Answer(record, [{**about["row"], "path": path}], [*flight_lines(about), path], [*filter(None, notes)])
 
 
-@guarded
+@command
 def collect(
     overrides: Overrides = None,
     out: Out = Path("data/residuals.parquet"),
-    flight: Annotated[
-        list[Path] | None, typer.Option("--flight", metavar="PATH", help="Use this recorded flight; repeatable.")
-    ] = None,
-    save_flights: Annotated[
-        Path | None, typer.Option("--save-flights", metavar="DIR", help="Write the flights too.")
-    ] = None,
-    sweep: Annotated[
-        bool, typer.Option("--sweep", help="Fly in every combination of the worlds given, one after another.")
-    ] = False,
+    flight: Annotated[list[Path] | None, Ask("Use this recorded flight; repeatable.", "PATH")] = None,
+    save_flights: Annotated[Path | None, Ask("Write the flights too.", "DIR")] = None,
+    sweep: Annotated[bool, Ask("Fly in every combination of the worlds given, one after another.")] = False,
     conf: Conf = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Fly random paths, or take recorded flights, and write the residual: what the rigid body does not explain.
 
     \b
@@ -101,56 +72,41 @@ def collect(
     quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
     quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] plant.payload=0,0.2 --out data/worlds.parquet
     """
-    from quadexp.errors import UsageError
     from quadexp.experiment.collect import collect_dataset
     from quadexp.files.writer import check_output
     from quadexp.parts.compose import session
     from quadexp.progress import Progress
 
-    form = format_of(format, json)
     if sweep and flight:
         raise UsageError(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
-        cells = composer.expand(overrides or []).sound() if sweep else []
-        worlds = [cell.config for cell in cells]
+        worlds = [cell.config for cell in composer.expand(overrides or []).sound()] if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
         check_output(save_flights, force=force, folder=True)
+    options: dict[str, Any] = {"flights": flight or [], "worlds": worlds, "save_flights": save_flights}
     with Progress("seconds of flight") as progress:
-        report = collect_dataset(
-            config, path, flights=flight or [], worlds=worlds, save_flights=save_flights, force=force, progress=progress
-        )
-    if answered(form, report, lambda: [single_values(report)], "collect"):
-        return
-    print_lines([*report["lines"], path])
+        report = collect_dataset(config, path, **options, force=force, progress=progress)
+    return Answer(report, [single_values(report)], [*report["lines"], path])
 
 
-@guarded
+@command
 def evaluate(
     overrides: Overrides = None,
-    sweep: Annotated[
-        bool, typer.Option("--sweep", "--multirun", "-m", help="Fly every combination of the values given.")
-    ] = False,
+    sweep: Annotated[bool, Ask("Fly every combination of the values given.", flag="--sweep --multirun -m")] = False,
     out: OptionalOut = None,
     figures: Annotated[
-        bool | None, typer.Option("--figures/--no-figures", help="Draw figures (default: only for a sweep).")
+        bool | None, Ask("Draw figures (default: only for a sweep).", flag="--figures/--no-figures")
     ] = None,
     conf: Conf = None,
-    refly: Annotated[
-        bool, typer.Option("--refly", help="Fly cells again that another version of the sources has flown.")
-    ] = False,
-    keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
+    refly: Annotated[bool, Ask("Fly cells again that another version of the sources has flown.")] = False,
+    keep_old: Annotated[bool, Ask("Keep them in the table, beside new ones.")] = False,
     force: Force = False,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="Show the sweep while it runs: a table here, and a page in a file.")
-    ] = False,
-    port: Annotated[str | None, typer.Option("--port", hidden=True)] = None,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+    watch: Annotated[bool, Ask("Show the sweep while it runs: a table here, and a page in a file.")] = False,
+) -> Answer:
     """Fly one cell, or every cell of a sweep, and write the table of results.
 
     An interrupted sweep continues where it stopped; a finished one only prints its table. If cells were flown by
@@ -162,17 +118,13 @@ def evaluate(
     quadexp evaluate --sweep experiment=torrente_table1
     quadexp evaluate --sweep experiment=torrente_table1 --watch
     """
-    from quadexp.errors import UsageError
     from quadexp.parts.compose import Cell, session
     from quadexp.sweeps.server import start_server
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
-    if port is not None:
-        raise UsageError("--port: is no more: the page of --watch is a file in the folder of results; leave it out")
     if watch and not sweep:
         raise UsageError("--watch is for a sweep: add --sweep")
-    form = format_of(format, json)
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -187,13 +139,16 @@ def evaluate(
 
     from quadexp.experiment.checkpoints import unused_model
     from quadexp.progress import Progress
-    from quadexp.sweeps.cluster.engines import build_engine
+    from quadexp.report.notes import invalid_text
+    from quadexp.report.statistics_file import statistics_csv
+    from quadexp.report.tables import to_latex, to_markdown
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
-    from quadexp.sweeps.sweep import run_sweep
+    from quadexp.sweeps.sweep import build_engine, run_sweep
+    from quadexp.sweeps.watch import Watch
 
     settings = first.evaluate
-    watching = _watching(out, settings.metric) if watch else None
+    watching = Watch(out, settings.metric) if watch else None
     with (
         watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
@@ -217,72 +172,47 @@ def evaluate(
             flown=drawn.begin if figures else lambda rows, record: None,
         )
         files = dict(result.files) | drawn.end()
-    for note in filter(None, [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes]):
-        say(f"note: {note}")
-    if figures and settings.figures != "standard":
-        if settings.figures == "ladder":
-            from quadexp.report import ladder
-
-            files |= ladder.draw(result.rows, out)
-        elif settings.figures == "sun":
-            from quadexp.papers.sun import report as sun
-
-            files |= sun.draw(result.rows, out)
-        else:
-            from quadexp.papers.lei_li import report as lei_li
-
-            files |= lei_li.draw(settings.figures, result.rows, out)
-    if form == "json":
-        emit(
-            {
-                "out": out,
-                "files": files,
-                "flown": result.flown,
-                "notes": result.notes,
-                "not_flown": len(result.not_flown),
-                "rows": list(result.rows),
-                "statistics": result.statistics.record(first.evaluate.metric),
-            }
-        )
-    elif form == "csv":
-        from quadexp.report.statistics_file import statistics_csv
-
-        sys.stdout.write(statistics_csv(result.statistics.of(settings.metric)))
-    elif form != "text":
-        from quadexp.report.tables import to_latex, to_markdown
-
-        sys.stdout.write({"markdown": to_markdown, "latex": to_latex}[form](result.table))
-    else:
-        if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
-            from quadexp.report.ladder import ladder_table
-
-            print_lines(ladder_table(result.rows).lines())
-        elif first.evaluate.figures == "sun":  # a line for every ellipse has none either
-            from quadexp.papers.sun.report import overview
-
-            print_lines(overview(result.rows).lines())
-        else:
-            print_table(result.table)
-        print_lines([out])
-    if result.invalid:
-        from quadexp.report.notes import invalid_text
-
-        say(f"note: {invalid_text(result.rows)}; all of them: quadexp results {out} --failures")
-    for name, why in drawn.failed.items():
-        say(f"error: {name}: not drawn: {why}; the tables are not affected")
-    if result.not_flown:
-        worst = result.not_flown[0]
-        raise QuadexpError(
-            f"{len(result.not_flown)} of {len(result.rows)} cells were not flown; the first: {worst['cause']}"
-        )
-    if drawn.failed:
-        raise typer.Exit(1)
+    special, table = _of_a_paper(settings.figures, result.rows, out, figures)
+    failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
+    if missing := result.not_flown:
+        cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
+        failed.append(cause)
+    invalid = f"{invalid_text(result.rows)}; all of them: quadexp results {out} --failures" if result.invalid else ""
+    notes = [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes, invalid]
+    record = {
+        "out": out,
+        "files": files | special,
+        "flown": result.flown,
+        "notes": result.notes,
+        "not_flown": len(missing),
+        "rows": list(result.rows),
+        "statistics": result.statistics.record(settings.metric),
+    }
+    texts = {
+        "csv": lambda: statistics_csv(result.statistics.of(settings.metric)),
+        "markdown": lambda: to_markdown(result.table),
+        "latex": lambda: to_latex(result.table),
+    }
+    return Answer(record, [], [*table, out] if table else [result.table, out], [*filter(None, notes)], failed, texts)
 
 
-def _watching(out: Path, metric: str) -> Any:
-    from quadexp.sweeps.watch import Watch
+def _of_a_paper(
+    kind: str, rows: Sequence[Mapping[str, Any]], out: Path, figures: bool
+) -> tuple[dict[str, str], Sequence[str]]:
+    """Figures of an experiment of a paper, and the lines of its table, where that of all controllers has no room."""
+    if kind == "ladder":
+        from quadexp.report import ladder
 
-    return Watch(out, metric)
+        return ladder.draw(rows, out) if figures else {}, ladder.ladder_table(rows).lines()
+    if kind == "sun":
+        from quadexp.papers.sun import report as sun
+
+        return sun.draw(rows, out) if figures else {}, sun.overview(rows).lines()
+    if kind != "standard" and figures:
+        from quadexp.papers.lei_li import report as lei_li
+
+        return lei_li.draw(kind, rows, out), []
+    return {}, []
 
 
 def _doubts(cells: Sequence[Any]) -> list[str]:

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Format, Json
-from quadexp.cli.terminal import answered, format_of, guarded, print_lines, say
+from quadexp.cli.command import Answer, Ask, command
+from quadexp.cli.options import Conf, Force
+from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 
 CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
@@ -28,54 +29,33 @@ OPTIONS = {
 }  # fmt: skip
 
 
-def _regression(name: str, metavar: str | None, help: str) -> Any:
-    """An option of --method regression."""
-    return typer.Option(name, metavar=metavar, help=help, rich_help_panel="Regression")
-
-
-@guarded
+@command
 def identify(
     context: typer.Context,
-    flights: Annotated[list[Path], typer.Argument(metavar="FLIGHT...", help="Of `quadexp import` or `simulate`.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Where to write.")] = Path("data/estimates"),
+    flights: Annotated[list[Path], Ask("Of `quadexp import` or `simulate`.", "FLIGHT...")],
+    out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("data/estimates"),
     method: Annotated[
-        str | None,
-        typer.Option(
-            "--method", metavar="rls|regression|delays", help="rls where rotor speeds and geometry are known."
-        ),
+        str | None, Ask("rls where rotor speeds and geometry are known.", "rls|regression|delays")
     ] = None,
-    vehicle: Annotated[
-        str | None,
-        typer.Option("--vehicle", metavar="NAME", help="Of the configuration, instead of the flight's own."),
-    ] = None,
-    paper: Annotated[bool, typer.Option("--paper", help="rls: P_0 = 50 and unit noise, as Lei & Li.")] = False,
-    drag: Annotated[str, _regression("--drag", "MODELS", f"Drag models to fit, of {KINDS}.")] = KINDS,
-    signal: Annotated[str | None, _regression("--signal", "COLUMNS", SIGNAL)] = None,
-    curve: Annotated[str, _regression("--thrust-curve", "s+s2|s|s2|auto", CURVE)] = "auto",
-    voltage: Annotated[float | None, _regression("--reference-voltage", "V", VOLTAGE)] = None,
-    exponent: Annotated[
-        str, _regression("--voltage-exponent", "G|fit", "Exponent of the voltage; fit: estimated.")
-    ] = "1",
+    vehicle: Annotated[str | None, Ask("Of the configuration, instead of the flight's own.", "NAME")] = None,
+    paper: Annotated[bool, Ask("rls: P_0 = 50 and unit noise, as Lei & Li.")] = False,
+    drag: Annotated[str, Ask(f"Drag models to fit, of {KINDS}.", "MODELS", "--drag")] = KINDS,
+    signal: Annotated[str | None, Ask(SIGNAL, "COLUMNS", "--signal")] = None,
+    curve: Annotated[str, Ask(CURVE, "s+s2|s|s2|auto", "--thrust-curve")] = "auto",
+    voltage: Annotated[float | None, Ask(VOLTAGE, "V", "--reference-voltage")] = None,
+    exponent: Annotated[str, Ask("Exponent of the voltage; fit: estimated.", "G|fit", "--voltage-exponent")] = "1",
     intercept: Annotated[
-        bool | None, _regression("--thrust-intercept/--no-thrust-intercept", None, "Fit an offset along z.")
+        bool | None, Ask("Fit an offset along z.", None, "--thrust-intercept/--no-thrust-intercept")
     ] = None,
-    per_rotor: Annotated[bool, _regression("--per-rotor", None, "A thrust curve for each rotor.")] = False,
-    radius: Annotated[
-        float | None, _regression("--rotor-radius", "M", "Rotor radius for the induced velocity.")
-    ] = None,
-    loss: Annotated[str, _regression("--loss", "squares|huber", "Loss that is minimised.")] = "squares",
-    figures: Annotated[bool, _regression("--figures/--no-figures", None, "Draw figures.")] = True,
-    figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="FILE", help="delays: draw the search, as SVG and PNG.")
-    ] = None,
-    verbose: Annotated[
-        bool, _regression("--verbose", None, "Print all that was found, as `quadexp show` does.")
-    ] = False,
+    per_rotor: Annotated[bool, Ask("A thrust curve for each rotor.", None, "--per-rotor")] = False,
+    radius: Annotated[float | None, Ask("Rotor radius for the induced velocity.", "M", "--rotor-radius")] = None,
+    loss: Annotated[str, Ask("Loss that is minimised.", "squares|huber", "--loss")] = "squares",
+    figures: Annotated[bool, Ask("Draw figures.", None, "--figures/--no-figures")] = True,
+    figure: Annotated[Path | None, Ask("delays: draw the search, as SVG and PNG.", "FILE")] = None,
+    verbose: Annotated[bool, Ask("Print all that was found, as `quadexp show` does.", None, "--verbose")] = False,
     conf: Conf = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Identify a vehicle from its flights: thrust curve, drag, blade-element coefficients, with 95 % intervals.
 
     --method rls: recursive least squares, flight by flight, for flights with rotor speeds of a vehicle whose rotors are
@@ -90,7 +70,6 @@ def identify(
     """
     from quadexp.experiment.identify import choose_method, configured_vehicle, identify_files
 
-    form = format_of(format, json)
     named = None if vehicle is None else configured_vehicle(vehicle, conf)
     choice = choose_method(flights, method, named)
     _check_options(context, choice.method)
@@ -98,20 +77,15 @@ def identify(
         from quadexp.experiment.identify_delays import identify_delays
 
         delays = identify_delays(flights, named, conf, figure)
-        rows = [{**one, "overrides": " ".join(one["overrides"])} for one in delays["flights"]]
-        if not answered(form, {"method": "delays", "flights": delays["flights"]}, lambda: rows, "identify"):
-            print_lines(delays["lines"])
-        return
+        rows = [{**flight, "overrides": " ".join(flight["overrides"])} for flight in delays["flights"]]
+        return Answer({"method": "delays", "flights": delays["flights"]}, rows, delays["lines"])
+    say(f"{choice.method}: {choice.reason}")
     if choice.method == "rls":
-        found = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)
-        say(f"rls: {choice.reason}")
-        each = [{"path": path, **one.metadata()} for path, one in found]
-        record = {"method": "rls", "out": out, "flights": each}
-        if answered(form, record, lambda: [row for flight in each for row in _of_flight(flight)], "identify"):
-            return
-        for path, one in found:
-            print_lines([*one.lines(), path])
-        return
+        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)
+        each = [{"path": path, **estimate.metadata()} for path, estimate in estimates]
+        lines = [line for path, estimate in estimates for line in (*estimate.lines(), path)]
+        rows = [row for flight in each for row in _of_flight(flight)]
+        return Answer({"method": "rls", "out": out, "flights": each}, rows, lines)
 
     from quadexp.experiment.identify_vehicle import identify_flights
     from quadexp.models.vehicle_fit import FitSettings
@@ -123,13 +97,10 @@ def identify(
         thrust_intercept=intercept, per_rotor=per_rotor, radius=radius, loss=loss,
         kinds=tuple(name.strip() for name in drag.split(",") if name.strip()),
     )  # fmt: skip
-    say(f"regression: {choice.reason}")
     report: dict[str, Any] = identify_flights(flights, out, named, settings, force=force, figures=figures, conf=conf)
     record = {key: value for key, value in report.items() if key not in ("lines", "main")}
-    models = report["models"].items()
-    if answered(form, record, lambda: [{"model": name, **row} for name, rows in models for row in rows], "identify"):
-        return
-    print_lines([*report["lines" if verbose else "main"], out])
+    rows = [{"model": name, **row} for name, model_rows in report["models"].items() for row in model_rows]
+    return Answer(record, rows, [*report["lines" if verbose else "main"], out])
 
 
 def _check_options(context: typer.Context, method: str) -> None:

@@ -8,10 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-import typer
-
-from quadexp.cli.options import Format, Json
-from quadexp.cli.terminal import answered, format_of, guarded, print_lines
+from quadexp.cli.command import Answer, Ask, command
 from quadexp.errors import UsageError
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -38,16 +35,12 @@ TEMPLATES = {
 }
 
 
-@guarded
+@command
 def new(
-    part: Annotated[str, typer.Argument(metavar="PART", help="vehicle, trajectory, plant, residual or controller.")],
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of module, option and test: a Python identifier.")],
-    to: Annotated[
-        Path, typer.Option("--to", metavar="DIR", help="A configuration folder, given to other commands by --conf.")
-    ] = Path("my_parts"),
-    format: Format = None,
-    json: Json = False,
-) -> None:
+    part: Annotated[str, Ask("vehicle, trajectory, plant, residual or controller.", "PART")],
+    name: Annotated[str, Ask("Of module, option and test: a Python identifier.", "NAME")],
+    to: Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")] = Path("my_parts"),
+) -> Answer:
     """Begin a part of your own: a module, its option, and a test that passes, to be changed step by step.
 
     \b
@@ -56,7 +49,6 @@ def new(
     """
     from quadexp.files.writer import check_output, write_text
 
-    form = format_of(format, json)
     if part not in TEMPLATES:
         raise UsageError(f"new: {part!r} is none of {', '.join(TEMPLATES)}")
     template = TEMPLATES[part]
@@ -72,10 +64,9 @@ def new(
         f"python -m pytest {shlex.quote(str(files[-1]))}",
         f"quadexp simulate --conf {shlex.quote(str(to))} {template.group}={option} --out runs/{option}.parquet",
     ]
-    made = {"part": part, "name": name, "option": f"{template.group}={option}", "files": files, "commands": commands}
-    if answered(form, made, lambda: [{"file": str(file)} for file in files], "new"):
-        return
-    print_lines([*files, "", "test it, fly it, then make it yours:", *(f"    {c}" for c in commands)])
+    record = {"part": part, "name": name, "option": f"{template.group}={option}", "files": files, "commands": commands}
+    hints = ["", "test it, fly it, then make it yours:", *(f"    {words}" for words in commands)]
+    return Answer(record, [{"file": str(file)} for file in files], [*files, *hints])
 
 
 def examples_folder() -> Path:

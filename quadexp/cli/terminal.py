@@ -13,7 +13,7 @@ import shutil
 import signal
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
@@ -263,11 +263,6 @@ def answered(form: str, record: dict[str, Any], rows: Callable[[], Sequence[Any]
     return True
 
 
-def single_values(record: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a record fits into a row of a table: numbers and texts."""
-    return {key: value for key, value in record.items() if not isinstance(value, (dict, list, tuple))}
-
-
 def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
     """Print tables as csv, markdown or latex, a blank line between them; UsageError where there is none."""
     if not tables:
@@ -276,11 +271,12 @@ def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
 
 
 def print_table(table: Any) -> None:
+    """Print a Table or an ErrorTable with its notes; stacked where the terminal is too narrow."""
     from quadexp.report.tables import to_rich
 
-    out = console()
-    shown = to_rich(table)
+    out, rich = console(), table.rich if hasattr(table, "rich") else functools.partial(to_rich, table)
+    shown = rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
-        shown = to_rich(table, stacked=True)
+        shown = rich(stacked=True)
     out.print(shown)
     print_lines(table.notes)

@@ -5,40 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from quadexp.cli.options import Conf, Force, Format, Json
-from quadexp.cli.terminal import answered, format_of, guarded, print_lines
+from quadexp.cli.command import Answer, Ask, command
+from quadexp.cli.options import Conf, Force
 from quadexp.errors import UsageError
 
 
-@guarded
+@command
 def validate(
     arguments: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="MODEL... [KEY=VALUE...]", help="Folders of `quadexp identify`, `fit-gp` or `fit-drag`."
-        ),
+        list[str], Ask("Folders of `quadexp identify`, `fit-gp` or `fit-drag`.", "MODEL... [KEY=VALUE...]")
     ],
-    flights: Annotated[
-        list[Path] | None,
-        typer.Option("--flights", metavar="FLIGHT...", help="Flights to predict; several may follow."),
-    ] = None,
-    horizons: Annotated[
-        str, typer.Option("--horizons", metavar="S,S,...", help="Horizons of the open-loop predictions (s).")
-    ] = "0.1,0.5,1",
-    leave_one_out: Annotated[
-        bool, typer.Option("--leave-one-out", help="Predict each flight by models refitted to all the others.")
-    ] = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write report and figures there.")
-    ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures (with --out).")] = True,
+    flights: Annotated[list[Path] | None, Ask("Flights to predict; several may follow.", "FLIGHT...")] = None,
+    horizons: Annotated[str, Ask("Horizons of the open-loop predictions (s).", "S,S,...")] = "0.1,0.5,1",
+    leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,
+    out: Annotated[Path | None, Ask("Write report and figures there.", "DIR", "--out -o")] = None,
+    figures: Annotated[bool, Ask("Draw figures (with --out).", flag="--figures/--no-figures")] = True,
     conf: Conf = None,
     force: Force = False,
-    format: Format = None,
-    json: Json = False,
-) -> None:
+) -> Answer:
     """Compare what models predict with what flights did: sample by sample, and open loop from many start points.
 
     The vehicle is the flights' own unless vehicle=NAME is given.
@@ -51,7 +35,6 @@ def validate(
     from quadexp.experiment.vehicle_of import config_for
     from quadexp.progress import Progress
 
-    form = format_of(format, json)
     overrides = [text for text in arguments if "=" in text]
     paths = [Path(text) for text in arguments if "=" not in text]
     tested = [*(flights or []), *(path for path in paths if path.suffix == ".parquet")]
@@ -69,8 +52,4 @@ def validate(
             force=force, progress=progress,
         )  # fmt: skip
     record = {key: value for key, value in report.items() if key != "lines"}
-    if answered(form, record, lambda: report["rows"], "validate"):
-        return
-    print_lines(report["lines"])
-    if out:
-        print_lines([out])
+    return Answer(record, report["rows"], [*report["lines"], *([out] if out else [])])

@@ -58,10 +58,16 @@ class L1Keys(Settings):
     prefix: ClassVar[str] = "adaptive."
 
     velocity_pole: Annotated[
-        float, Setting("a_v: rate at which the error of the predicted velocity decays", "(0, 1000]", "1/s")
+        float,
+        Setting(
+            "a_v: rate at which the error of the predicted velocity decays", "(0, 1000]", "1/s", tuned=("0.3..30:log",)
+        ),
     ] = 1.0
     rate_pole: Annotated[
-        float, Setting("a_w: rate at which the error of the predicted body rate decays", "(0, 1000]", "1/s")
+        float,
+        Setting(
+            "a_w: rate at which the error of the predicted body rate decays", "(0, 1000]", "1/s", tuned=("0.3..30:log",)
+        ),
     ] = 1.0
     bandwidth: Annotated[
         float,
@@ -70,6 +76,7 @@ class L1Keys(Settings):
             " of 1/tau; far above it the loop is unstable",
             "(0, 1000]",
             "rad/s",
+            tuned=("1..60:log",),
         ),
     ] = 10.0
     force_limit: Annotated[float, Setting("largest thrust that is added or taken away", "[0, 10]", "of the weight")] = (

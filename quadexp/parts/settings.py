@@ -40,13 +40,17 @@ SEEDS = "[0, 4294967295]"  # interval of every seed
 class Setting:
     """What a value means, the interval it must lie in (of a list: each number), its unit, whether it names a thing, as
     one printable line, and whether the noise of a flight is another with another value: a key of a vehicle, plant or
-    trajectory that came after the first flights were stored says no."""
+    trajectory that came after the first flights were stored says no.
+
+    tuned: what `quadexp tune` varies of it unless told otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
+    entries of a list or of a key below."""
 
     meaning: str
     interval: str = ""
     unit: str = ""
     names: bool = False
     noise: bool = True
+    tuned: tuple[str, ...] = ()
 
 
 # Settings that several parts have.

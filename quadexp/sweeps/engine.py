@@ -1,30 +1,49 @@
 """Cells on processes of this machine; a crash or an endless loop costs one cell one attempt and never ends the sweep.
 
 The workers are forked from one server process that has the slow imports done (forkserver), so that a worker starts, or
-is replaced, quickly. Every worker uses one thread of linear algebra.
+is replaced, quickly. Every worker uses one thread of linear algebra, has a memory limit, and ends with the process that
+started it, even if that is killed. It imports from the same places as its parent and from no others, so not from the
+current folder; a pool whose workers import another quadexp is refused.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import multiprocessing
 import os
+import resource
+import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, InvalidStateError, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, InvalidStateError, TimeoutError, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
-from pebble import ProcessPool
+from pebble import ProcessExpired, ProcessPool
+from pebble.pool.base_pool import Task as PoolTask
+from pebble.pool.process import TaskManager
 
-from quadexp.errors import ModuleError, UsageError, WriteError, stops_all
+from quadexp.errors import ModuleError, QuadexpError, UsageError, WriteError, stops_all
 from quadexp.experiment.checkpoints import ModelFile
+from quadexp.parts.plugins import import_from, own_folders
 from quadexp.parts.schema import Config
-from quadexp.sweeps.child import GONE, cause, start_pool
-from quadexp.sweeps.server import PRELOAD, without_main
+from quadexp.provenance import identity, package_folder
+from quadexp.sweeps.server import PATH, PRELOAD, start_server, undisturbed, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
 QUEUED = 4  # cells handed out per worker, so that no worker waits
 CHECKED = 1.0  # s between checks of the pool
+STARTING = 60.0  # s to wait for the first process of a pool
+# Exceptions of a call whose process died or took too long, or whose pool was given up.
+GONE = (ProcessExpired, TimeoutError, BrokenProcessPool, CancelledError)
+_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
+
+Progress = Callable[[int, int], None]  # called with the numbers of cells done and of all
 
 
 @dataclass(frozen=True)
@@ -80,10 +99,11 @@ class LocalEngine:
     processes: Workers | None = None
 
     def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, Any]]:
+        """See Engine."""
         jobs = {task.key: (task.config, task.model, task.path, task.key) for task in tasks}
-        if self.processes is not None:
-            return self.processes.run(function, jobs, timeout=self.timeout)
-        return run_cells(function, jobs, workers=self.workers, timeout=self.timeout, memory=self.memory)
+        shared = contextlib.nullcontext(self.processes) if self.processes else None
+        with shared or Workers(self.workers, self.memory) as processes:
+            yield from processes.run(function, jobs, timeout=self.timeout)
 
 
 def default_workers() -> int:
@@ -156,9 +176,9 @@ class Workers:
             if self._pool is None:
                 preload = [*self._preload, function.__module__]
                 self._pool = start_pool(min(self._most, max(calls, self._calls)), self._memory, preload, self._folders)
-            found: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
-            self._under_way.add(found)
-            return found
+            future: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
+            self._under_way.add(future)
+            return future
 
     def _check(self) -> None:
         """Give up a pool that does not work any more: a thread of it ends where the server dies while it forks."""
@@ -215,15 +235,98 @@ class Workers:
                     yield key, future
 
 
-def run_cells(
-    function: Callable[..., Any],
-    jobs: Mapping[str, tuple[Any, ...]],
-    *,
-    workers: int = 0,
-    timeout: float | None = None,
-    memory: float | None = None,
-    preload: Sequence[str] = PRELOAD,
-) -> Generator[tuple[str, Any]]:
-    """As Workers.run, with processes of its own. memory: GB a process may take."""
-    with Workers(workers, memory, preload) as processes:
-        yield from processes.run(function, jobs, timeout=timeout)
+# --------------------------------------------------------------------------------------------------------------- pool
+def start_pool(
+    workers: int, memory: float | None, preload: Sequence[str], folders: Sequence[str] | None = None
+) -> ProcessPool:
+    """A pool whose processes are forked from one server that has imported `preload`.
+
+    memory: limit of the data of a process (heap and private maps) in GB, None for no limit. folders: those in which
+    `_target_` may name modules, None for those of this process.
+    Raises QuadexpError where the processes import another quadexp than this one.
+    """
+    path, pool = os.environ.get(PATH), None
+    try:
+        with undisturbed():
+            start_server(preload)
+            given = own_folders() if folders is None else tuple(folders)
+            context = multiprocessing.get_context("forkserver")
+            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, path, given))
+            manager = pool._pool_manager
+            manager.task_manager = _MonotonicTasks(manager.task_manager.task_done_callback)
+            asked = pool.schedule(identity)
+            wait([asked], timeout=STARTING)
+        if asked.done():
+            _check_program(asked)
+    except (KeyboardInterrupt, QuadexpError):
+        if pool is not None:
+            pool.stop()
+            pool.join()
+        raise
+    return pool
+
+
+def _check_program(asked: Future[dict[str, str]]) -> None:
+    """Raise QuadexpError if the workers run another program than this process."""
+    try:
+        child = asked.result()
+    except GONE:  # every cell will report it
+        return
+    except Exception as error:  # another program may have no such function
+        raise QuadexpError(f"worker processes do not run the quadexp of {package_folder()} ({error})") from None
+    for name, mine in identity().items():
+        if child.get(name) != mine:
+            raise QuadexpError(f"worker processes have {name} {child.get(name)}, this process has {mine}")
+
+
+class _MonotonicTasks(TaskManager):
+    """Pebble's tasks with time limits by the monotonic clock, which a suspended computer or a changed clock does not
+    affect. (Pebble 5 uses wall time.)"""
+
+    def task_start(self, task_id: int, worker_id: int | None) -> None:
+        super().task_start(task_id, worker_id)
+        task = self.tasks.get(task_id)
+        if task is not None:
+            task.timestamp = time.monotonic()
+
+    @staticmethod
+    def timeout(task: PoolTask) -> bool:
+        return bool(task.timeout and task.started and time.monotonic() - task.timestamp > task.timeout)
+
+
+def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> None:
+    """Called first in a worker: it shall end with its parent, keep to its memory limit, and import the user's modules
+    from `folders` (those given with --conf).
+
+    path: PYTHONPATH for programs that the worker itself starts.
+    """
+    if path is None:
+        os.environ.pop(PATH, None)
+    else:
+        os.environ[PATH] = path
+    for folder in folders:
+        import_from(Path(folder))
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+    if memory:
+        limit = int(memory * 1e9)
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        if hard == resource.RLIM_INFINITY or limit < hard:
+            resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+
+
+def cause(error: BaseException, timeout: float | None) -> str:
+    """One line for a call that has no result."""
+    if isinstance(error, TimeoutError):
+        return f"took longer than {timeout:g} s"
+    if isinstance(error, (BrokenProcessPool, CancelledError)):
+        return "its process died"
+    if isinstance(error, ProcessExpired):
+        return f"its process died (exit code {error.exitcode})"
+    if isinstance(error, MemoryError):
+        return "took more memory than evaluate.memory allows"
+    text = str(error).strip().splitlines()
+    if isinstance(error, QuadexpError):
+        return text[0] if text else type(error).__name__
+    return f"{type(error).__name__}: {text[0] if text else ''}"[:300].rstrip(": ")

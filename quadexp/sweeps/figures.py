@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.report.drawing import Drawing, FigureFolder, draw, drawings
-from quadexp.sweeps.child import cause
-from quadexp.sweeps.engine import Workers
+from quadexp.sweeps.engine import Workers, cause
 
 LONGEST = 600.0  # s that one figure may take
 

@@ -33,7 +33,7 @@ def start_server(preload: Sequence[str] = PRELOAD) -> None:
     Its children search for modules where this process does, and use one thread of linear algebra.
     """
     multiprocessing.get_context("forkserver").set_forkserver_preload(list(dict.fromkeys(preload)))
-    with undisturbed(), same_imports(), one_thread():
+    with undisturbed(), same_imports(), environment(dict.fromkeys(THREADS, "1")):
         resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
         # Inherited: the server and its children end with this process, not by the Ctrl-C that reaches the group.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -102,13 +102,6 @@ def undisturbed() -> Iterator[None]:
             signal.signal(number, handler or signal.SIG_DFL)
         for first in asked[:1]:
             os.kill(os.getpid(), first)
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Processes started inside use one thread of linear algebra each."""
-    with environment(dict.fromkeys(THREADS, "1")):
-        yield
 
 
 @contextlib.contextmanager

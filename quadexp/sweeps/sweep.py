@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -24,15 +25,27 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
 from quadexp.parts.cells import Cell, Cells
+from quadexp.parts.engine import DaskConfig, JobsConfig
+from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.flown_by import counted, differing_libraries, flown_by, program_name, programs_of
 from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable
-from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
+from quadexp.sweeps.engine import (
+    CellFailed,
+    CellFunction,
+    Engine,
+    LocalEngine,
+    Progress,
+    Task,
+    Workers,
+    default_workers,
+)
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
 
+NEEDED = {"dask": ("distributed", "cryptography"), "jobs": ("distributed", "cryptography", "dask_jobqueue")}
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
 
 
@@ -72,11 +85,10 @@ def run_sweep(
     confidence: float = CONFIDENCE,
     engine: Engine | None = None,
     workers: int = 0,
-    timeout: float | None = None,
     force: bool = False,
     old: Old = "ask",
     isolate: bool = True,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
     flown: Callable[[Sequence[Row], Mapping[str, Any]], None] = lambda rows, record: None,
     landed: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
@@ -84,12 +96,11 @@ def run_sweep(
     """Fly the cells that are not done, and write the table of all.
 
     metric: of the table. baseline: controller that the others are compared with. confidence: of the intervals.
-    engine: where to fly; None for `workers` processes of this machine (0: one a core), each cell for at most `timeout`
-    seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
-    by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
-    progress: called with the numbers of cells done and of all. flown: called with the rows and
-    the record of the results once all cells are flown, before the tables are made. landed: called with every row as it
-    is there. function: flies one cell.
+    engine: where to fly; None for `workers` processes of this machine (0: one a core). force: fly everything again, and
+    replace another sweep's table. old: of cells that are there and were flown by other sources than those that run:
+    "refly", "keep", or refuse to go on. isolate: False flies in this process. flown: called with the rows and the
+    record of the results once all cells are flown, before the tables are made. landed: called with every row as it is
+    there. function: flies one cell.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -122,7 +133,7 @@ def run_sweep(
             landed(row)
         progress(len(rows), len(jobs))
         try:
-            for key, row in _fly(todo, store, engine or LocalEngine(workers, timeout), function, isolate):
+            for key, row in _fly(todo, store, engine or LocalEngine(workers), function, isolate):
                 rows[key] = _row_of(jobs[key], row)
                 landed(rows[key])
                 progress(len(rows), len(jobs))
@@ -165,7 +176,7 @@ def fly_cells(
     *,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> list[Row]:
     """Rows of some cells in their order, flown where they are not in the store; no table is written.
 
@@ -287,3 +298,40 @@ def _refuse_another_sweep(store: CellStore, jobs: Mapping[str, Job]) -> None:
             f"{store.root}: holds the results of another sweep ({len(dropped)} of its {len(earlier)} cells are not in"
             " this one): choose another --out, or pass --force to replace them"
         )
+
+
+# ------------------------------------------------------------------------------------------------------------- engine
+def build_engine(config: Config, processes: Workers | None = None) -> Engine:
+    """The engine that a configuration names; nothing is started before the first cell is flown.
+
+    processes: of this machine, in which it may fly; None for some of its own.
+    Raises UsageError where a package that it needs is not installed.
+    """
+    settings, engine = config.evaluate, config.engine
+    memory = settings.memory or None
+    if not isinstance(engine, DaskConfig | JobsConfig):
+        return LocalEngine(settings.workers, settings.timeout, memory, processes)
+    for name in NEEDED[engine.kind]:
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            extra = "pip install 'quadexp[cluster]'"
+            raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {extra}") from None
+    from quadexp.sweeps.cluster import DaskEngine, open_cluster
+
+    workers = settings.workers or default_workers()
+    return DaskEngine(lambda: open_cluster(engine, workers), settings.timeout, memory, engine.wait)
+
+
+@contextlib.contextmanager
+def opened(config: Config, calls: int) -> Iterator[Engine]:
+    """The engine for several rounds of flights: its processes, or its cluster, are started once and end with the
+    context. calls: flights at least."""
+    settings = config.evaluate
+    with Workers(settings.workers, settings.memory or None, calls=calls) as processes:
+        engine: Any = build_engine(config, processes)
+        if isinstance(engine, LocalEngine):
+            yield engine
+            return
+        with engine.open() as client:
+            yield replace(engine, open=lambda: contextlib.nullcontext(client))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -27,16 +26,12 @@ class Watch:
 
     def __init__(self, out: Path, metric: str) -> None:
         self.live, self.path = Live(title=str(out), metric=metric), out / FILE
-        self._began, self._lock, self._ended = time.monotonic(), threading.Lock(), threading.Event()
-        self._writer = threading.Thread(target=self._renew, daemon=True)
+        self._began = self._due = time.monotonic()
 
     def __enter__(self) -> Watch:
-        self._writer.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._ended.set()
-        self._writer.join()
         now = self.shot()
         now.state = "finished" if kind is None else "interrupted" if kind is KeyboardInterrupt else f"ended: {error}"
         if isinstance(error, QuadexpError) and "run the same command to continue" in str(error):
@@ -45,15 +40,17 @@ class Watch:
 
     def landed(self, row: Mapping[str, Any]) -> None:
         """A flight is there."""
-        with self._lock:
-            self.live.rows.append(dict(row))
+        self.live.rows.append(dict(row))
 
     def progress(self, done: float, total: float) -> None:
-        """The first call says how many flights were there already."""
-        with self._lock:
-            if not self.live.total:
-                self.live.before = int(done)
-            self.live.total = int(total)
+        """Write the page where it is due. The first call says how many flights were there already."""
+        if not self.live.total:
+            self.live.before = int(done)
+        self.live.total = int(total)
+        if (began := time.monotonic()) >= self._due:
+            with contextlib.suppress(QuadexpError):  # a full disk ends the sweep, which says so
+                self._write(self.shot())
+            self._due = began + max(RENEWED, (time.monotonic() - began) / SHARE)
 
     def before(self, other: Callable[[int, int], None]) -> Callable[[int, int], None]:
         """Its own progress, and then another."""
@@ -66,16 +63,7 @@ class Watch:
 
     def shot(self) -> Live:
         """The state now, which nothing changes any more."""
-        with self._lock:
-            return Live(**{**vars(self.live), "rows": [*self.live.rows], "elapsed": time.monotonic() - self._began})
-
-    def _renew(self) -> None:
-        wait = RENEWED
-        while not self._ended.wait(wait):
-            began = time.monotonic()
-            with contextlib.suppress(QuadexpError):  # a full disk ends the sweep, which says so
-                self._write(self.shot())
-            wait = max(RENEWED, (time.monotonic() - began) / SHARE)
+        return Live(**{**vars(self.live), "rows": [*self.live.rows], "elapsed": time.monotonic() - self._began})
 
     def _write(self, live: Live) -> None:
         if live.rows:  # a sweep that is refused leaves nothing

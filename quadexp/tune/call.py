@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,11 @@ from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
 from quadexp.report.text import number
-from quadexp.sweeps.cluster.engines import opened
-from quadexp.sweeps.engine import CellFunction
+from quadexp.sweeps.engine import CellFunction, Progress
+from quadexp.sweeps.sweep import opened
+from quadexp.tune import Tune
 from quadexp.tune.preset import check_name, options_of, write_preset
-from quadexp.tune.search import JOURNAL, SEEDS, Request, Search, Trial, best_of, cells_of, with_seeds
+from quadexp.tune.search import JOURNAL, Request, Search, Trial, best_of, cells_of, with_seeds
 from quadexp.tune.space import Axis, overrides, read_axes, settings_of
 
 HISTORY = "history.parquet"
@@ -52,56 +53,47 @@ class Tuned:
 
 def tune(
     given: Sequence[str] = (),
+    asked: Tune = Tune(),  # noqa: B008 - frozen
     *,
-    vary: Sequence[str] = (),
-    flights: int = 200,
-    seeds: int = SEEDS,
-    delay_margin: float = 0.0,
-    seed: int = 0,
-    batch: int = 1,
-    name: str | None = None,
     figure: bool = True,
     out: Path | None = None,
     conf: Path | None = None,
     force: bool = False,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> Tuned:
     """Search settings of a controller with a budget of flights, write the option that was found, and return it.
 
-    given: overrides of the cells of a trial, several values as in a sweep. vary: KEY=LOW..HIGH of each setting; its
-    default space otherwise. flights: budget. seeds: of a trial, where none are given. delay_margin: least one (s), for
-    an MPC. seed: of the search. batch: trials drawn together. name: of the option. figure: whether to draw the search.
+    given: overrides of the cells of a trial, several values as in a sweep. figure: whether to draw the search.
     out: a folder, tuned/CONTROLLER by default. conf: a configuration folder of your own. force: begin anew; the flights
     are kept, for they are named by what they are. function: flies a cell. isolate: False flies in this process.
-    progress: numbers of flights done and of all.
     Raises UsageError before anything is flown; see also Search.run.
     """
     with session(conf) as composer:
-        given = with_seeds(given, seeds)
+        given = with_seeds(given, asked.seeds)
         cells = cells_of(composer, given)
         first = cells[0].config
-        axes = tuple(read_axes(vary, first, conf))
-        request = Request(tuple(given), axes, first.evaluate.metric, delay_margin, seed, batch)
+        axes = tuple(read_axes(asked.vary, first))
+        request = Request(tuple(given), axes, first.evaluate.metric, asked.delay_margin, asked.search_seed, asked.batch)
         out = out or Path("tuned") / first.controller.name
         with opened(first, len(cells)) as engine:
             search = Search(composer, request, out, engine=engine, function=function, isolate=isolate)
             each = search.flights
-            if flights < 2 * each:
+            if asked.flights < 2 * each:
                 raise UsageError(
-                    f"--flights {flights}: a trial takes {each} flights, so {2 * each} are needed at least"
+                    f"--flights {asked.flights}: a trial takes {each} flights, so {2 * each} are needed at least"
                 )
             options = options_of(given, first)
-            check_name(options, name)
+            check_name(options, asked.name)
             for file in (JOURNAL, f"{JOURNAL}.lock") if force else ():
                 (out / file).unlink(missing_ok=True)
-            trials = search.run(flights // each, progress)
+            trials = search.run(asked.flights // each, progress)
         best = best_of(trials)
         history = _write_history(out, request, search, trials)
-        found = composer.expand([*given, *overrides(axes, trials[best].numbers)], check=False).sound()[0].config
+        tuned = composer.expand([*given, *overrides(axes, trials[best].numbers)], check=False).sound()[0].config
         about = _about(request, search, trials, best)
-        choice, option = write_preset(out, composer, options, found, about, name)
+        choice, option = write_preset(out, composer, options, tuned, about, asked.name)
     if figure:
         from quadexp.tune.figure import draw_history
 
@@ -157,12 +149,7 @@ def fingerprint(trials: Sequence[Sequence[float]]) -> str:
     return hashlib.sha256(np.array(trials, float).tobytes()).hexdigest()[:20]
 
 
-def _about(
-    request: Request,
-    search: Search,
-    trials: Sequence[Trial],
-    best: int,
-) -> dict[str, Any]:
+def _about(request: Request, search: Search, trials: Sequence[Trial], best: int) -> dict[str, Any]:
     """The provenance of an option. Nothing in it depends on time or machine."""
     first, last = trials[0].worth, trials[best].worth
     return {

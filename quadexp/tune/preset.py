@@ -17,7 +17,6 @@ from quadexp.errors import UsageError
 from quadexp.files.names import file_name
 from quadexp.files.writer import write_text
 from quadexp.messages import printable
-from quadexp.messages import yaml as one_line_of
 from quadexp.parts.compose import Composer
 from quadexp.parts.option_files import folders
 from quadexp.parts.schema import REMEDIES, Config
@@ -57,28 +56,19 @@ def write_preset(
         group: _changed(record(getattr(composer.compose([f"{group}={option}"]), group)), record(getattr(config, group)))
         for group, option in options.items()
     }
-    title = "tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
+    origin = [HEAD, *(_INDENT + line for line in _yaml(about, flow=False).splitlines())]
+    title = f"{printable(controller)}, tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
     if len(options) == 1:
-        path = out / "controller" / f"{name}.yaml"
-        head = [f"# {printable(controller)}, {title}", *_provenance(about)]
-        head += ["defaults:", f"  - {_yaml(controller)}", "  - _self_", ""]
-        write_text(path, "\n".join([*head, *_content({"name": name, **changed["controller"]})]) + "\n")
-        return f"controller={name}", path
-    path = out / "remedies" / f"{name}.yaml"
-    around = {group: options.get(group, "none") for group in REMEDIES}
-    head = [
-        "# @package _global_",
-        f"# For controller={printable(controller)}, {title}",
-        *_provenance(about),
-        "defaults:",
-        *(f"  - override /{group}: {_yaml(option)}" for group, option in around.items()),
-        "  - _self_",
-        "",
-    ]
-    write_text(
-        path, "\n".join([*head, *(line for group, own in changed.items() for line in _block(group, own))]) + "\n"
-    )
-    return f"controller={controller} remedies={name}", path
+        head, path = [f"# {title}", *origin], out / "controller" / f"{name}.yaml"
+        content: dict[str, Any] = {"defaults": [controller, "_self_"], "name": name, **changed["controller"]}
+        choice = f"controller={name}"
+    else:
+        head, path = ["# @package _global_", f"# For controller={title}", *origin], out / "remedies" / f"{name}.yaml"
+        around = [{f"override /{group}": options.get(group, "none")} for group in REMEDIES]
+        content = {"defaults": [*around, "_self_"], **{group: own for group, own in changed.items() if own}}
+        choice = f"controller={controller} remedies={name}"
+    write_text(path, "\n".join([*head, _yaml(content)]))
+    return choice, path
 
 
 def default_name(options: Mapping[str, str]) -> str:
@@ -110,29 +100,11 @@ def _changed(plain: Mapping[str, Any], tuned: Mapping[str, Any]) -> dict[str, An
     return found
 
 
-def _provenance(about: Mapping[str, Any]) -> list[str]:
-    lines = [HEAD]
-    for key, value in about.items():
-        lines += [f"{_INDENT}{key}: {_yaml(value)}"] if not isinstance(value, list) else [
-            f"{_INDENT}{key}:", *(f"{_INDENT}  - {_yaml(item)}" for item in value)
-        ]  # fmt: skip
-    return lines
-
-
-def _content(values: Mapping[str, Any]) -> list[str]:
-    return [f"{key}: {_yaml(value)}" for key, value in values.items()]
-
-
-def _block(name: str, values: Mapping[str, Any]) -> list[str]:
-    return [f"{name}:", *(f"  {line}" for line in _content(values))] if values else []
-
-
-def _yaml(value: Any) -> str:
+def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
+    """As YAML, a line a key. flow: False for a line an entry of a list."""
     import yaml
 
-    text = yaml.safe_dump(value, default_flow_style=True, width=10_000, sort_keys=False).strip()
-    text = text.removesuffix("...").strip()
-    return text if text.isprintable() else one_line_of(value)
+    return yaml.safe_dump(dict(content), default_flow_style=flow, width=10_000, sort_keys=False)
 
 
 def provenance_of(option: str, extra: Path | None = None, group: str = "controller") -> dict[str, Any] | None:

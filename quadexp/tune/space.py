@@ -10,21 +10,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
-from pathlib import Path
 from typing import Any, get_args
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.option_files import folders, unreadable
-from quadexp.parts.plain_data import read_data
 from quadexp.parts.schema import REMEDIES, Config, remedies
 from quadexp.parts.settings import Declared, declared, inside, record
 
 TUNED = ("controller", *REMEDIES)  # groups whose settings can be varied
-SPACES = "tune"  # folder of default spaces in a configuration folder
 AROUND = 10.0  # factor on the present value, up and down, of a range that is not given
 DIGITS = 4  # significant ones of a value that is tried, so that a preset can be read
 _RANGE = re.compile(r"([-+.\deE]+)\.\.([-+.\deE]+)(:log)?")
@@ -80,13 +75,12 @@ def _text(value: Any) -> str:
     return f"[{','.join(map(repr, value))}]" if isinstance(value, list) else repr(value)
 
 
-def read_axes(texts: Sequence[str], config: Config, extra: Path | None = None) -> list[Axis]:
-    """The axes of a search: as given, or those of the default spaces of the controller and of every remedy around it.
+def read_axes(texts: Sequence[str], config: Config) -> list[Axis]:
+    """The axes of a search: as given, or those that the keys of the controller and of every remedy around it say.
 
-    config: what is tuned, whose values are the start. extra: a configuration folder of the user's own.
-    Raises UsageError with one line.
+    config: what is tuned, whose values are the start. Raises UsageError with one line.
     """
-    axes = [_axis(text, config) for text in texts or default_space(config, extra)]
+    axes = [_axis(text, config) for text in texts or default_space(config)]
     taken: set[tuple[str, int]] = set()
     for axis in axes:
         entries = {(axis.key, i) for i in axis.entries or (-1,)}
@@ -96,119 +90,90 @@ def read_axes(texts: Sequence[str], config: Config, extra: Path | None = None) -
     return axes
 
 
-def default_space(config: Config, extra: Path | None = None) -> list[str]:
-    """The axes of spaces.yaml, or of the user's tune/NAME.yaml, by name or kind of the controller, and by name of each
-    remedy. A range that does not contain the present value is left out: a decade up and down is taken."""
-    found: list[str] = []
-    nodes: dict[str, Any] = {"controller": config.controller, **remedies(config)}
-    for group, node in nodes.items():
-        names = list(dict.fromkeys([node.name, node.former_kind or node.name]))
-        space = _space(names, extra)
-        if space is None and group == "controller":
-            raise UsageError(
-                f"{node.name}: no default space to tune it in: give --vary KEY=LOW..HIGH, or a file"
-                f" {SPACES}/{names[-1]}.yaml in your --conf folder"
-            )
-        for key, rule in (space or {}).items():
-            name = f"{group}.{key}"
-            found.append(f"{name}={rule}" if rule is not None and _contains(name, str(rule), config) else name)
-    return found
-
-
-def _contains(name: str, rule: str, config: Config) -> bool:
-    key, part, value = _value(name, config)
-    start = _entries(name, part, value, _declared(config, key))[1]
-    low, high, _ = _limits(name, rule, start)
-    return low <= start <= high
-
-
-def _space(names: Sequence[str], extra: Path | None) -> Mapping[str, Any] | None:
-    import yaml
-
-    shipped = yaml.safe_load((files("quadexp.tune") / "spaces.yaml").read_text(encoding="utf-8"))
-    for name in names:
-        for folder in reversed(folders(extra)):
-            path = folder / SPACES / f"{name}.yaml"
-            if not path.is_file():
-                continue
-            try:
-                content = read_data(path)
-            except (yaml.YAMLError, UnicodeDecodeError) as error:
-                raise unreadable(path, error) from None
-            if not isinstance(content, dict):
-                raise UsageError(f"{path}: must be a mapping {{key: LOW..HIGH}}")
-            return content
-        if name in shipped:
-            return dict(shipped[name])
-    return None
+def default_space(config: Config) -> list[str]:
+    """The ranges that the keys say (Setting.tuned). One that does not contain the present value is left out: a decade
+    up and down is taken. Raises UsageError where the controller has none."""
+    space: list[str] = []
+    for group, node in {"controller": config.controller, **remedies(config)}.items():
+        rules = [f"{group}.{key}{rule if rule.startswith('.') else f'={rule}'}"
+                 for key, one in declared(type(node)).items() for rule in one.setting.tuned]  # fmt: skip
+        if not rules and group == "controller":
+            raise UsageError(f"{node.name}: its keys say no ranges to tune it in: give --vary KEY=LOW..HIGH")
+        for text in rules:
+            name, _, rule = text.partition("=")
+            start = _Varied(name, config).start
+            low, high, _ = _limits(name, rule, start)
+            space.append(text if low <= start <= high else name)
+    return space
 
 
 def _axis(text: str, config: Config) -> Axis:
     name, equals, rule = text.partition("=")
-    group = name.partition(".")[0]
-    if group not in TUNED:
+    if name.partition(".")[0] not in TUNED:
         raise UsageError(f"--vary {name}: what is tuned is the controller and what is around it: {', '.join(TUNED)}")
-    key, part, value = _value(name, config)
-    one = _declared(config, key)
-    entries, start, whole = _entries(name, part, value, one)
-    low, high, log = _limits(name, rule if equals else "", start)
-    if whole and not (float(low).is_integer() and float(high).is_integer()):
-        raise UsageError(f"--vary {text}: {key} is a whole number")
-    if not low <= start <= high:
-        raise UsageError(f"--vary {name}={low:g}..{high:g}: must contain {start:g}, which it is now")
+    varied = _Varied(name, config)
+    low, high, log = _limits(name, rule if equals else "", varied.start)
+    if varied.whole and not (float(low).is_integer() and float(high).is_integer()):
+        raise UsageError(f"--vary {text}: {varied.key} is a whole number")
+    if not low <= varied.start <= high:
+        raise UsageError(f"--vary {name}={low:g}..{high:g}: must contain {varied.start:g}, which it is now")
     if not low < high:
         raise UsageError(f"--vary {text}: the range is empty")
-    if one is not None and one.setting.interval:
-        ends = [end if whole else float(f"{end * (value[i] / start if entries else 1):.6g}")
-                for end in (low, high) for i in (entries or (0,))]  # fmt: skip
-        if wrong := [end for end in ends if not inside(end, one.setting.interval)]:
-            unit = one.setting.unit
-            raise UsageError(f"--vary {name}: {wrong[0]:g}: must be in {one.setting.interval} {unit}".rstrip())
-    return Axis(name, key, entries, low, high, log, whole, start, value)
+    varied.check(low, high)
+    return Axis(name, varied.key, varied.entries, low, high, log, varied.whole, varied.start, varied.value)
 
 
-def _value(name: str, config: Config) -> tuple[str, str, Any]:
-    """Key, letters of its entries ("" for all) and present value of what a name means."""
-    group, *parts = name.split(".")
-    node: Any = record(getattr(config, group))
-    for i, part in enumerate(parts):
-        if isinstance(node, list) and i == len(parts) - 1 and part in _ENTRIES:
-            return ".".join([group, *parts[:-1]]), part, node
-        if not isinstance(node, dict) or part not in node:
-            near = [f"{'.'.join([group, *parts[:i]])}.{key}" for key in node] if isinstance(node, dict) else []
-            raise UsageError(f"--vary {name}: no such key{suggestion(name, near)}")
-        node = node[part]
-    return name, "", node
+class _Varied:
+    """What a name means in a configuration. key: of the setting. value: of it now. entries: that are varied, () for a
+    number. start: what they are now (the first of them). whole: whether it is a whole number."""
+
+    def __init__(self, name: str, config: Config) -> None:
+        self.name, (group, *parts) = name, name.split(".")
+        self.key, letters = name, ""
+        self.value: Any = record(getattr(config, group))
+        for i, part in enumerate(parts):
+            if isinstance(self.value, list) and i == len(parts) - 1 and part in _ENTRIES:
+                self.key, letters = ".".join([group, *parts[:-1]]), part
+            elif isinstance(self.value, dict) and part in self.value:
+                self.value = self.value[part]
+            else:
+                near = self.value if isinstance(self.value, dict) else ()
+                hint = suggestion(name, [f"{'.'.join([group, *parts[:i]])}.{key}" for key in near])
+                raise UsageError(f"--vary {name}: no such key{hint}")
+        node: Any = type(getattr(config, group))
+        self.declared: Declared | None = None  # of an option of a part of the user's own
+        for part in self.key.split(".")[1:]:
+            self.declared = declared(node).get(part) if node is not None else None
+            node = self.declared and self.declared.node
+        kind = self.declared and self.declared.type
+        self.whole = isinstance(self.value, int) and (kind is None or kind is int or int in get_args(kind))
+        self.entries, self.start = self._entries(letters)
+
+    def _entries(self, letters: str) -> tuple[tuple[int, ...], float]:
+        value = self.value
+        if isinstance(value, list) and value and all(map(_is_number, value)):
+            shift = 1 if len(value) == 4 else 0
+            chosen = [i + shift for i in _ENTRIES[letters]] if letters else [i for i, x in enumerate(value) if x]
+            if not chosen or any(i >= len(value) or not value[i] for i in chosen):
+                raise UsageError(f"--vary {self.name}: an entry of {value} is zero: set it first, as KEY=VALUE")
+            return tuple(chosen), float(value[chosen[0]])
+        if letters or not _is_number(value):
+            raise UsageError(f"--vary {self.name}: is {value}, not a number or a list of numbers")
+        return (), value
+
+    def check(self, low: float, high: float) -> None:
+        """Raise UsageError where an end of the range, in the proportions of a list, is no value of the setting."""
+        setting = self.declared and self.declared.setting
+        if not setting or not setting.interval:
+            return
+        shares = [self.value[i] / self.start for i in self.entries] or [1]
+        for end in (low, high) if self.whole else (float(f"{x * share:.6g}") for x in (low, high) for share in shares):
+            if not inside(end, setting.interval):
+                raise UsageError(f"--vary {self.name}: {end:g}: must be in {setting.interval} {setting.unit}".rstrip())
 
 
-def _declared(config: Config, key: str) -> Declared | None:
-    """How a setting is declared; None for an option of a part of the user's own."""
-    group, *parts = key.split(".")
-    node: Any = type(getattr(config, group))
-    for part in parts:
-        one = declared(node).get(part) if node is not None else None
-        if one is None:
-            return None
-        node = one.node
-    return one
-
-
-def _entries(name: str, part: str, value: Any, one: Declared | None) -> tuple[tuple[int, ...], float, bool]:
-    """Entries that are varied, () for a number; what they are now (the first of them); whether it is a whole number."""
-
-    def number(x: Any) -> bool:
-        return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
-
-    if isinstance(value, list) and value and all(map(number, value)):
-        shift = 1 if len(value) == 4 else 0
-        chosen = tuple(i + shift for i in _ENTRIES[part]) if part else tuple(i for i, x in enumerate(value) if x)
-        if not chosen or any(i >= len(value) or not value[i] for i in chosen):
-            raise UsageError(f"--vary {name}: an entry of {value} is zero: set it first, as KEY=VALUE")
-        return chosen, float(value[chosen[0]]), False
-    if part or not number(value):
-        raise UsageError(f"--vary {name}: is {value}, not a number or a list of numbers")
-    whole = isinstance(value, int) and (one is None or one.type is int or int in get_args(one.type))
-    return (), value, whole
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _limits(name: str, rule: str, start: float) -> tuple[float, float, bool]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 
-from quadexp.bench.protocol import Protocol, _protocol
+from quadexp.bench.protocol import Protocol, protocol_of
 
 SMALL = """
 version: 1
@@ -28,7 +27,7 @@ families:
 
 def small(text: str = SMALL) -> Protocol:
     """That protocol."""
-    return _protocol(1, text.encode(), hashlib.sha256(text.encode()).hexdigest())
+    return protocol_of(text.encode())
 
 
 def row(entry, error, *, seed=0, task="circle", world="clean", outcome="ok", bound=0, **more):

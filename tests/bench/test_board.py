@@ -18,7 +18,7 @@ from quadexp.bench.board import (
     write_board,
     write_page,
 )
-from quadexp.bench.protocol import read_protocol
+from quadexp.bench.protocol import SHORT, read_protocol
 from quadexp.errors import UsageError
 from quadexp.log.store import write_table
 from tests.bench.rows import board, small
@@ -50,6 +50,7 @@ def test_another_entry_joins():
             {"protocol_sha256": "bb" * 32},
             "is of protocol bbbbbbbbbbbb, not aaaaaaaaaaaa: results of different protocols",
         ),
+        ({"protocol_sha256": "b7bee243bba37804"}, "is of protocol v2, which is flown no more: fly its entries again"),
         ({"size": "full"}, "is of size full, not quick: results of different sizes are not ranked together"),
         ({"seeds": range(2)}, "have not flown the same cells"),
         ({"tasks": ["circle"]}, "have not flown the same cells"),
@@ -92,9 +93,9 @@ def test_markdown_is_written_between_its_marks(tmp_path):
 
 
 def test_the_page_of_the_documentation_is_of_the_rows_beside_it():
-    """docs/leaderboard.md is made from docs/leaderboard.parquet, which is of the latest protocol."""
+    """docs/leaderboard.md is made from docs/leaderboard.parquet, and says by which protocol it was flown."""
     rows, protocol = read_board(ROOT / "docs" / "leaderboard.parquet"), read_protocol()
-    assert {row["protocol_sha256"] for row in rows} == {protocol.sha256}
     what = {family.name: family.what for family in protocol.families.values()}
     text = markdown(rows, metric=protocol.metric, baseline=protocol.baseline, what=what)
+    assert f"Protocol v{rows[0]['protocol']} ({rows[0]['protocol_sha256'][:SHORT]})" in text
     assert text in (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8")

@@ -5,39 +5,25 @@ from __future__ import annotations
 import pytest
 
 from quadexp.bench.entries import configs_of, read_entries
-from quadexp.bench.protocol import LATEST, Protocol, _difference, check_lock, read_protocol, with_fewer_seeds
-from quadexp.errors import DataError, UsageError
+from quadexp.bench.protocol import Protocol, read_protocol, with_fewer_seeds
+from quadexp.errors import DataError
 from quadexp.parts.compose import session
 from quadexp.tune.preset import provenance_of
 from quadexp.tune.search import FIRST_SEED
 from tests.docs.commands import ROOT
 
-# Never edit a line: a change of the protocol is a new version beside the old one.
-FROZEN = {
-    1: "2c16fac43eb2b7c31bb753894af81ed2c71e5da4154830edca91fe82c52d8359",
-    2: "b7bee243bba37804451a5120ed7fc7849ad7b3ac7e0eedf9d60532a01a9eff05",
-}
+FROZEN = "53725eda9d11477137b7ad7368ee3dd423d0e3e40890728579f79db40e64180d"  # a change of the protocol is a new version
 
 
-@pytest.mark.parametrize("version", FROZEN)
-def test_versions_are_frozen(version):
-    assert read_protocol(version).sha256 == FROZEN[version]
-
-
-def test_every_version_is_held():
-    assert [*FROZEN] == list(range(1, LATEST + 1))
-    with pytest.raises(UsageError, match="no such version; there are 1 to"):
-        read_protocol(LATEST + 1)
-
-
-@pytest.mark.parametrize("version", FROZEN)
-def test_what_the_words_mean_is_what_it_was(version):
+def test_it_is_frozen_and_its_words_mean_what_they_meant():
+    protocol = read_protocol()
+    assert protocol.sha256 == FROZEN
     with session() as composer:
-        check_lock(read_protocol(version), composer)
+        protocol.check("quick", composer)
 
 
-def test_a_changed_file_of_the_configuration_is_noticed(monkeypatch):
-    """Here as an override: the circle of one family has another radius."""
+def test_a_changed_option_is_noticed(monkeypatch):
+    """Here as an override: the circle has another radius."""
     with session() as composer:
         expand = composer.expand
 
@@ -45,15 +31,15 @@ def test_a_changed_file_of_the_configuration_is_noticed(monkeypatch):
             return expand([*given, *(["trajectory.radius=6"] * ("trajectory=circle" in given))], **options)
 
         monkeypatch.setattr(composer, "expand", changed)
-        message = r"blade_element.tasks.circle 8.trajectory.radius is 6.0, was 5.0: a configuration file has changed"
-        with pytest.raises(DataError, match=message):
-            check_lock(read_protocol(), composer)
+        with pytest.raises(DataError, match="the words of torrente do not mean what they did"):
+            read_protocol().check("quick", composer)
 
 
-def test_a_key_that_came_later_is_no_change():
-    assert _difference({"a": {"b": 1}}, {"a": {"b": 1, "new": 0}, "c": 2}) == ""
-    assert _difference({"a": {"b": 1}}, {"a": {"b": 2}}) == "a.b is 2, was 1"
-    assert _difference({"a": {"b": 1}}, {"a": {}}) == "a.b is gone"
+def test_draws_lie_between_their_ends_and_are_the_same_every_time():
+    worlds = read_protocol().families["draws"].worlds
+    assert worlds == read_protocol().families["draws"].worlds and len(worlds) == 17
+    masses = [float(worlds[f"payload_{i}"][1].partition("=")[2]) for i in range(1, 5)]
+    assert len({*masses}) == 4 and all(0.2 <= mass <= 0.4 for mass in masses)
 
 
 def cells(protocol: Protocol, size: str) -> set[tuple[str, str, str, int]]:

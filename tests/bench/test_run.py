@@ -6,10 +6,10 @@ import shutil
 
 import pytest
 
+from quadexp.bench import Bench
 from quadexp.bench import run as bench
 from quadexp.bench.board import read_board
-from quadexp.bench.entries import read_entries
-from quadexp.bench.models import make_model, make_network
+from quadexp.bench.entries import make_model, read_entries
 from quadexp.bench.protocol import read_protocol
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
@@ -20,8 +20,7 @@ from tests.tune.parts import open_loop
 
 
 def small_protocol(monkeypatch):
-    monkeypatch.setattr(bench, "read_protocol", lambda version: small())
-    monkeypatch.setattr(bench, "check_lock", lambda protocol, composer: None)
+    monkeypatch.setattr(bench, "read_protocol", small)
 
 
 @pytest.fixture
@@ -42,9 +41,8 @@ class Counted:
 
 
 def run(out, controllers, conf=None, **options):
-    function = Counted()
-    chosen = {"only": True, "conf": conf, "isolate": False, **options}
-    made = bench.bench(out=out, controllers=controllers, function=function, **chosen)
+    function, asked = Counted(), Bench(**{"only": True, "controllers": controllers, **options})
+    made = bench.bench([], asked, out=out, conf=conf, function=function, isolate=False)
     return made, function.flown
 
 
@@ -89,18 +87,15 @@ def test_entries_by_name_with_settings_and_from_a_folder_of_the_users_own(protoc
 def test_the_model_is_made_once(made):
     said = []
     with session() as composer:
-        for make in (make_model, make_network):
-            make(small().families["small"], composer, made[0] / "models", said.append)
+        for rule in ("fit", "network"):
+            make_model(small().families["small"], rule, composer, made[0] / "models", said.append)
     assert said == []
 
 
 def test_a_protocol_without_a_rule_for_networks_flies_none(monkeypatch, tmp_path):
     without = small("\n".join(line for line in SMALL.splitlines() if "network" not in line))
-    monkeypatch.setattr(bench, "read_protocol", lambda version: without)
-    monkeypatch.setattr(bench, "check_lock", lambda protocol, composer: None)
-    with pytest.raises(
-        UsageError, match=r"neural_mpc has no part in small: protocol v1 \(.*\) has no rule for networks"
-    ):
+    monkeypatch.setattr(bench, "read_protocol", lambda: without)
+    with pytest.raises(UsageError, match=r"neural_mpc has no part in small: v1 \(.*\) has no rule for its model"):
         run(tmp_path / "b", ["neural_mpc"])
 
 
@@ -119,13 +114,13 @@ def test_another_protocol_makes_its_own_model(made, tmp_path):
     other = small(SMALL.replace("inducing=3", "inducing=4"))
     shutil.copytree(made[0] / "models", tmp_path / "m")
     with session() as composer:
-        make_model(other.families["small"], composer, tmp_path / "m", said.append)
+        make_model(other.families["small"], "fit", composer, tmp_path / "m", said.append)
     assert said == ["small: models of the air, from flights in still air"]
 
 
 def test_protocols_are_not_mixed(protocol, monkeypatch, tmp_path):
     run(tmp_path / "a", ["nominal_mpc"])
-    monkeypatch.setattr(bench, "read_protocol", lambda version: small(SMALL.replace("[1,0,0]", "[2,0,0]")))
+    monkeypatch.setattr(bench, "read_protocol", lambda: small(SMALL.replace("[1,0,0]", "[2,0,0]")))
     with pytest.raises(UsageError, match="results of different protocols are not ranked together"):
         run(tmp_path / "b", ["perfect_mpc"], add=[tmp_path / "a" / "leaderboard.parquet"])
     assert not (tmp_path / "b").exists()

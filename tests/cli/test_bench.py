@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
+from quadexp.cli.bench import _controllers
 from tests.bench.rows import board
 from tests.cli.command import run
 
@@ -14,8 +16,6 @@ from tests.cli.command import run
     ("words", "message"),
     [
         (["trajectory=circle"], "what is flown is the protocol's"),
-        (["--size", "ful"], "no such size; did you mean full"),
-        (["--protocol", "9"], "no such version"),
         (["--only"], "nobody takes part"),
         (["--controller", "nominal_mcp"], "no such controller; did you mean nominal_mpc"),
         (["--add", "nothing.parquet"], "no such file (made by `quadexp bench`)"),
@@ -42,11 +42,5 @@ def test_rows_that_are_there_are_ranked_without_a_flight(here):
     assert run("show", "b/leaderboard.parquet")[0] == 0
 
 
-def test_sizes_and_controllers_are_completed():
-    from types import SimpleNamespace
-
-    from quadexp.bench.protocol import read_protocol
-    from quadexp.cli.bench import SIZES, _controllers, _sizes
-
-    assert list(SIZES) == read_protocol().sizes() and _sizes("s") == ["standard"]
+def test_controllers_are_completed():
     assert _controllers(SimpleNamespace(params={"conf": None}), "gp_") == ["gp_mpc", "gp_mpc_tuned"]

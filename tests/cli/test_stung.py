@@ -4,20 +4,14 @@ below the ground, and terminals of few columns."""
 from __future__ import annotations
 
 import os
-import pty
 import re
-import select
-import struct
-import subprocess
-import sys
-from fcntl import ioctl
 from pathlib import Path
-from termios import TIOCSWINSZ
 
 import pytest
 
 from quadexp.cli.terminal import fitted
 from tests.cli.command import run, run_main
+from tests.faults.test_hostile_files import on_a_terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
@@ -125,32 +119,9 @@ def test_lines_are_broken_at_blanks_and_go_on_below_their_text(width):
 
 @pytest.mark.parametrize(("width", "command"), [(60, "results"), (80, "show"), (200, "show")])
 def test_what_commands_print_fits_the_terminal(made, width, command):
-    lines = on_a_terminal((command, "results"), width, made)
+    shown = on_a_terminal(command, made / "results", width=width, patience=600.0)
+    lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown).replace("\r", "").splitlines()
     assert lines and max(map(len, lines)) <= width, max(lines, key=len)
-
-
-def on_a_terminal(words, width, folder):
-    """What a command prints on a terminal of a width, as lines."""
-    ours, theirs = pty.openpty()
-    ioctl(theirs, TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
-    known = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR")}
-    started = subprocess.Popen(
-        [sys.executable, "-m", "quadexp", *words], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs,
-        env={**known, "PYTHONPATH": str(ROOT), "TERM": "xterm"},
-    )  # fmt: skip
-    os.close(theirs)
-    out = b""
-    while True:
-        if select.select([ours], [], [], 0.2)[0]:
-            try:
-                out += os.read(ours, 65536)
-            except OSError:
-                break
-        elif started.poll() is not None:
-            break
-    os.close(ours)
-    assert started.wait() == 0, out.decode()
-    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", out.decode()).replace("\r", "").splitlines()
 
 
 @pytest.mark.parametrize(

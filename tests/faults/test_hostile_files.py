@@ -299,10 +299,10 @@ def obeyed(text):
     return [c for c in text if (ord(c) < 32 and c not in "\n\t\r") or 127 <= ord(c) < 160 or c in "\u202e\u2028"]
 
 
-def on_a_terminal(*words, patience=3.0):
+def on_a_terminal(*words, patience=3.0, width=180):
     """What a command sends to a terminal. patience: s, after which it says what it does."""
     ours, theirs = pty.openpty()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": "180"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": str(width)}
     start = f"import quadexp.progress; quadexp.progress.PATIENCE = {patience}; {START}"
     command = [sys.executable, "-c", start, *map(str, words)]
     process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment)

@@ -14,8 +14,7 @@ from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.cluster.engines import build_engine
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.faults.command import FLY, apart, one_line, run
 from tests.sweeps.cells import CountedCell
 

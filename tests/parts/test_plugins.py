@@ -12,8 +12,8 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.parts.compose import compose
-from quadexp.sweeps.cluster.engines import build_engine
 from quadexp.sweeps.engine import Task
+from quadexp.sweeps.sweep import build_engine
 from tests.faults.command import FLY, ROOT, apart, one_line
 
 TRAJECTORY = (
@@ -132,7 +132,7 @@ def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
     dask, engine = engine == "dask", build_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
     with monkeypatch.context() as patch:
         if dask:
-            patch.setattr("quadexp.sweeps.cluster.driver.source_hashes", lambda config: {})  # the driver's own check
+            patch.setattr("quadexp.sweeps.cluster.source_hashes", lambda config: {})  # the driver's own check
         results = dict(engine.fly(evaluate_cell, iter(tasks[:1])))
     assert "there is no module tool in the --conf folder" in results["0" * 20].cause
     assert not mark.exists()

@@ -14,11 +14,18 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, program_record, result_row
 from quadexp.log.store import write_flight, write_table
+from quadexp.sweeps.engine import Workers
 from tests.log.flights import straight_flight
 
 
 def add(a, b):
     return a + b
+
+
+def run_cells(function, jobs, *, workers=0, timeout=None, preload=()):
+    """Key and result of every job, in processes of its own."""
+    with Workers(workers, preload=preload) as processes:
+        yield from processes.run(function, jobs, timeout=timeout)
 
 
 def threads(_):

@@ -17,8 +17,7 @@ from distributed.security import Security
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.cluster.engines import build_engine
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
 from tests.faults.command import FLY, apart, one_line
 from tests.sweeps import cells

@@ -11,22 +11,18 @@ from pathlib import Path
 import pytest
 from pebble.pool.base_pool import PoolStatus
 
-from quadexp.sweeps.engine import CellFailed, Workers, run_cells
+from quadexp.sweeps.engine import CellFailed, Workers
 from tests.sweeps import cells
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(function, jobs, **options):
-    return dict(run_cells(function, jobs, preload=(), **options))
+    return dict(cells.run_cells(function, jobs, **options))
 
 
 def test_every_job_has_its_result():
     assert run(cells.add, {f"{i}": (i, 1) for i in range(30)}, workers=2) == {f"{i}": i + 1 for i in range(30)}
-
-
-def test_no_jobs_no_processes():
-    assert run(cells.add, {}) == {}
 
 
 def test_workers_use_one_thread_and_the_environment_is_left_alone(monkeypatch):
@@ -53,14 +49,9 @@ def test_poisoned_cells_cost_themselves_only(tmp_path):
 
 
 def test_leaving_early_stops_the_workers():
-    results = run_cells(cells.add, {f"{i}": (i, 1) for i in range(200)}, workers=2, preload=())
+    results = cells.run_cells(cells.add, {f"{i}": (i, 1) for i in range(200)}, workers=2)
     next(results)
     results.close()
-
-
-@pytest.mark.parametrize("workers", [1, 3])
-def test_any_number_of_workers(workers):
-    assert len(run(cells.add, {f"{i}": (i, 1) for i in range(7)}, workers=workers)) == 7
 
 
 CLOCK = r"""
@@ -92,13 +83,12 @@ int clock_gettime(clockid_t clock, struct timespec *now) {
 """
 DRIVER = """
 import sys, time
-from quadexp.sweeps.engine import run_cells
 from tests.sweeps import cells
 
 if __name__ == "__main__":
     begun, there = time.time(), time.monotonic()
     jobs = {kind: (kind, sys.argv[1]) for kind in ("nap", "loop")}
-    for key, result in run_cells(cells.misbehave, jobs, workers=2, timeout=5.0, preload=()):
+    for key, result in cells.run_cells(cells.misbehave, jobs, workers=2, timeout=5.0):
         print(key, getattr(result, "cause", result), sep=": ")
     print((time.time() - begun) / (time.monotonic() - there))
 """

@@ -16,8 +16,7 @@ pytest.importorskip("cryptography", reason="the extra `cluster` is not installed
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.cluster.engines import build_engine
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
 from tests.sweeps.dask_cluster import ROOT

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import textwrap
 import time
 from pathlib import Path
 
@@ -17,45 +14,18 @@ from quadexp.parts.compose import expand
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
-from tests.sweeps.dask_cluster import ROOT, descendants
+from tests.sweeps.dask_cluster import descendants
+from tests.sweeps.driver import kill, start, wait_for
 from tests.sweeps.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
 GRID = ["seed=range(24)"]
-SCRIPT = textwrap.dedent(
-    """
-    import sys
-    from quadexp.parts.compose import expand
-    from quadexp.sweeps.sweep import run_sweep
-    from tests.sweeps import cells
-
-    if __name__ == "__main__":
-        say = lambda done, total: print(done, flush=True)
-        run_sweep(expand(sys.argv[2:]), sys.argv[1], workers=2, function=cells.slow_cell, progress=say)
-    """
-)
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     return run_sweep(expand(GRID), tmp_path_factory.mktemp("r") / "r", function=cells.quick_cell, workers=2)
-
-
-def start(tmp_path, *overrides):
-    (tmp_path / "script.py").write_text(SCRIPT)
-    return subprocess.Popen(
-        [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "r"), *overrides],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-
-def wait_for(process, count):
-    for line in process.stdout:
-        if int(line) >= count:
-            return
 
 
 def gone(pids):
@@ -80,9 +50,7 @@ def test_the_driver_alone(tmp_path, undisturbed):
     wait_for(process, 6)
     children = [pid for pid, _ in descendants(process.pid)]
     assert len(children) >= 3
-    process.kill()
-    process.wait()
-    process.stdout.close()
+    kill(process)
     assert gone(children), "workers outlive their driver"
     left = len(CellStore(tmp_path / "r").done())
     assert 6 <= left < 24
@@ -96,13 +64,13 @@ def test_the_driver_alone(tmp_path, undisturbed):
 def test_a_worker_and_the_server_it_was_forked_from(tmp_path, undisturbed):
     killed = []
 
-    def kill(done, total):
+    def disturb(done, total):
         if done in (4, 9) and done not in killed:
             killed.append(done)
             workers = [pid for pid, command in descendants(os.getpid()) if "forkserver" in command]
             os.kill(workers[0 if done == 9 else -1], signal.SIGKILL)
 
-    result = run_sweep(expand(GRID), tmp_path / "r", function=cells.slow_cell, workers=2, progress=kill)
+    result = run_sweep(expand(GRID), tmp_path / "r", function=cells.slow_cell, workers=2, progress=disturb)
     assert killed == [4, 9] and [row["cause"] for row in result.not_flown] == []
     same_results(undisturbed, result)
     assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]

@@ -11,7 +11,7 @@ from quadexp import provenance
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_metadata, write_flight
-from quadexp.report.flown_by import differing_libraries, flown_by, versions_of
+from quadexp.report.flown_by import flown_by, versions_of
 from quadexp.report.summary import summarise
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import SweepInterrupted
@@ -83,11 +83,6 @@ def test_keep_old_keeps_them_and_says_so_everywhere(mixed):
         fly(mixed, [*SWEEP[:2], "seed=0,1,2"])
 
 
-def test_force_asks_nothing(mixed):
-    result = fly(mixed, force=True)
-    assert result.flown == 4 and {row["sources"] for row in result.rows} == {provenance.sources()}
-
-
 def test_a_refly_that_was_ended_goes_on(mixed):
     """A table of the run before says of a cell what it was; the cell itself says what it is."""
 
@@ -143,11 +138,6 @@ class TestLibraries:
         assert f"casadi 1{here['casadi']}" in "\n".join(summarise(folder)["lines"])
         assert [one["cells"] for one in flown_by(result.rows)] == [3, 1]
         assert versions_of(result.rows)["numpy"] == f"{here['numpy']} | 0{here['numpy']}"
-
-    def test_a_cell_that_says_nothing_of_them_differs_in_nothing(self):
-        assert differing_libraries(["", None], "numpy 2") == ""
-        assert differing_libraries(["numpy 2"], "numpy 2, torch 3") == ""
-        assert "numpy 1 (here none)" in differing_libraries(["numpy 1"], "torch 3")
 
     def test_every_cell_has_all_versions_in_its_record(self, folder):
         record = read_metadata(next(folder.glob("cells/*/*.parquet")), "flight")

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
-import sys
-import textwrap
 import time
 from pathlib import Path
 
@@ -18,14 +15,14 @@ from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
 from quadexp.parts.compose import expand
-from quadexp.sweeps import plan
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
 from quadexp.sweeps.results import select
-from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
 from tests.sweeps import cells
+from tests.sweeps.driver import start, wait_for
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,12 +76,6 @@ class TestKeys:
     def test_how_a_number_is_written_is_not(self):
         keys = {key_of(expand([f"trajectory.speed={text}"])[0].config) for text in ("8", "8.0", "8e0")}
         assert len(keys) == 1
-
-    def test_a_new_schema_makes_every_cell_new(self, monkeypatch):
-        config = expand([])[0].config
-        before = key_of(config)
-        monkeypatch.setattr(plan, "SCHEMA", 99)
-        assert key_of(config) != before
 
     def test_cells_that_are_one_flight_are_flown_once(self):
         # nominal_mpc reads no checkpoint, whatever `model` says.
@@ -146,10 +137,6 @@ class TestSweep:
         (tmp_path / "r" / "counts").mkdir()
         assert fly(grid, tmp_path / "r").flown == 1
         assert files(tmp_path / "r" / "counts") == [first.rows[5]["key"]]
-
-    def test_force_flies_everything_again(self, grid, tmp_path):
-        fly(grid, tmp_path / "r")
-        assert fly(grid, tmp_path / "r", force=True).flown == 12
 
     def test_more_seeds_may_be_added(self, grid, tmp_path):
         fly(grid, tmp_path / "r")
@@ -255,43 +242,6 @@ class TestPoison:
 
 
 class TestInterrupt:
-    SCRIPT = textwrap.dedent(
-        """
-        import sys
-        from quadexp.parts.compose import expand
-        from quadexp.errors import QuadexpError
-        from quadexp.sweeps.sweep import run_sweep
-        from tests.sweeps.cells import slow_cell
-
-        if __name__ == "__main__":
-            say = lambda done, total: print(done, flush=True)
-            try:
-                run_sweep(expand(["seed=range(40)"]), sys.argv[1], workers=2, function=slow_cell, progress=say)
-            except QuadexpError as error:
-                print("error:", error, flush=True)
-                sys.exit(error.exit_code)
-        """
-    )
-
-    def start(self, tmp_path, **options):
-        script = tmp_path / "script.py"
-        script.write_text(self.SCRIPT)
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.Popen(
-            [sys.executable, str(script), str(tmp_path / "r")],
-            env=environment,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,  # a group of its own, so that Ctrl-C can be sent to all of it, as a terminal does
-            **options,
-        )
-
-    @staticmethod
-    def wait_for(process, count):
-        for line in process.stdout:
-            if line.strip().isdigit() and int(line) >= count:
-                return
-
     @staticmethod
     def group_members(group):
         return [pid for pid, fields in processes() if int(fields[2]) == group and fields[0] != "Z"]
@@ -299,8 +249,8 @@ class TestInterrupt:
     @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
     @pytest.mark.parametrize("whole_group", [True, pytest.param(False, marks=pytest.mark.slow)])
     def test_ctrl_c_keeps_what_is_done_and_leaves_nothing_else(self, tmp_path, whole_group):
-        process = self.start(tmp_path)
-        self.wait_for(process, 6)
+        process = start(tmp_path, "seed=range(40)")
+        wait_for(process, 6)
         os.killpg(process.pid, signal.SIGINT) if whole_group else process.send_signal(signal.SIGINT)
         rest = process.communicate(timeout=600)[0]
         assert process.returncode == 1
@@ -314,17 +264,3 @@ class TestInterrupt:
         while self.group_members(process.pid) and time.time() < deadline:
             time.sleep(0.05)
         assert self.group_members(process.pid) == [], "orphans"
-
-    def test_kill_9_of_the_whole_sweep_at_half_costs_the_cells_in_flight(self, tmp_path):
-        process = self.start(tmp_path)
-        self.wait_for(process, 10)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
-        before = CellStore(tmp_path / "r").done()
-        assert len(before) >= 10
-        result = run_sweep(expand(["seed=range(40)"]), tmp_path / "r", workers=2, function=cells.quick_cell)
-        assert result.flown == 40 - len(before) and not result.not_flown
-
-    def test_interrupted_is_a_failure_with_one_line(self):
-        assert SweepInterrupted("x").exit_code == 1

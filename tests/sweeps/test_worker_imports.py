@@ -14,7 +14,6 @@ import pytest
 
 from quadexp import provenance
 from quadexp.errors import QuadexpError
-from quadexp.experiment.evaluate import program_record
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
 from quadexp.parts.plugins import own_folders
@@ -125,7 +124,7 @@ def test_a_pool_of_another_quadexp_is_refused_by_name(tmp_path):
     code = textwrap.dedent(
         f"""
         from quadexp.sweeps import server
-        from quadexp.sweeps.engine import run_cells
+        from tests.sweeps.cells import run_cells
         server.same_imports = lambda: server.environment({{"PYTHONPATH": {str(tmp_path)!r}}})
         print(list(run_cells(max, {{"a": (1, 2)}}, workers=1, preload=["quadexp.provenance"])))
         """
@@ -140,9 +139,7 @@ def test_a_pool_of_another_quadexp_is_refused_by_name(tmp_path):
 def test_children_have_the_path_and_the_environment_of_their_parent(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", "mine")
-    from quadexp.sweeps.engine import run_cells
-
-    (found,) = dict(run_cells(cells.surroundings, {"a": ()}, workers=1, preload=())).values()
+    (found,) = dict(cells.run_cells(cells.surroundings, {"a": ()}, workers=1)).values()
     given = [folder for folder in own_folders() if folder not in sys.path]  # with --conf, by tests before this one
     assert found["path"] == [*sys.path, *given] and found["PYTHONPATH"] == "mine"
     assert os.environ["PYTHONPATH"] == "mine" and os.environ.get("PYTHONSAFEPATH") is None
@@ -169,12 +166,6 @@ class TestRows:
         assert len(CellStore(tmp_path / "r").done()) == 1
         again = run_sweep(expand(["seed=0,1"]), tmp_path / "r", function=cells.quick_cell, workers=1)
         assert again.flown == 1 and not again.not_flown
-
-    def test_every_row_says_who_flew_it(self, tmp_path):
-        result = run_sweep(expand(["seed=0,1"]), tmp_path / "r", function=cells.quick_cell, workers=1)
-        for row in result.rows:
-            assert {name: row[name] for name in ("program", "sources", "libraries")} == program_record()
-        assert [row["sources"] for row in table(tmp_path / "r")] == [provenance.sources()] * 2
 
 
 class TestDask:

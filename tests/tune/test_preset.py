@@ -12,6 +12,7 @@ from quadexp.log.store import read_metadata, read_table
 from quadexp.parts.compose import compose, session
 from quadexp.parts.schema import REMEDIES
 from quadexp.parts.settings import record
+from quadexp.tune import Tune
 from quadexp.tune.call import fingerprint, tune
 from quadexp.tune.preset import (
     check_name,
@@ -37,7 +38,7 @@ def tuned(tmp_path_factory):
 
 
 def weighed(out):
-    return tune(GIVEN, vary=[WEIGHT], flights=9, out=out, function=WeightCell(), isolate=False)
+    return tune(GIVEN, Tune(vary=(WEIGHT,), flights=9), out=out, function=WeightCell(), isolate=False)
 
 
 def test_the_option_flies_what_was_found(tuned):

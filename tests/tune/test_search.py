@@ -8,6 +8,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.store import read_table
 from quadexp.sweeps.sweep import SweepInterrupted
+from quadexp.tune import Tune
 from quadexp.tune.call import tune
 from quadexp.tune.search import FIRST_SEED, best_of
 from tests.tune.parts import BEST, HOVER, WeightCell, open_loop, same, search
@@ -124,8 +125,8 @@ def test_a_controller_of_the_users_own_is_tuned_to_what_is_known_to_be_best(tmp_
 def tuned(folder, *more, **options):
     """A search of the share of that controller."""
     given = ["controller=open_loop", "plant=ideal", *HOVER, *more, "seed=7"]
-    own = {"vary": ["controller.options.share=0.8..2"], "conf": open_loop(folder / "mine"), "out": folder / "t"}
-    return tune(given, **own, isolate=False, figure=False, **options)
+    asked = Tune(vary=("controller.options.share=0.8..2",), **options)
+    return tune(given, asked, conf=open_loop(folder / "mine"), out=folder / "t", isolate=False, figure=False)
 
 
 def test_a_least_delay_margin_is_kept(tmp_path):

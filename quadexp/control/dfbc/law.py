@@ -59,23 +59,19 @@ class DFBCKeys(Settings):
     prefix: ClassVar[str] = "controller."
 
     rate: Annotated[float, Setting("control rate", "[1, 2000]", "Hz")] = 300.0
-    position_gain: Annotated[Triple, Setting("acceleration per position error, world axes", "[0, 1e4]", "1/s^2")] = (
-        10.0,
-        10.0,
-        10.0,
-    )
-    velocity_gain: Annotated[Triple, Setting("acceleration per velocity error, world axes", "[0, 1e4]", "1/s")] = (
-        6.0,
-        6.0,
-        6.0,
-    )
-    tilt_gain: Annotated[float, Setting("angular acceleration per tilt error", "[0, 1e5]", "1/s^2")] = 150.0
+    position_gain: Annotated[
+        Triple, Setting("acceleration per position error, world axes", "[0, 1e4]", "1/s^2", tuned=("1..50:log",))
+    ] = (10.0, 10.0, 10.0)
+    velocity_gain: Annotated[
+        Triple, Setting("acceleration per velocity error, world axes", "[0, 1e4]", "1/s", tuned=("1..30:log",))
+    ] = (6.0, 6.0, 6.0)
+    tilt_gain: Annotated[
+        float, Setting("angular acceleration per tilt error", "[0, 1e5]", "1/s^2", tuned=("30..1000:log",))
+    ] = 150.0
     yaw_gain: Annotated[float, Setting("angular acceleration per yaw error", "[0, 1e5]", "1/s^2")] = 3.0
-    rate_gain: Annotated[Triple, Setting("angular acceleration per body rate error", "[0, 1e4]", "1/s")] = (
-        20.0,
-        20.0,
-        8.0,
-    )
+    rate_gain: Annotated[
+        Triple, Setting("angular acceleration per body rate error", "[0, 1e4]", "1/s", tuned=("5..100:log",))
+    ] = (20.0, 20.0, 8.0)
     wrench_weight: Annotated[Wrench, WRENCH_WEIGHT] = TILT_FIRST
     allocation: Annotated[
         Literal["exact", "clip"],

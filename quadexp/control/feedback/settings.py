@@ -20,26 +20,25 @@ class FeedbackSettings(Settings):
     prefix: ClassVar[str] = "controller."
 
     rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 100.0
-    position_proportional: Annotated[Triple, Setting("gain on the position error", "[0, 1000]", "1/s^2")] = (
-        0.3,
-        0.3,
-        0.3,
-    )
-    position_derivative: Annotated[Triple, Setting("gain on the velocity error", "[0, 1000]", "1/s")] = (0.9, 0.9, 0.9)
-    attitude_proportional: Annotated[Triple, Setting("gain on the error of the Euler angles", "[0, 1000]", "1/s^2")] = (
-        0.8,
-        0.8,
-        0.8,
-    )
-    attitude_derivative: Annotated[Triple, Setting("gain on the error of the Euler rates", "[0, 1000]", "1/s")] = (
-        2.4,
-        2.4,
-        2.4,
-    )
+    position_proportional: Annotated[
+        Triple, Setting("gain on the position error", "[0, 1000]", "1/s^2", tuned=("0.1..10:log",))
+    ] = (0.3, 0.3, 0.3)
+    position_derivative: Annotated[
+        Triple, Setting("gain on the velocity error", "[0, 1000]", "1/s", tuned=("0.3..10:log",))
+    ] = (0.9, 0.9, 0.9)
+    attitude_proportional: Annotated[
+        Triple, Setting("gain on the error of the Euler angles", "[0, 1000]", "1/s^2", tuned=("0.3..100:log",))
+    ] = (0.8, 0.8, 0.8)
+    attitude_derivative: Annotated[
+        Triple, Setting("gain on the error of the Euler rates", "[0, 1000]", "1/s", tuned=("0.5..50:log",))
+    ] = (2.4, 2.4, 2.4)
     observer_bandwidth: Annotated[
         float,
         Setting(
-            "bandwidth of the high-gain observer (36), which differentiates the desired angles", "(0, 1000]", "rad/s"
+            "bandwidth of the high-gain observer (36), which differentiates the desired angles",
+            "(0, 1000]",
+            "rad/s",
+            tuned=("2..60:log",),
         ),
     ] = 6.0
     cone: Annotated[bool, Setting("limit the desired thrust by thrust_share_min and tilt_max (the paper does not)")] = (

@@ -47,7 +47,10 @@ class INDIKeys(Settings):
     cutoff: Annotated[
         float,
         Setting(
-            "cut-off of the Butterworth filter of body rates and rotor speeds, below half the rate", "(0, 5000]", "Hz"
+            "cut-off of the Butterworth filter of body rates and rotor speeds, below half the rate",
+            "(0, 5000]",
+            "Hz",
+            tuned=("4..100:log",),
         ),
     ] = 12.0
     allocation: Annotated[

@@ -64,32 +64,27 @@ class CascadeKeys(Settings):
     prefix: ClassVar[str] = "controller."
 
     rate: Rate = 200.0
-    position_proportional: Annotated[Triple, Setting("wanted velocity per position error", "[0, 100]", "1/s")] = (
-        0.95,
-        0.95,
-        1.0,
-    )
-    velocity_proportional: Annotated[Triple, Setting("acceleration per velocity error", "[0, 100]", "1/s")] = (
-        1.8,
-        1.8,
-        4.0,
-    )
-    velocity_integral: Annotated[Triple, Setting("rate of the integral per velocity error", "[0, 100]", "1/s^2")] = (
-        0.4,
-        0.4,
-        2.0,
-    )
+    position_proportional: Annotated[
+        Triple, Setting("wanted velocity per position error", "[0, 100]", "1/s", tuned=("0.3..6:log",))
+    ] = (0.95, 0.95, 1.0)
+    velocity_proportional: Annotated[
+        Triple, Setting("acceleration per velocity error", "[0, 100]", "1/s", tuned=(".xy=0.5..15:log", ".z=1..20:log"))
+    ] = (1.8, 1.8, 4.0)
+    velocity_integral: Annotated[
+        Triple, Setting("rate of the integral per velocity error", "[0, 100]", "1/s^2", tuned=("0.05..10:log",))
+    ] = (0.4, 0.4, 2.0)
     velocity_derivative: Annotated[Triple, Setting("acceleration per filtered acceleration", "[0, 10]")] = (
         0.2,
         0.2,
         0.0,
     )
     attitude_proportional: Annotated[
-        Triple, Setting("wanted rate per attitude error: roll, pitch, yaw", "[0, 100]", "1/s")
+        Triple, Setting("wanted rate per attitude error: roll, pitch, yaw", "[0, 100]", "1/s", tuned=("2..30:log",))
     ] = (6.5, 6.5, 2.8)
     yaw_weight: Annotated[float, Setting("weight of yaw against tilt in the attitude error", "[0, 1]")] = 0.4
     rate_proportional: Annotated[
-        Triple, Setting("angular acceleration per rate error: roll, pitch, yaw", "[0, 1000]", "1/s")
+        Triple,
+        Setting("angular acceleration per rate error: roll, pitch, yaw", "[0, 1000]", "1/s", tuned=("5..100:log",)),
     ] = (20.0, 20.0, 8.0)
     rate_integral: Annotated[
         Triple, Setting("rate of the integral per rate error: roll, pitch, yaw", "[0, 10000]", "1/s^2")

@@ -65,14 +65,26 @@ class GeometricKeys(Settings):
 
     rate: Rate = 100.0
     position_bandwidth: Annotated[
-        Triple, Setting("w of the position loop, world axes: k_x = m w^2, k_v = 2 m damping w", "[0, 100]", "rad/s")
+        Triple,
+        Setting(
+            "w of the position loop, world axes: k_x = m w^2, k_v = 2 m damping w",
+            "[0, 100]",
+            "rad/s",
+            tuned=("1..20:log",),
+        ),
     ] = (4.0, 4.0, 4.0)
-    position_damping: Annotated[float, Setting("damping ratio of the position loop", "[0, 10]")] = 0.9
+    position_damping: Annotated[
+        float, Setting("damping ratio of the position loop", "[0, 10]", tuned=("0.3..3:log",))
+    ] = 0.9
     attitude_bandwidth: Annotated[
         Triple,
-        Setting("w of roll, pitch and yaw: k_R = J w^2, k_w = 2 J damping w", "[0, 1000]", "rad/s"),
+        Setting(
+            "w of roll, pitch and yaw: k_R = J w^2, k_w = 2 J damping w", "[0, 1000]", "rad/s", tuned=("5..60:log",)
+        ),
     ] = (14.0, 14.0, 6.0)
-    attitude_damping: Annotated[float, Setting("damping ratio of the attitude loop", "[0, 10]")] = 0.9
+    attitude_damping: Annotated[
+        float, Setting("damping ratio of the attitude loop", "[0, 10]", tuned=("0.3..3:log",))
+    ] = 0.9
     rates: Annotated[
         Literal["exact", "reference", "none"],
         Setting(

@@ -36,10 +36,18 @@ class RotorPySE3Keys(Settings):
     prefix: ClassVar[str] = "controller."
 
     rate: Rate = 100.0
-    position_proportional: Annotated[Triple, Setting("kp_pos", "[0, 1000]", "1/s^2")] = (6.5, 6.5, 15.0)
-    position_derivative: Annotated[Triple, Setting("kd_pos", "[0, 1000]", "1/s")] = (4.0, 4.0, 9.0)
-    attitude_proportional: Annotated[float, Setting("kp_att", "[0, 1e5]", "1/s^2")] = 310.0
-    attitude_derivative: Annotated[float, Setting("kd_att", "[0, 1e4]", "1/s")] = 57.0
+    position_proportional: Annotated[Triple, Setting("kp_pos", "[0, 1000]", "1/s^2", tuned=("2..60:log",))] = (
+        6.5,
+        6.5,
+        15.0,
+    )
+    position_derivative: Annotated[Triple, Setting("kd_pos", "[0, 1000]", "1/s", tuned=("1..30:log",))] = (
+        4.0,
+        4.0,
+        9.0,
+    )
+    attitude_proportional: Annotated[float, Setting("kp_att", "[0, 1e5]", "1/s^2", tuned=("30..1000:log",))] = 310.0
+    attitude_derivative: Annotated[float, Setting("kd_att", "[0, 1e4]", "1/s", tuned=("8..120:log",))] = 57.0
 
 
 class RotorPySE3Controller:

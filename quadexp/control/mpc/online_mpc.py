@@ -187,7 +187,7 @@ class OnlineMPC(PredictivePart):
     reference_period: Annotated[
         float, Setting("time between new references from the adapted model; 0: never", "[0, 3600]", "s")
     ] = 1.0
-    adapt: Annotated[AdaptKeys, Setting("how the weights adapt")]
+    adapt: Annotated[AdaptKeys, Setting("how the weights adapt", tuned=(".memory=0.1..100:log", ".noise=0.03..3:log"))]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -92,7 +92,7 @@ class RLSMPC(PredictivePart):
         float,
         Setting("time between new references from the identified coefficients; 0: never", "[0, 3600]", "s"),
     ]
-    rls: Annotated[Identification, Setting("recursive least squares in flight")]
+    rls: Annotated[Identification, Setting("recursive least squares in flight", tuned=(".noise=0.01..1:log",))]
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""

@@ -71,17 +71,14 @@ class MPCSettings(Settings):
     ] = 0.0
     rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 50.0
     position_weight: Annotated[
-        Triple, Setting("weight of the squared position error, world axes, m^-2", "[0, 1e6]")
-    ] = (
-        10.0,
-        10.0,
-        10.0,
-    )
+        Triple, Setting("weight of the squared position error, world axes, m^-2", "[0, 1e6]", tuned=("1..1000:log",))
+    ] = (10.0, 10.0, 10.0)
     attitude_weight: Annotated[
         tuple[float, float, float, float],
         Setting(
             "weight of the squared components of the attitude error, a quaternion with w first; see attitude_error",
             "[0, 1e6]",
+            tuned=("0.01..10:log",),
         ),
     ] = (0.0, 0.1, 0.1, 0.1)
     attitude_error: Annotated[
@@ -94,20 +91,15 @@ class MPCSettings(Settings):
         ),
     ] = "plain"
     velocity_weight: Annotated[
-        Triple, Setting("weight of the squared velocity error, world axes, s^2 m^-2", "[0, 1e6]")
-    ] = (
-        0.05,
-        0.05,
-        0.05,
-    )
-    rate_weight: Annotated[Triple, Setting("weight of the squared body rate error, s^2", "[0, 1e6]")] = (
-        0.05,
-        0.05,
-        0.05,
-    )
-    input_weight: Annotated[float, Setting("weight of the squared thrust error divided by thrust_max", "(0, 1e6]")] = (
-        0.1
-    )
+        Triple,
+        Setting("weight of the squared velocity error, world axes, s^2 m^-2", "[0, 1e6]", tuned=("0.005..5:log",)),
+    ] = (0.05, 0.05, 0.05)
+    rate_weight: Annotated[
+        Triple, Setting("weight of the squared body rate error, s^2", "[0, 1e6]", tuned=("0.005..5:log",))
+    ] = (0.05, 0.05, 0.05)
+    input_weight: Annotated[
+        float, Setting("weight of the squared thrust error divided by thrust_max", "(0, 1e6]", tuned=("0.01..1:log",))
+    ] = 0.1
     terminal_weight: Annotated[
         float,
         Setting(

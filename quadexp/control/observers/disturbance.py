@@ -163,7 +163,9 @@ class DisturbanceObserver(ObserverPart):
         Literal["accelerometer", "velocity"],
         Setting("what the force is found from: the accelerometer, or the velocity where there is none"),
     ] = "accelerometer"
-    force_bandwidth: Annotated[float, Setting("bandwidth of the estimated force", "(0, 1000]", "rad/s")] = 25.0
+    force_bandwidth: Annotated[
+        float, Setting("bandwidth of the estimated force", "(0, 1000]", "rad/s", tuned=("1..100:log",))
+    ] = 25.0
     force_noise: Annotated[
         float,
         Setting(

@@ -53,7 +53,12 @@ class ObserverPart(Remedy):
 
     torque_bandwidth: Annotated[
         float,
-        Setting("bandwidth of the estimated torque, from the measured body rates; 0: no torque", "[0, 1000]", "rad/s"),
+        Setting(
+            "bandwidth of the estimated torque, from the measured body rates; 0: no torque",
+            "[0, 1000]",
+            "rad/s",
+            tuned=("1..100:log",),
+        ),
     ] = 15.0
     torque_limit: Annotated[
         float, Setting("largest estimated torque on an axis, over its inertia", "(0, 1e6]", "rad/s^2")

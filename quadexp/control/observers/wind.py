@@ -167,7 +167,13 @@ class WindObserver(ObserverPart):
         Setting("bandwidth of the force that the wind leaves unexplained; 0: none", "[0, 1000]", "rad/s"),
     ] = 25.0
     wind_walk: Annotated[
-        float, Setting("how fast the wind changes: standard deviation that it gains in a second", "[0, 100]", "m/s")
+        float,
+        Setting(
+            "how fast the wind changes: standard deviation that it gains in a second",
+            "[0, 100]",
+            "m/s",
+            tuned=("0.1..20:log",),
+        ),
     ] = 1.5
     wind_initial: Annotated[
         float, Setting("standard deviation of the wind when a flight begins, and the largest later", "(0, 100]", "m/s")
