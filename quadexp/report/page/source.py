@@ -354,7 +354,7 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
     chosen: str = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
-    statistics = results_statistics(file.parent, every, baseline=chosen, confidence=confidence)
+    statistics = results_statistics(every, baseline=chosen, confidence=confidence)
     return Comparison(
         root=file.parent,
         rows=rows,
