@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from quadexp.report.frame import SweepFrame, is_metric, is_number, with_unit
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.table import Table, csv_text
-from quadexp.report.view import unit_and_factor
+from quadexp.report.text import shown
 
 
 class FlightsTable(NamedTuple):
@@ -38,14 +38,14 @@ def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
 def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
     """The flights as a page that sorts and filters, and opens without a network."""
     found = {name: frame.column(name) for name in names}
-    columns = [Column(name, heading(name), unit_and_factor(name)[0] if is_metric(name) else 1.0) for name in names]
+    columns = [Column(name, heading(name), shown(name)[0] if is_metric(name) else 1.0) for name in names]
     rows = [{name: found[name][i] for name in names} for i in range(len(frame.rows))]
     return sortable_page(title, columns, rows, notes=[f"{len(rows)} flights of {title}"])
 
 
 def heading(name: str) -> str:
     """The name with the unit in which its numbers are shown."""
-    unit = unit_and_factor(name)[1]
+    unit = shown(name)[1]
     return with_unit(name, name) if not is_metric(name) else f"{name} ({unit})" if unit else name
 
 
@@ -55,5 +55,5 @@ def _text(name: str, value: Any) -> str:
     if not is_number(value):
         return str(value).lower() if isinstance(value, bool) else str(value)
     if is_metric(name):
-        return f"{unit_and_factor(name)[0] * value:.4g}"
+        return f"{shown(name)[0] * value:.4g}"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
