@@ -203,7 +203,7 @@ def test_a_sweep_of_hostile_names_is_written_drawn_and_reported(tmp_path, monkey
     root = make_results(tmp_path / "r", controllers=("nominal_mpc", evil), lost=False)
     columns, _ = read_table(root / "results.parquet", "results")
     rows = from_columns(columns)
-    _, texts = comparison_texts(results_statistics(None, rows), "mean_error")
+    _, texts = comparison_texts(results_statistics(rows), "mean_error")
     assert {"table.md", "table.tex", "comparison.tex"} == set(texts)
     for text in (*texts.values(), to_csv(rows)):
         assert "\x1b" not in text and not re.search(r"^47 files", text, re.MULTILINE)

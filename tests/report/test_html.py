@@ -133,7 +133,7 @@ def test_only_what_knows_the_air_and_differs_in_nothing_else_is_credited(tmp_pat
 
 def test_the_numbers_on_the_page_are_those_of_the_table(text, results):
     columns, _ = read_table(results / "results.parquet", "results")
-    statistics = results_statistics(None, from_columns(columns))
+    statistics = results_statistics(from_columns(columns))
     tables = Page(text).tables
     assert set(tables) == {"mean_error", "rmse", "max_error"}
     for metric, cells in tables.items():

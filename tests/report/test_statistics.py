@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
-from quadexp.log.store import read_metadata
-from quadexp.report import inference, statistics_file
+from quadexp.log.store import read_metadata, read_table
+from quadexp.report import inference
 from quadexp.report.pairing import contestant_labels, split_variant, variant_parts
 from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics, overall
-from quadexp.report.statistics_file import results_statistics, statistics_csv, write_comparison, write_statistics
+from quadexp.report.statistics_file import comparison_texts, results_statistics, write_comparison
 from tests.report.test_tables import row
 
 
@@ -259,54 +259,36 @@ class TestOverall:
 class TestFile:
     ROWS = (*TestFailures.ROWS, *errors("perfect_mpc", [0.01] * 6), row("gp_mpc", speed=None, trajectory="hover"))
 
-    def test_what_is_written_is_read_back(self, tmp_path, monkeypatch):
-        made = results_statistics(tmp_path, self.ROWS)
-        write_statistics(tmp_path, made)
-        assert read_metadata(tmp_path / "statistics.parquet", "statistics")["baseline"] == "nominal_mpc"
-        monkeypatch.setattr(statistics_file, "compute_statistics", lambda *_, **__: pytest.fail("computed again"))
-        again = results_statistics(tmp_path, self.ROWS)
-        assert repr(again) == repr(made)
+    def written(self, folder, **options):
+        statistics = results_statistics(self.ROWS, **options)
+        table, texts = comparison_texts(statistics, "rmse")
+        return statistics, table, write_comparison(folder, statistics, texts)
 
-    @pytest.mark.parametrize("change", [{"baseline": "gp_mpc"}, {"confidence": 0.9}])
-    def test_another_question_is_computed(self, tmp_path, change):
-        write_statistics(tmp_path, results_statistics(tmp_path, self.ROWS))
-        made = results_statistics(tmp_path, self.ROWS, **change)
-        assert {s.confidence for s in made.rows} == {change.get("confidence", 0.95)}
-        assert {s.baseline for s in made.rows} - {""} == {change.get("baseline", "nominal_mpc")}
-
-    def test_other_rows_are_computed(self, tmp_path):
-        write_statistics(tmp_path, results_statistics(tmp_path, self.ROWS))
-        changed = [dict(self.ROWS[0], mean_error=0.7), *self.ROWS[1:]]
-        assert only(results_statistics(tmp_path, changed).of("mean_error"), "nominal_mpc").mean == pytest.approx(
-            1.7 / 4
-        )
-
-    def test_csv_holds_every_column_in_full_precision(self):
-        statistics = compute_statistics(errors("gp_mpc", [1 / 3, 1 / 7]), metrics=["mean_error"])
-        (back,) = csv.DictReader(io.StringIO(statistics_csv(statistics)))
-        assert float(back["mean"]) == statistics[0].mean and float(back["low"]) == statistics[0].low
-        assert back["unit"] == "m" and back["p"] == "" and back["lost"] == "0"
-
-    def test_columns_carry_their_units(self, tmp_path):
-        import pyarrow.parquet as pq
-
-        write_statistics(tmp_path, results_statistics(None, self.ROWS))
+    def test_the_files_hold_every_column_in_full_precision_with_its_unit(self, tmp_path):
+        statistics, table, files = self.written(tmp_path)
+        assert set(files) == {"markdown", "latex", "comparison", "statistics", "statistics_csv"}
+        columns, record = read_table(tmp_path / "statistics.parquet", "statistics")
+        assert record["baseline"] == "nominal_mpc" and record["fingerprint"] == statistics.fingerprint
+        assert columns["mean"].tolist() == pytest.approx([one.mean for one in statistics.rows], rel=0, nan_ok=True)
         schema = pq.read_schema(tmp_path / "statistics.parquet")
         units = {field.name: (field.metadata or {}).get(b"unit") for field in schema}
         assert units["speed"] == b"m/s" and units["reduction_low"] == b"%" and units["mean"] == b"see `unit`"
-
-    def test_tables_of_one_metric(self, tmp_path):
-        table, files = write_comparison(tmp_path, results_statistics(None, self.ROWS), "rmse")
-        assert set(files) == {"markdown", "latex", "comparison", "statistics", "statistics_csv"}
-        text = (tmp_path / "table.md").read_text()
-        assert "RMSE (mm)" in text and "RMSE against nominal_mpc" in text
-        assert "| circle | 8 | gp_mpc | 1 | -120.0 | 50.0 | 1.00 | - | - | 1 lost, 1 lost by nominal_mpc," in text
-        latex = (tmp_path / "comparison.tex").read_text()
-        assert r"reduction (\%)" in latex and r"1 solver\_failed" in latex and latex.count(r"\toprule") == 1
+        first, *_ = csv.DictReader((tmp_path / "statistics.csv").read_text().splitlines())
+        assert float(first["low"]) == statistics.rows[0].low and first["p"] == "" and first["lost"] == "2"
+        assert "RMSE against nominal_mpc" in (tmp_path / "table.md").read_text()
         # Without a baseline there is nothing to compare, and no table left of another one.
-        table, files = write_comparison(tmp_path, results_statistics(None, self.ROWS, baseline="rls_mpc"), "rmse")
+        _, table, files = self.written(tmp_path, baseline="rls_mpc")
         assert "comparison" not in files and not (tmp_path / "comparison.tex").exists()
         assert any("no comparison" in note for note in table.notes)
+
+    def test_rows_that_are_there_are_not_written_again(self, tmp_path):
+        self.written(tmp_path)
+        before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+        self.written(tmp_path)
+        assert before == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+        statistics, _, _ = self.written(tmp_path, confidence=0.9)
+        assert read_metadata(tmp_path / "statistics.parquet", "statistics")["confidence"] == 0.9
+        assert {one.confidence for one in statistics.rows} == {0.9}
 
 
 def test_two_failures_of_two_kinds_are_both_named():
