@@ -249,9 +249,7 @@ def evaluate(
 
         sys.stdout.write(statistics_csv(result.statistics.of(settings.metric)))
     elif form != "text":
-        from quadexp.report.tables import to_latex, to_markdown
-
-        sys.stdout.write({"markdown": to_markdown, "latex": to_latex}[form](result.table))
+        sys.stdout.write(getattr(result.table, form)())
     else:
         if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
             from quadexp.report.ladder import ladder_table

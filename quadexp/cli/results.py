@@ -72,8 +72,8 @@ def results(
     """
     from quadexp.errors import UsageError
     from quadexp.log.outcome import RULE
-    from quadexp.report.flights_table import csv_of, flights_table
     from quadexp.report.flown_by import flown_by, flown_by_lines
+    from quadexp.report.tables import csv_of, flights_table
     from quadexp.sweeps.results import prune as prune_results
     from quadexp.sweeps.results import select
 
@@ -134,7 +134,7 @@ def _prune(done: Any, form: str) -> None:
 
 def _page(frame: Any, names: list[str], path: Path, title: str, force: bool, opened: bool, form: str) -> None:
     from quadexp.files.writer import check_output, write_text
-    from quadexp.report.flights_table import page_of
+    from quadexp.report.tables import page_of
 
     write_text(check_output(path, force=force), page_of(frame, names, title), force=force)
     if not answered(form, {"path": path}, lambda: [{"path": path}], "--html"):

@@ -276,11 +276,9 @@ def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
 
 
 def print_table(table: Any) -> None:
-    from quadexp.report.tables import to_rich
-
     out = console()
-    shown = to_rich(table)
+    shown = table.table().rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
-        shown = to_rich(table, stacked=True)
+        shown = table.table().rich(stacked=True)
     out.print(shown)
     print_lines(table.notes)

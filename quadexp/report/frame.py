@@ -32,6 +32,7 @@ GROUPS = ("vehicle", "plant", "world", "trajectory", "controller", "model", "see
 ASKED = ("vehicle", "plant", "trajectory", "trajectory.speed", "controller", "model", "seed")
 SAME = ("vehicle", "plant", "trajectory", "controller", "model", "variant", "sources")  # of flights that share settings
 MOST_GONE = 3  # of them that are tried where files are missing
+MILLISECONDS = 0.1  # s, below which times are printed in milliseconds
 SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", "gp", "drag")  # nodes that decide no flight
 
 Row = Mapping[str, Any]
@@ -265,14 +266,38 @@ def setting_text(key: str, value: Any) -> str:
     """A setting in words with its unit: "wind 4 m/s" of wind.velocity=[4,0,0], "latency 30 ms", "nodes 20".
 
     Of a vector the length, of times below a tenth of a second milliseconds."""
-    group, _, last = key.rpartition(".")
-    name = group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
-    value, unit = read_value(value) if isinstance(value, str) else value, unit_of(key)
-    if unit and isinstance(value, str) and value.startswith("["):
-        with contextlib.suppress(TypeError, ValueError):
-            value = math.hypot(*json.loads(value))
+    value, unit = _magnitude(key, value), unit_of(key)
     if not is_number(value):
-        return f"{name} {str(value).lower() if isinstance(value, bool) else value}"
-    if unit == "s" and 0 < value < 0.1:
+        return f"{setting_name(key)} {str(value).lower() if isinstance(value, bool) else value}"
+    if unit == "s" and 0 < value < MILLISECONDS:
         value, unit = 1e3 * value, "ms"
-    return f"{name} {value:.6g} {unit}".strip()
+    return f"{setting_name(key)} {value:.6g} {unit}".strip()
+
+
+def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tuple[str, dict[str, str]]:
+    """A swept setting as a column: its heading with the unit, and text of an override -> text in the column.
+
+    Numbers are as in `setting_text` as long as no two values look the same. beside: all keys that have a column; the
+    heading is the whole key where two names are the same."""
+    numbers, unit = {text: _magnitude(key, text) for text in texts}, unit_of(key)
+    name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
+    if not all(map(is_number, numbers.values())) or len(set(numbers.values())) < len(numbers):
+        return with_unit(name, key), {text: text for text in texts}
+    if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS:
+        numbers, unit = {text: 1e3 * value for text, value in numbers.items()}, "ms"
+    return f"{name} ({unit})" if unit else name, {text: f"{value:.6g}" for text, value in numbers.items()}
+
+
+def setting_name(key: str) -> str:
+    """The last part of a key in words; of a velocity what has it: "wind" of wind.velocity."""
+    group, _, last = key.rpartition(".")
+    return group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
+
+
+def _magnitude(key: str, value: Any) -> Any:
+    """The number of a setting, of a vector with a unit its length; what is no number as it is."""
+    value = read_value(value) if isinstance(value, str) else value
+    if unit_of(key) and isinstance(value, str) and value.startswith("["):
+        with contextlib.suppress(TypeError, ValueError):
+            return math.hypot(*json.loads(value))
+    return value

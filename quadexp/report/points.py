@@ -97,9 +97,7 @@ def points(
             made[place] = Point(math.nan, math.nan, math.nan, 0, 0, **about)
             continue
         low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
-        made[place] = Point(
-            float(means.mean()), low, high, len(used[place]), len(means), method=method, **about
-        )
+        made[place] = Point(float(means.mean()), low, high, len(used[place]), len(means), method=method, **about)
     return made
 
 

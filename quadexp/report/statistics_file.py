@@ -30,11 +30,16 @@ from quadexp.report.statistics import (
     overall,
 )
 from quadexp.report.table import csv_text
-from quadexp.report.tables import ErrorTable, comparison_table, table_of, to_latex, to_markdown
+from quadexp.report.tables import ErrorTable, comparison_table, table_of
 from quadexp.report.winner import Verdict, verdicts
 
 FILE = "statistics.parquet"
-NAMES = {"table.md": "markdown", "table.tex": "latex", "comparison.tex": "comparison", "statistics.csv": "statistics_csv"}
+NAMES = {
+    "table.md": "markdown",
+    "table.tex": "latex",
+    "comparison.tex": "comparison",
+    "statistics.csv": "statistics_csv",
+}
 _KINDS = {field.name: {"int": np.int64, "float": float, "str": object}[str(field.type)] for field in fields(Statistic)}
 
 
@@ -68,9 +73,7 @@ class Statistics:
         return hashlib.sha256(self.csv.encode()).hexdigest()[:20]
 
 
-def results_statistics(
-    rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE
-) -> Statistics:
+def results_statistics(rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE) -> Statistics:
     """The statistics of result rows: of each metric, line by line and over all conditions."""
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
@@ -85,7 +88,7 @@ def comparison_texts(statistics: Statistics, metric: str) -> tuple[ErrorTable, d
     pooled = [row for row in statistics.rows if row.metric == metric and row.is_overall]
     best = [verdict for verdict in statistics.verdicts if verdict.metric == metric]
     table = table_of(compared, pooled, best, statistics.notes, statistics.invalid)
-    files = {"table.md": to_markdown(table), "table.tex": to_latex(table), "statistics.csv": statistics.csv}
+    files = {"table.md": table.markdown(), "table.tex": table.latex(), "statistics.csv": statistics.csv}
     if (comparison := comparison_table(compared)) is not None:
         files["table.md"] += f"\n{comparison.markdown()}"
         files["comparison.tex"] = comparison.latex()
@@ -105,7 +108,9 @@ def write_comparison(root: Path, statistics: Statistics, texts: Mapping[str, str
     except QuadexpError:
         there = False
     if not there:
-        columns = {name: np.array([getattr(row, name) for row in statistics.rows], kind) for name, kind in _KINDS.items()}
+        columns = {
+            name: np.array([getattr(row, name) for row in statistics.rows], kind) for name, kind in _KINDS.items()
+        }
         write_table(root / FILE, columns, record, "statistics")
     return {NAMES[name]: str(root / name) for name in texts} | {"statistics": str(root / FILE)}
 

@@ -201,10 +201,8 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
     return lines
 
 
-def _result_lines(
-    record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], summary: dict[str, Any]
-) -> list[str]:
-    from quadexp.report.tables import error_table, to_markdown
+def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], summary: dict[str, Any]) -> list[str]:
+    from quadexp.report.tables import error_table
 
     outcomes = Counter(row["outcome"] for row in rows)
     lines = ["outcomes    " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())]
@@ -213,7 +211,7 @@ def _result_lines(
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
         table = error_table(rows, record.get("metric", "mean_error"), **options)
         summary["tables"] = [table.table()]
-        lines += ["", *to_markdown(table).splitlines(), ""]
+        lines += ["", *table.markdown().splitlines(), ""]
     return lines
 
 

@@ -18,7 +18,7 @@ from quadexp.report.page.source import read_comparison
 from quadexp.report.pairing import Flights, common, flew_least, whole
 from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics, overall
-from quadexp.report.tables import error_table, to_latex, to_markdown
+from quadexp.report.tables import error_table
 from quadexp.report.winner import verdicts
 from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep
@@ -100,11 +100,11 @@ class TestFifteenOfTwentyNotFlown:
             assert entry.common == 5 and not entry.best
             if name != "gp_mpc":
                 assert 1e3 * entry.mean == pytest.approx(mean(rows, name, range(20))) and entry.n == 20
-        text = to_markdown(table)
+        text = table.markdown()
         assert "| flown |  | 20 of 20 | 20 of 20 | 20 of 20 | 5 of 20 |" in text and "**" not in text
         assert f"own {mean(rows, 'nominal_mpc', range(20)):.1f} of 20" in text
-        assert r"flown &  & 20 of 20 & 20 of 20 & 20 of 20 & 5 of 20 \\" in to_latex(table)
-        assert r"\textbf" not in to_latex(table)
+        assert r"flown &  & 20 of 20 & 20 of 20 & 20 of 20 & 5 of 20 \\" in table.latex()
+        assert r"\textbf" not in table.latex()
 
     def test_statistics_and_overall(self, outcome):
         rows = lost_gp(outcome)

@@ -13,7 +13,7 @@ from quadexp.log.store import read_table, write_table
 from quadexp.messages import latex
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import cell_text, comparison_table, error_table, table_of, to_latex, to_markdown, to_rich
+from quadexp.report.tables import cell_text, comparison_table, error_table, table_of
 from quadexp.report.text import significant, with_interval
 
 
@@ -82,7 +82,7 @@ def test_many_worlds_are_rows():
     assert table.columns == names and table.keys == ("plant",) and len(table.entries) == 9
     assert table.rows == tuple(("circle", "8", plant) for plant in ("simplified", "simplified/wind", "ideal"))
     assert table.table().columns[:3] == ["trajectory", "m/s", "plant"]
-    latex = to_latex(table)
+    latex = table.latex()
     assert r" & & & \multicolumn{3}{c}{mean error (mm)}" in latex and r"\cmidrule(l){4-6}" in latex
 
 
@@ -136,8 +136,8 @@ MADE = (("nominal_mpc", 0.2, 0.0), ("gp_mpc", 0.004, 0.001))  # error at the fir
 def test_markdown_and_latex():
     rows = [row(name, error=e + s * d, seed=s) for name, e, d in MADE for s in (0, 1, 2)]
     table = error_table(rows)
-    assert "| flown |  | 3 of 3 | 3 of 3 |\n| circle | 8 | 200.0 | **5.00** [2.52, 7.48] |" in to_markdown(table)
-    latex = to_latex(table)
+    assert "| flown |  | 3 of 3 | 3 of 3 |\n| circle | 8 | 200.0 | **5.00** [2.52, 7.48] |" in table.markdown()
+    latex = table.latex()
     assert r"circle & 8 & 200.0 & \textbf{5.00} [2.52, 7.48] \\" in latex
     assert r"nominal\_mpc & gp\_mpc" in latex and r"flown &  & 3 of 3 & 3 of 3 \\" in latex
     assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == 1
@@ -147,14 +147,14 @@ def test_markdown_and_latex():
 
 def test_latex_escapes_outcomes_with_underscores():
     table = error_table([row(outcome="solver_failed")])
-    assert r"1 solver\_failed" in to_latex(table)
+    assert r"1 solver\_failed" in table.latex()
 
 
 def test_the_terminal_shows_the_same_numbers():
     from rich.console import Console
 
     console = Console(width=100, file=io.StringIO())
-    console.print(to_rich(error_table([row(error=0.2), row("gp_mpc", error=0.004)])))
+    console.print(error_table([row(error=0.2), row("gp_mpc", error=0.004)]).table().rich())
     assert "200.0" in console.file.getvalue() and "4.00" in console.file.getvalue()
 
 
@@ -175,7 +175,7 @@ class TestIntervals:
 
         table = error_table([row(seed=s, error=0.2 + 0.01 * s) for s in range(3)])
         console = Console(width=60, file=io.StringIO())
-        console.print(to_rich(table, stacked=True))
+        console.print(table.table().rich(stacked=True))
         lines = [line.split("│")[-2].strip() for line in console.file.getvalue().splitlines() if "│" in line]
         assert lines == ["3 of 3", "210.0", "[185.2, 234.8]"]  # 10 mm spread, t(0.975, 2) = 4.303
 
@@ -196,11 +196,11 @@ class TestIntervals:
         assert gp.significant and not nominal.significant  # six pairs: p = 2 / 2^6
         assert nominal.common_low < nominal.common_mean < nominal.common_high
         mean, text = f"{1e3 * gp.common_mean:.2f}", f"[{1e3 * gp.common_low:.2f}, {1e3 * gp.common_high:.2f}]"
-        assert f"**{mean}** {text}*" in to_markdown(table)
-        assert rf"\textbf{{{mean}}} {text}$^*$" in to_latex(table)
-        assert f"] (1 lost) | **{mean}** {text}* (own {1e3 * gp.mean:.2f} of 7) |" in to_markdown(table)
+        assert f"**{mean}** {text}*" in table.markdown()
+        assert rf"\textbf{{{mean}}} {text}$^*$" in table.latex()
+        assert f"] (1 lost) | **{mean}** {text}* (own {1e3 * gp.mean:.2f} of 7) |" in table.markdown()
         assert 1e3 * gp.mean == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.common == 6
-        assert r"- \* differs from nominal_mpc: p < 0.05" in to_markdown(table)
+        assert r"- \* differs from nominal_mpc: p < 0.05" in table.markdown()
         assert table.notes[0].startswith(
             "mean over the flights of a line that all ended well, of 7 seeds [95 % interval: Student's t]; bold:"
         )

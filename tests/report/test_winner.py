@@ -14,7 +14,7 @@ from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
 from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import error_table, to_markdown
+from quadexp.report.tables import error_table
 from quadexp.report.winner import verdicts
 from tests.report.test_tables import row
 
@@ -143,7 +143,7 @@ def test_the_page_names_a_real_best_and_gives_its_ratio_to_the_bound_an_interval
     assert next(one["label"] for one in scoreboard(comparison) if one["role"] == "best") == "gp_mpc"
     cells = [cell for line in tables(comparison)[0]["lines"] for cell in line["means"] if cell["best"]]
     assert len(cells) == 4
-    assert "the best of 4, significantly less than the next" in to_markdown(error_table(comparison.rows))
+    assert "the best of 4, significantly less than the next" in error_table(comparison.rows).markdown()
 
 
 def test_the_same_flights_twice_are_not_distinguishable():
@@ -151,7 +151,7 @@ def test_the_same_flights_twice_are_not_distinguishable():
     rows += [made | {"controller": "own_mpc"} for made in rows]
     (verdict,) = verdicts(rows)
     assert not verdict.best and verdict.alike and verdict.ratio[0] == 1.0
-    assert "not distinguishable from" in to_markdown(error_table(rows)) and "**" not in to_markdown(error_table(rows))
+    assert "not distinguishable from" in error_table(rows).markdown() and "**" not in error_table(rows).markdown()
 
 
 def test_how_sure_is_said_in_words_that_follow_the_test(tmp_path):
