@@ -190,9 +190,12 @@ def evaluate(
     from quadexp.sweeps.cluster.engines import build_engine
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
+    from quadexp.sweeps.plan import too_few_seeds
     from quadexp.sweeps.sweep import run_sweep
 
     settings = first.evaluate
+    if few := too_few_seeds(getattr(cells, "grids", ()), settings.baseline, settings.confidence):
+        say(f"note: {few}")
     watching = _watching(out, settings.metric) if watch else None
     with (
         watching or contextlib.nullcontext(),

@@ -27,19 +27,7 @@ import numpy as np
 
 from quadexp.log.outcome import FAILURES
 from quadexp.log.schema import describe
-from quadexp.report.inference import (
-    cohen_d,
-    holm,
-    least_p,
-    least_seeds,
-    log_ratio,
-    mean_interval,
-    paired_permutation,
-    rank_biserial,
-    reduction_interval,
-    success_interval,
-    vary,
-)
+from quadexp.report import inference
 from quadexp.report.metrics import SHOWN
 from quadexp.report.pairing import (
     Condition,
@@ -177,7 +165,7 @@ class Statistic:
         """Seeds and p, such as "5 seeds, p = 0.13", or "2 seeds cannot show p < 0.05: at least 6 are needed"."""
         if self.testable:
             return f"{count(self.units, 'seed')}, {probability(self.p_holm)}"
-        return too_few(self.units, least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
+        return too_few(self.units, inference.least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
 
     def text(self) -> str:
         """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p < 0.0001)"."""
@@ -206,14 +194,14 @@ def compute_statistics(
     about: dict[tuple[Condition, Contestant], dict[str, Any]] = {}  # what is the same for every metric
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
     for condition, among in groups.lines.items():
-        for contestant, flights in groups.flights([condition]).items():
+        for contestant, flown in groups.flights([condition]).items():
             at, rival = (condition, contestant), groups.baseline(contestant)
-            low, high = success_interval(*flights, confidence)
+            low, high = inference.success_interval(flown.ended, flown.trials, confidence)
             about[at] = {
                 **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
                 "speed": NAN if condition[3] is None else condition[3],
                 **_whose(groups, contestant, confidence),
-                **_tally(groups.cells[at], flights.trials),
+                **_tally(groups.cells[at], flown.trials),
                 "success_low": low,
                 "success_high": high,
             }
@@ -240,7 +228,7 @@ def compute_statistics(
                 fields |= _comparison(pairs[at], place, confidence)
             unit = describe(metric, "results").unit
             made.append(Statistic(metric=metric, unit=unit, best_p=best.get(at, NAN), **fields))
-        corrected = holm(np.array([one.p for one in made]))
+        corrected = inference.holm(np.array([one.p for one in made]))
         comparisons = int(np.count_nonzero(~np.isnan(corrected)))
         statistics += [
             one if math.isnan(p) else replace(one, p_holm=float(p), comparisons=comparisons)
@@ -264,7 +252,7 @@ def _tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
 def _mean_fields(values: np.ndarray, confidence: float) -> dict[str, Any]:
     """Number, mean, its interval and the standard deviation of the finite values; NaN if there are none."""
     values = values[np.isfinite(values)]
-    limits = mean_interval(values, confidence, least=0.0)
+    limits = inference.mean_interval(values, confidence, least=0.0)
     return {
         "n": len(values),
         "mean": float(np.mean(values)) if len(values) else NAN,
@@ -278,8 +266,8 @@ def _mean_fields(values: np.ndarray, confidence: float) -> dict[str, Any]:
 def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: float) -> dict[str, Any]:
     own, others = (np.array([pair[side].values[place] for pair in pairs]) for side in (0, 1))
     differences = own - others
-    limits = mean_interval(differences, confidence)
-    relative = reduction_interval(own, others, confidence)
+    limits = inference.mean_interval(differences, confidence)
+    relative = inference.reduction_interval(own, others, confidence)
     base = float(np.mean(others))
     return {
         "pairs": len(pairs),
@@ -290,17 +278,17 @@ def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: fl
         "reduction": _reduction(float(np.mean(own)) / base) if base > 0 else NAN,
         "reduction_low": relative.low,
         "reduction_high": relative.high,
-        "cohen_d": cohen_d(differences),
-        **_test(differences, vary(own) or vary(others)),
+        "cohen_d": inference.cohen_d(differences),
+        **_test(differences, inference.vary(own) or inference.vary(others)),
     }
 
 
-def _test(differences: np.ndarray, varying: bool) -> dict[str, float]:
+def _test(differences: np.ndarray, varying: bool) -> dict[str, Any]:
     """Effect and p of the differences of some seeds, (n,), and the least p that so many can give; no p for copies of
     one flight."""
-    tested = {"effect": rank_biserial(differences)}
+    tested = {"effect": inference.rank_biserial(differences)}
     if len(differences) > 1 and varying:
-        tested |= {"p": paired_permutation(differences), "p_least": least_p(len(differences))}
+        tested |= {"p": inference.paired_permutation(differences), "p_least": inference.least_p(len(differences))}
     return tested
 
 
@@ -336,7 +324,7 @@ def overall(
         if len(kept) < len(logs):
             causes["not in every condition"] += len(logs) - len(kept)
         by_seed = seed_means(logs)
-        ratio = log_ratio(by_seed, confidence)  # NaN without pairs
+        ratio = inference.log_ratio(by_seed, confidence)  # NaN without pairs
         made.append(
             Statistic(
                 metric=metric,
@@ -353,10 +341,10 @@ def overall(
                 reduction_high=_reduction(ratio.low),
                 **_whose(groups, contestant, confidence),
                 **_tally(own, trials),
-                **_test(by_seed, vary(by_seed)),
+                **_test(by_seed, inference.vary(by_seed)),
             )
         )
-    corrected = holm(np.array([one.p for one in made]))
+    corrected = inference.holm(np.array([one.p for one in made]))
     tests = int(np.count_nonzero(~np.isnan(corrected))) or sum(one.pairs > 0 for one in made)
     return [replace(one, p_holm=float(p), comparisons=tests) for one, p in zip(made, corrected, strict=True)]
 
