@@ -20,10 +20,10 @@ import numpy as np
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table
-from quadexp.report.frame import flat
+from quadexp.report.frame import flat, setting_text
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
-from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of, is_flown, setting_pairs
 from quadexp.report.result_rows import from_columns
 from quadexp.report.statistics import overall
 from quadexp.report.summary import RESULTS_FILE
@@ -187,7 +187,7 @@ def _settings(a: Path, b: Path, both: Mapping[Key, tuple[Row, Row]]) -> dict[str
         return None
     every = {key: list(zip(*several.values(), strict=True)) for key, several in values.items()}
     return {
-        key: [one[0] if len(one) == 1 else " | ".join(sorted(set(map(str, one)))) for one in sides]
+        key: [one[0] if len(one) == 1 else (" | ".join(sorted(set(map(str, one)))) or ABSENT) for one in sides]
         for key, sides in every.items()
     }
 
@@ -280,7 +280,8 @@ def _condition_lines(conditions: Sequence[Mapping[str, Any]], metric: str) -> li
     lines = []
     for one in changed[:MOST_CONDITIONS]:
         world = f"@{one['plant']}" if len({c["plant"] for c in conditions}) > 1 else ""
-        where = " ".join(filter(None, (one["trajectory"], speed_text(one["speed"]), one["setting"], world)))
+        where = " ".join(filter(None, (one["trajectory"], speed_text(one["speed"]), world)))
+        where = ", ".join([where, *(setting_text(*pair) for pair in setting_pairs(one["setting"]))])
         numbers = f"{number(factor * one['a'])} -> {number(factor * one['b'])} {unit}"
         lines.append(f"  {one['label']} on {where}: {numbers} ({relative(one['relative'])})")
     rest = len(changed) - len(lines)

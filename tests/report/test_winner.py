@@ -123,13 +123,13 @@ FOUR = ["nominal_mpc", "linear_drag_mpc", "gp_mpc", "rls_mpc", "perfect_mpc"]
 
 def test_the_page_says_not_distinguishable_of_identical_distributions(tmp_path):
     rng, best, sure = np.random.default_rng(8), 0, 0
-    for i in range(25):
+    for i in range(12):
         comparison = results(tmp_path / str(i), sweep(rng, FOUR, conditions=2, seeds=4))
         said = answer(comparison).gain
         assert "as close as" not in said
         best += "the best of" in said or any(one["role"] == "best" for one in scoreboard(comparison))
         sure += "not distinguishable from perfect MPC" in said and "times its error [" in said
-    assert best <= 1 and sure >= 22
+    assert best <= 1 and sure >= 10
 
 
 def test_the_page_names_a_real_best_and_gives_its_ratio_to_the_bound_an_interval(tmp_path):
@@ -157,12 +157,12 @@ def test_the_same_flights_twice_are_not_distinguishable():
 def test_how_sure_is_said_in_words_that_follow_the_test(tmp_path):
     """Equal controllers are "not sure" in most of many draws, a real difference is sure, two pairs say nothing."""
     rng, doubted = np.random.default_rng(3), 0
-    for i in range(10):
+    for i in range(6):
         comparison = results(tmp_path / str(i), sweep(rng, ["nominal_mpc", "gp_mpc"], conditions=2, seeds=6))
         said, p = answer(comparison).sure, comparison.to_base[1]
         assert ("not sure" in said) == (p >= 0.05)
         doubted += "not sure" in said
-    assert doubted >= 8
+    assert doubted >= 5
     factors = {"gp_mpc": 0.1}
     sweeps = sweep(np.random.default_rng(5), ["nominal_mpc", "gp_mpc"], conditions=4, seeds=8, factors=factors)
     said = answer(results(tmp_path / "real", sweeps)).sure
