@@ -19,8 +19,7 @@ import numpy as np
 from quadexp.errors import QuadexpError
 from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
-from quadexp.report.notes import notes
-from quadexp.report.pairing import Row, is_invalid
+from quadexp.report.pairing import Row
 from quadexp.report.statistics import (
     BASELINE,
     COMPARED,
@@ -30,8 +29,7 @@ from quadexp.report.statistics import (
     overall,
 )
 from quadexp.report.table import csv_text
-from quadexp.report.tables import ErrorTable, comparison_table, table_of
-from quadexp.report.winner import Verdict, verdicts
+from quadexp.report.tables import ErrorTable, comparison_table, error_table
 
 FILE = "statistics.parquet"
 NAMES = {
@@ -45,16 +43,12 @@ _KINDS = {field.name: {"int": np.int64, "float": float, "str": object}[str(field
 
 @dataclass(frozen=True)
 class Statistics:
-    """rows: per metric and contestant, in each condition and over all. verdicts: per metric, plant and vehicle, the
-    least error. notes: on the result rows, see report/notes.py. invalid: those rows whose settings contradict each
-    other."""
+    """rows: per metric and contestant, in each condition and over all. flights: the result rows they are of."""
 
     rows: list[Statistic]
-    verdicts: list[Verdict]
-    notes: list[str]
+    flights: Sequence[Row]
     baseline: str
     confidence: float
-    invalid: Sequence[Row] = ()
 
     def of(self, metric: str) -> list[Statistic]:
         return [row for row in self.rows if row.metric == metric and not row.is_overall]
@@ -77,19 +71,14 @@ def results_statistics(rows: Sequence[Row], *, baseline: str = BASELINE, confide
     """The statistics of result rows: of each metric, line by line and over all conditions."""
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
-    best = [verdict for metric in COMPARED for verdict in verdicts(rows, metric=metric, confidence=confidence)]
-    invalid = [row for row in rows if is_invalid(row)]
-    return Statistics([*compute_statistics(rows, **options), *pooled], best, notes(rows), invalid=invalid, **options)
+    return Statistics([*compute_statistics(rows, **options), *pooled], rows, baseline, confidence)
 
 
 def comparison_texts(statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
     """The error table of one metric, and name -> content of the text files made of the statistics."""
-    compared = statistics.of(metric)
-    pooled = [row for row in statistics.rows if row.metric == metric and row.is_overall]
-    best = [verdict for verdict in statistics.verdicts if verdict.metric == metric]
-    table = table_of(compared, pooled, best, statistics.notes, statistics.invalid)
+    table = error_table(statistics.flights, metric, baseline=statistics.baseline, confidence=statistics.confidence)
     files = {"table.md": table.markdown(), "table.tex": table.latex(), "statistics.csv": statistics.csv}
-    if (comparison := comparison_table(compared)) is not None:
+    if (comparison := comparison_table(statistics.of(metric))) is not None:
         files["table.md"] += f"\n{comparison.markdown()}"
         files["comparison.tex"] = comparison.latex()
     return table, files

@@ -32,7 +32,7 @@ from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics, overall
 from quadexp.report.table import Table, csv_text
 from quadexp.report.text import p_value, shown, speed_text, with_interval
-from quadexp.report.winner import Verdict, verdicts
+from quadexp.report.winner import verdicts
 
 MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
 TITLES = {name: NUMBERS[name].title for name in SHOWN}
@@ -145,17 +145,19 @@ def row_of(s: Statistic) -> dict[str, Any]:
     return {**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()}
 
 
-def table_of(
-    statistics: Sequence[Statistic],
-    pooled: Sequence[Statistic] = (),
-    best: Sequence[Verdict] = (),
-    more: Sequence[str] = (),
-    invalid: Sequence[Mapping[str, Any]] = (),
+def error_table(
+    results: Sequence[Mapping[str, Any]],
+    metric: str = "mean_error",
+    *,
+    baseline: str = BASELINE,
+    confidence: float = CONFIDENCE,
 ) -> ErrorTable:
-    """The error table of one metric's statistics. pooled, best, more: for the notes, over all conditions. invalid:
-    rows of results whose settings contradict each other."""
-    metric = statistics[0].metric
-    rows = [*map(row_of, statistics), *invalid]
+    """The error table of one metric from result rows."""
+    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
+    statistics = compute_statistics(results, metrics=(metric,), **options)
+    best = verdicts(results, metric=metric, confidence=confidence)
+    notes = table_notes(statistics, overall(results, metric=metric, **options), best)
+    rows = [*map(row_of, statistics), *filter(is_invalid, results)]
     settings = [dict(setting_pairs(row.get("variant") or "")) for row in rows]
     values: dict[str, list[str]] = {}
     for own in settings:
@@ -195,26 +197,11 @@ def table_of(
         columns=tuple(flown),
         entries=entries,
         flown=flown,
-        notes=(*table_notes(statistics, pooled, best), *more),
+        notes=(*notes, *row_notes(results)),
         keys=tuple(shown_as),
         headings=tuple(heading for heading, _ in shown_as.values()),
         invalid=wrong - entries.keys(),
     )
-
-
-def error_table(
-    rows: Sequence[Mapping[str, Any]],
-    metric: str = "mean_error",
-    *,
-    baseline: str = BASELINE,
-    confidence: float = CONFIDENCE,
-) -> ErrorTable:
-    """The error table of one metric from result rows; see `table_of`."""
-    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    statistics = compute_statistics(rows, metrics=(metric,), **options)
-    best = verdicts(rows, metric=metric, confidence=confidence)
-    invalid = [row for row in rows if is_invalid(row)]
-    return table_of(statistics, overall(rows, metric=metric, **options), best, row_notes(rows), invalid)
 
 
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:

@@ -12,7 +12,7 @@ import pytest
 from quadexp.log.store import read_table, write_table
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import cell_text, comparison_table, error_table, table_of
+from quadexp.report.tables import cell_text, comparison_table, error_table
 from quadexp.report.text import significant, with_interval
 
 
@@ -116,7 +116,7 @@ def test_the_comparison_names_its_lines_as_the_error_table_does():
     rows = [row(name, seed=s, error=e, variant=v) for v in settings for name, e in who.items() for s in (0, 1)]
     statistics = compute_statistics(rows, metrics=("mean_error",))
     lines = comparison_table(statistics).rows
-    assert table_of(statistics).rows == (("circle", "8", "published"), ("circle", "8", "robust"))
+    assert error_table(rows).rows == (("circle", "8", "published"), ("circle", "8", "robust"))
     assert [line[0] for line in lines] == ["circle, horizon published", "circle, horizon robust"]
     assert [line[1:3] for line in lines] == [["8", "perfect_mpc"]] * 2
 

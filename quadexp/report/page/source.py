@@ -19,6 +19,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.inference import Ratio
+from quadexp.report.notes import notes
 from quadexp.report.pairing import (
     Common,
     Condition,
@@ -364,5 +365,5 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
         baseline=chosen,
         confidence=confidence,
         digest=hashlib.sha256(file.read_bytes()).hexdigest(),
-        notes=statistics.notes,
+        notes=notes(every),
     )
