@@ -191,11 +191,11 @@ def test_a_sweep_of_hostile_names_is_written_drawn_and_reported(tmp_path, monkey
     """Every writer of a sweep's texts, on flights of somebody who wishes no good."""
     from quadexp.log.store import read_table
     from quadexp.report.figures import solve_times
-    from quadexp.report.flights_table import csv_of, page_of
     from quadexp.report.frame import SweepFrame
     from quadexp.report.page import make_report
     from quadexp.report.result_rows import from_columns, to_csv
     from quadexp.report.statistics_file import comparison_texts, results_statistics
+    from quadexp.report.tables import csv_of, page_of
 
     evil = f"gp_mpc{EVIL}"
     monkeypatch.setattr("tests.report.results.ERRORS", {"nominal_mpc": 0.04, evil: 0.002})
@@ -203,8 +203,8 @@ def test_a_sweep_of_hostile_names_is_written_drawn_and_reported(tmp_path, monkey
     root = make_results(tmp_path / "r", controllers=("nominal_mpc", evil), lost=False)
     columns, _ = read_table(root / "results.parquet", "results")
     rows = from_columns(columns)
-    _, texts = comparison_texts(results_statistics(None, rows), "mean_error")
-    assert {"table.md", "table.tex", "comparison.tex"} == set(texts)
+    _, texts = comparison_texts(results_statistics(rows), "mean_error")
+    assert {"table.md", "table.tex", "comparison.tex", "statistics.csv"} == set(texts)
     for text in (*texts.values(), to_csv(rows)):
         assert "\x1b" not in text and not re.search(r"^47 files", text, re.MULTILINE)
     for name in ("table.tex", "comparison.tex"):

@@ -144,10 +144,13 @@ def evaluate(
     from quadexp.report.tables import to_latex, to_markdown
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
+    from quadexp.sweeps.plan import too_few_seeds
     from quadexp.sweeps.sweep import build_engine, run_sweep
     from quadexp.sweeps.watch import Watch
 
     settings = first.evaluate
+    if few := too_few_seeds(getattr(cells, "grids", ()), settings.baseline, settings.confidence):
+        say(f"note: {few}")
     watching = Watch(out, settings.metric) if watch else None
     with (
         watching or contextlib.nullcontext(),

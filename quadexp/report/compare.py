@@ -16,36 +16,28 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata
-from quadexp.physics.state import POSITION
-from quadexp.report.compare_parts import (
+from quadexp.report.compare_results import (
     change,
+    compare_results,
     differing,
-    figure_lines,
-    flat,
     record_of,
+    results_beside,
     setting_lines,
     setting_table,
-)
-from quadexp.report.compare_results import compare_results, results_beside
+)  # fmt: skip
+from quadexp.report.frame import flat
 from quadexp.report.held_out import held_out_rows
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
 from quadexp.report.table import Table
-from quadexp.report.text import number, speed_text
+from quadexp.report.text import number, relative, shown, speed_text
 
 MOST_ACROSS = 6  # columns of several side by side; with more paths each is a row
 MOST_DETAILED = 4  # others that are compared with the first one by one, in the lines
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
-FIGURES = {  # of a flight, with the factor and unit in which they are printed
-    "mean_error": (1e3, "mm"),
-    "rmse": (1e3, "mm"),
-    "max_error": (1e3, "mm"),
-    "attitude_rmse": (180 / math.pi, "deg"),
-    "saturated_share": (100.0, "%"),
-    "peak_speed": (1.0, "m/s"),
-    "duration": (1.0, "s"),
-    "solve_time_median": (1e6, "us"),
-    "solve_time_p99": (1e6, "us"),
-}
+FIGURES = (
+    "mean_error", "rmse", "max_error", "attitude_rmse", "saturated_share", "peak_speed", "duration",
+    "solve_time_median", "solve_time_p99",
+)  # fmt: skip
 
 
 class Side(NamedTuple):
@@ -105,21 +97,17 @@ def compare(first: str | Path, *others: str | Path) -> dict[str, Any]:
         if kind != kinds[0]:
             named = [k if k == "results" else f"a {k}" for k in (kinds[0], kind)]
             raise UsageError(f"cannot compare {named[0]} ({first}) with {named[1]} ({path}): give two of one kind")
-    made = []
+    comparisons: list[dict[str, Any]] = []
     for other in paths[1:]:
-        found = compare_results(paths[0], other) if kinds[0] == "results" else _two(kinds[0], paths[0], other)
-        made.append({"kind": kinds[0], "a": str(first), "b": str(other), **found})
-    if len(made) == 1:
-        return made[0]
-    found = beside(kinds[0], paths)
-    together = [line for table in found["tables"] for line in ("", *table.lines())][1:]
-    each = [line for one in made for line in ("", *one["lines"])] if len(made) <= MOST_DETAILED else []
-    return {
-        "kind": kinds[0],
-        "together": {k: v for k, v in found.items() if k != "tables"},
-        "comparisons": [{k: v for k, v in one.items() if k != "lines"} for one in made],
-        "lines": [*together, *each],
-    }
+        two = compare_results(paths[0], other) if kinds[0] == "results" else _two(kinds[0], paths[0], other)
+        comparisons.append({"kind": kinds[0], "a": str(first), "b": str(other), **two})
+    if len(comparisons) == 1:
+        return comparisons[0]
+    together = beside(kinds[0], paths)
+    texts = [table.lines() for table in together.pop("tables")]
+    each = [comparison.pop("lines") for comparison in comparisons]
+    lines = [line for text in texts + each * (len(each) <= MOST_DETAILED) for line in ("", *text)][1:]
+    return {"kind": kinds[0], "together": together, "comparisons": comparisons, "lines": lines}
 
 
 def compare_tables(first: str | Path, *others: str | Path) -> list[Table]:
@@ -156,18 +144,16 @@ def beside(kind: str, paths: Sequence[Path]) -> dict[str, Any]:
     outcomes = [{"outcome": side.flight.metadata["row"]["outcome"]} if side.flight else {} for side in sides]
     settings = differing(*(flat(side.settings) | outcome for side, outcome in zip(sides, outcomes, strict=True)))
     metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
-    rows = [[_printed(kind, name), *(number(_factor(kind, name) * v) for v in own)] for name, own in metrics.items()]
+    rows = [_printed(name, values) for name, values in metrics.items()]
     tables = [setting_table(settings, names)] if settings else []
     tables = [*map(_narrow, [*tables, Table(["figure", *names], rows)])]
     return {"names": names, "configuration": settings, "metrics": metrics, "tables": tables}
 
 
-def _factor(kind: str, name: str) -> float:
-    return FIGURES[name][0] if kind == "flight" else 1.0
-
-
-def _printed(kind: str, name: str) -> str:
-    return f"{name} ({FIGURES[name][1]})" if kind == "flight" else name
+def _printed(name: str, values: Sequence[float]) -> list[str]:
+    """Name and values of a figure in its unit."""
+    factor, unit = shown(name)
+    return [f"{name} ({unit})" if unit else name, *(number(factor * value) for value in values)]
 
 
 def _narrow(table: Table) -> Table:
@@ -186,7 +172,11 @@ def _two(kind: str, first: Path, other: Path) -> dict[str, Any]:
     settings = differing(a.settings, b.settings)
     metrics = {name: change(a.numbers[name], b.numbers[name]) for name in a.numbers if name in b.numbers}
     lines = [f"a  {first}: {a.about}", f"b  {other}: {b.about}", "", *setting_lines(settings), ""]
-    figures = figure_lines((_printed(kind, name), one, _factor(kind, name)) for name, one in metrics.items())
+    rows = [
+        [*_printed(name, [one["a"], one["b"], one["difference"]]), relative(one["relative"])]
+        for name, one in metrics.items()
+    ]
+    figures = Table(["", "a", "b", "b - a", "relative"], rows).lines()
     made = {"configuration": settings, "metrics": metrics}
     if a.flight is None or b.flight is None:
         only = {"a": [n for n in a.numbers if n not in b.numbers], "b": [n for n in b.numbers if n not in a.numbers]}
@@ -202,17 +192,20 @@ def _two(kind: str, first: Path, other: Path) -> dict[str, Any]:
 
 
 def _paths(a: Flight, b: Flight) -> dict[str, Any]:
-    """The distance between two flights at the same times, as far as they have the same times."""
-    samples = min(len(a), len(b))
-    if samples == 0 or not np.array_equal(a.t[:samples], b.t[:samples]):
-        return {"common": 0, "identical": False, "text": "not at the same times: the paths are not compared"}
+    """The distance between two flights at the times of the one with the longer period, as far as both flew."""
     names = [name for name in a.columns if name in b.columns and name not in MEASURED]
     same = len(a) == len(b) and set(a.columns) == set(b.columns)
     if same and all(np.array_equal(a[name], b[name], equal_nan=a[name].dtype.kind == "f") for name in names):
-        text = f"all {samples} are the same to the last bit, solve times apart"
-        return {"common": samples, "identical": True, "text": text}
-    apart = np.linalg.norm(a.state[:samples, POSITION] - b.state[:samples, POSITION], axis=1)
+        text = f"all {len(a)} are the same to the last bit, solve times apart"
+        return {"common": len(a), "identical": True, "text": text}
+    times = [flight.t for flight in (a, b)]
+    end = min((float(t[-1]) for t in times if len(t)), default=0.0) if all(map(len, times)) else -math.inf
+    t = min((t[t <= end + 1e-9] for t in times), key=len)
+    if not len(t):
+        return {"common": 0, "identical": False, "text": "one of them has none: the paths are not compared"}
+    paths = [np.column_stack([np.interp(t, f.t, f[f"p_{i}"]) for i in "xyz"]) for f in (a, b)]
+    apart = np.linalg.norm(paths[0] - paths[1], axis=1)
     at = int(np.argmax(apart))
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
-    text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {a.t[at]:.2f} s ({samples} common samples{length})"
-    return {"common": samples, "identical": False, "distance": float(apart[at]), "t": float(a.t[at]), "text": text}
+    text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {t[at]:.2f} s ({len(t)} common samples{length})"
+    return {"common": len(t), "identical": False, "distance": float(apart[at]), "t": float(t[at]), "text": text}

@@ -33,27 +33,22 @@ def flights_figure(paths: Sequence[Path]) -> Figure:
     """Left the paths from above with the reference, right the position error over time."""
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     above, error = figure.subplots(1, 2)
-    names = names_of(paths)
-    found = looks([f"{_controller(path)} {name}" for path, name in zip(paths, names, strict=True)])
-    for k, (path, name, look) in enumerate(zip(paths, names, found.values(), strict=True)):
-        flight = read_flight(path)
+    flights = {name: read_flight(path) for name, path in zip(names_of(paths), paths, strict=True)}
+    every = looks([f"{flight.metadata.get('controller', '')} {name}" for name, flight in flights.items()])
+    for path, (name, flight), look in zip(paths, flights.items(), every.values(), strict=True):
         if not len(flight):
             raise UsageError(f"{path}: holds no samples ({flight.outcome}), there is nothing to draw")
-        if k == 0:
+        if path is paths[0]:
             above.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
         above.plot(flight["p_x"], flight["p_y"], label=name, **look.line())
         values, mean = 1e3 * position_error(flight), 1e3 * mean_error(flight)
         error.plot(flight.t, np.maximum(values, 1e-6), label=f"{name}: mean {mean:.3g} mm", **look.line())
+    above.set(xlabel="x (m)", ylabel="y (m)")
     above.set_aspect("equal", adjustable="datalim")
-    above.set_xlabel("x (m)")
-    above.set_ylabel("y (m)")
-    error.set_yscale("log")
-    error.set_xlabel("time (s)")
-    error.set_ylabel("position error (mm)")
-    largest = max(float(line.get_ydata().max()) for line in error.get_lines())
-    error.set_ylim(
-        bottom=max(1e-4 * largest, 0.5 * min(float(np.percentile(line.get_ydata(), 2)) for line in error.get_lines()))
-    )
+    error.set(yscale="log", xlabel="time (s)", ylabel="position error (mm)")
+    drawn = [line.get_ydata() for line in error.get_lines()]
+    least, largest = min(float(np.percentile(values, 2)) for values in drawn), max(map(np.max, drawn))
+    error.set_ylim(bottom=max(1e-4 * largest, 0.5 * least))
     plain_log(error.yaxis, minor=True)
     for panel in (above, error):
         panel.legend(fontsize=8)
@@ -88,36 +83,29 @@ def checkpoints_figure(paths: Sequence[Path]) -> Figure:
     """Held-out RMSE of every output, of each checkpoint and its predictors; a panel a unit."""
     from quadexp.report.held_out import held_out_rows
 
-    names = names_of(paths)
-    made: dict[str, dict[str, dict[str, float]]] = {}  # unit -> label -> output -> RMSE
-    for path, name in zip(paths, names, strict=True):
-        for row in held_out_rows(path.parent if path.name == MODEL_FILE else path):
-            if row["predictor"] != "zero":
-                label = f"{row['predictor'].replace('_', ' ')} {name}"
-                made.setdefault(row["unit"], {}).setdefault(label, {})[row["output"]] = row["rmse"]
-    if not made:
+    rows = [
+        {**row, "label": f"{row['predictor'].replace('_', ' ')} {name}"}
+        for path, name in zip(paths, names_of(paths), strict=True)
+        for row in held_out_rows(path.parent if path.name == MODEL_FILE else path)
+        if row["predictor"] != "zero"
+    ]
+    if not rows:
         raise UsageError("--out: none of these checkpoints has held-out scores to draw")
-    figure = Figure(figsize=(max(5.6, 4.6 * len(made)), 3.8), layout="constrained")
-    panels = figure.subplots(1, len(made), squeeze=False)[0]
-    labels = list(dict.fromkeys(label for by_label in made.values() for label in by_label))
+    units = list(dict.fromkeys(row["unit"] for row in rows))
+    figure = Figure(figsize=(max(5.6, 4.6 * len(units)), 3.8), layout="constrained")
+    panels = figure.subplots(1, len(units), squeeze=False)[0]
     drawn_as = {"gp": "gp_mpc", "linear": "linear_drag_mpc"}  # a predictor looks as the controller that uses it
-    names = [" ".join([drawn_as.get(label.split(" ")[0], label.split(" ")[0]), label]) for label in labels]
-    found = dict(zip(labels, looks(names).values(), strict=True))
-    for panel, (unit, by_label) in zip(panels, made.items(), strict=True):
-        outputs = list(dict.fromkeys(output for values in by_label.values() for output in values))
-        for k, (label, values) in enumerate(by_label.items()):
-            at = [outputs.index(output) + 0.6 * ((k + 0.5) / len(by_label) - 0.5) for output in values]
-            panel.plot(at, list(values.values()), **found[label].points() | {"linestyle": "none"}, label=label)
-        panel.set_xticks(range(len(outputs)), outputs)
-        panel.set_xlim(-0.6, len(outputs) - 0.4)
+    labels = list(dict.fromkeys(row["label"] for row in rows))
+    first = (label.partition(" ")[0] for label in labels)
+    every = looks([f"{drawn_as.get(word, word)} {label}" for word, label in zip(first, labels, strict=True)])
+    for panel, unit in zip(panels, units, strict=True):
+        for label, look in zip(labels, every.values(), strict=True):
+            errors = {row["output"]: row["rmse"] for row in rows if (row["unit"], row["label"]) == (unit, label)}
+            panel.plot(list(errors), list(errors.values()), **look.points() | {"linestyle": "none"}, label=label)
         panel.set_ylabel(f"held-out RMSE ({unit})")
         panel.set_yscale("log")
         plain_log(panel.yaxis, minor=True)
         panel.grid(False, axis="x")
-    handles, texts = panels[0].get_legend_handles_labels()
-    figure.legend(handles, texts, loc="outside lower center", ncols=max(1, math.floor(90 / (max(map(len, texts)) + 6))))
+    columns = max(1, math.floor(90 / (max(map(len, labels)) + 6)))
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns)
     return figure
-
-
-def _controller(path: Path) -> str:
-    return str(read_flight(path, check=False).metadata.get("controller", ""))

@@ -20,10 +20,10 @@ import numpy as np
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table
-from quadexp.report.compare_parts import ABSENT, change, differing, record_of, setting_lines
+from quadexp.report.frame import flat, setting_text
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
-from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of
+from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of, is_flown, setting_pairs
 from quadexp.report.result_rows import from_columns
 from quadexp.report.statistics import overall
 from quadexp.report.summary import RESULTS_FILE
@@ -31,6 +31,9 @@ from quadexp.report.table import Table
 from quadexp.report.tables import TITLES
 from quadexp.report.text import count, number, p_value, relative, speed_text
 
+ABSENT = "-"
+MOST_LINES = 16  # settings shown; --json has all
+MOST_LETTERS = 36  # of a value
 MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
 MOST_CONDITIONS = 6  # lines of conditions, the largest changes first
 EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
@@ -40,19 +43,82 @@ Row = Mapping[str, Any]
 Key = tuple[Any, ...]  # condition, contestant, seed
 
 
+def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a flight: its configuration, the content of its checkpoint, and the versions that flew it."""
+    git = (metadata.get("provenance") or {}).get("git") or {}
+    return {
+        **(metadata.get("config") or {}),
+        "model_sha256": (metadata.get("model_sha256") or "")[:12],
+        "versions": {
+            **(metadata.get("versions") or {}),
+            "sources": metadata.get("sources") or "",
+            "commit": (git.get("commit") or "")[:10],
+        },
+        "backend": metadata.get("backend", ""),
+    }
+
+
+def differing(*records: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Dotted key -> its value in each, for those that differ; "-" for a missing key."""
+    sides = list(map(flat, records))
+    values = {key: [side.get(key, ABSENT) for side in sides] for side in sides for key in side}
+    return {key: own for key, own in values.items() if any(value != own[0] for value in own)}
+
+
+def change(a: Any, b: Any) -> dict[str, float]:
+    """a, b, difference b - a, relative (%), NaN if not defined."""
+    a, b = (math.nan if value is None else float(value) for value in (a, b))
+    ratio = 100 * (b - a) / a if a else (0.0 if a == b else math.nan)
+    return {"a": a, "b": b, "difference": b - a, "relative": ratio}
+
+
+def setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str], indent: str = "") -> Table:
+    """The settings that differ, a row each, at most MOST_LINES."""
+
+    def short(value: Any) -> str:
+        text = "null" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+        return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
+
+    rows = [[f"{indent}{key}", *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
+    notes = [f"{indent}and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
+    return Table([f"{indent}setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
+
+
+def setting_lines(settings: Mapping[str, Sequence[Any]]) -> list[str]:
+    """The settings that differ between a and b, a line each."""
+    if not settings:
+        return ["configuration  the same"]
+    text = count(len(settings), "setting") + (" differ" if len(settings) > 1 else " differs")
+    return [f"configuration  {text}", *setting_table(settings, "ab", "  ").lines()]
+
+
 def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
     """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
     contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
     models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
     several = {who[1:] for who, n in models.items() if n > 1}
-    made: list[dict[Key, Row]] = []
-    for rows in tables:
-        made.append({})
+    sides: list[dict[Key, Row]] = [{} for _ in tables]
+    for rows, side in zip(tables, sides, strict=True):
         for row in rows:
             controller, model, variant = contestant_of(row)
             contestant = controller, model if (controller, variant) in several else "", variant
-            made[-1][condition_of(row), contestant, row["seed"]] = row
-    return made
+            side[condition_of(row), contestant, row["seed"]] = row
+    return sides
+
+
+def ended_well(sides: Sequence[Mapping[Key, Row]]) -> tuple[dict[Key, tuple[Row, ...]], set[Key]]:
+    """The flights that ended well in all results, with a row of each; and those that all compared contestants did."""
+    both = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
+    flights = {key: rows for key, rows in both.items() if all(map(is_flown, rows))}
+    by_contestant: dict[Any, set[Any]] = {who: set() for _, who, _ in both}
+    for condition, who, seed in flights:
+        by_contestant[who].add((condition, seed))
+    compared, common_flights = common(by_contestant)
+    return flights, {key for key in flights if key[::2] in common_flights and key[1] in compared}
+
+
+def _mean(rows: Sequence[Row], metric: str) -> float:
+    return sum(row[metric] for row in rows) / len(rows) if rows else math.nan
 
 
 def compare_results(a: Path, b: Path) -> dict[str, Any]:
@@ -70,9 +136,11 @@ def compare_results(a: Path, b: Path) -> dict[str, Any]:
     if not both:
         lines.append("no cell is in both: nothing to compare")
         return result | {"configuration": {}, "outcome": {}, "metrics": [], "lines": lines}
-    settings = _settings(a, b, list(both.values()))
+    settings = _settings(a, b, both)
     outcomes = Counter((x["outcome"], y["outcome"]) for x, y in both.values())
-    same = sum(x["outcome"] == y["outcome"] and _equal(x, y) for x, y in both.values())
+    same = sum(
+        all(x[n] == y[n] or x[n] != x[n] and y[n] != y[n] for n in ("outcome", *EXACT)) for x, y in both.values()
+    )
     labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in both)))
     metrics = _contestants(both, labels, metric, confidence)
     conditions = _conditions(both, labels, metric)
@@ -95,70 +163,61 @@ def compare_results(a: Path, b: Path) -> dict[str, Any]:
 
 def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:
     """Label -> number of own cells that are not in the other table."""
-    missing = Counter(key[1] for key in mine if key not in its)
-    labels = contestant_labels(list(dict.fromkeys(key[1] for key in mine)))
+    missing = Counter(contestant for at, contestant, seed in mine if (at, contestant, seed) not in its)
+    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in mine)))
     return {labels[contestant]: n for contestant, n in missing.items()}
 
 
-def _equal(a: Row, b: Row) -> bool:
-    return all(a[name] == b[name] or (a[name] != a[name] and b[name] != b[name]) for name in EXACT)
-
-
-def _settings(a: Path, b: Path, pairs: Sequence[tuple[Row, Row]]) -> dict[str, list[Any]] | None:
+def _settings(a: Path, b: Path, both: Mapping[Key, tuple[Row, Row]]) -> dict[str, list[Any]] | None:
     """Settings that differ between the cells of a pair, one pair per condition and contestant; None without cells."""
     first: dict[Key, tuple[Row, Row]] = {}
-    for pair in pairs:
-        first.setdefault((condition_of(pair[0]), contestant_of(pair[0])), pair)
-    stores = CellStore(a), CellStore(b)
-    found: dict[str, dict[str, list[Any]]] = {}
-    read = 0
+    for (condition, contestant, _), pair in both.items():
+        first.setdefault((condition, contestant), pair)
+    values: dict[str, dict[str, list[Any]]] | None = None
     for pair in list(first.values())[:MOST_CONFIGURATIONS]:
         try:
-            records = [read_metadata(store.path(row["key"]), "flight") for store, row in zip(stores, pair, strict=True)]
+            files = (CellStore(root).path(row["key"]) for root, row in zip((a, b), pair, strict=True))
+            records = [record_of(read_metadata(file, "flight")) for file in files]
         except QuadexpError:  # a failed cell has no file
             continue
-        read += 1
-        for key, values in differing(*map(record_of, records)).items():
-            found.setdefault(key, {})[repr(values)] = values
-    made: dict[str, list[Any]] = {}
-    for key, several in found.items():
-        made[key] = next(iter(several.values()))
-        if len(several) > 1:
-            made[key] = [" | ".join(sorted({str(values[i]) for values in several.values()})) or ABSENT for i in (0, 1)]
-    return made if read else None
+        values = values or {}
+        for key, sides in differing(*records).items():
+            values.setdefault(key, {})[repr(sides)] = sides
+    if values is None:
+        return None
+    every = {key: list(zip(*several.values(), strict=True)) for key, several in values.items()}
+    return {
+        key: [one[0] if len(one) == 1 else (" | ".join(sorted(set(map(str, one)))) or ABSENT) for one in sides]
+        for key, sides in every.items()
+    }
 
 
 def _contestants(
     both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], metric: str, confidence: float
 ) -> list[dict[str, Any]]:
     """For each contestant: flights that ended well, means of a and b over the common flights, and b against a."""
-    ended: dict[Any, set[Any]] = {contestant: set() for contestant in labels}
-    for (condition, contestant, seed), (x, y) in both.items():
-        if x["outcome"] == y["outcome"] == "ok":
-            ended[contestant].add((condition, seed))
-    compared, shared = common(ended)
-    made = []
+    flights, shared = ended_well([{key: pair[i] for key, pair in both.items()} for i in (0, 1)])
+    made: list[dict[str, Any]] = []
     for contestant, label in labels.items():
-        pairs = {key[::2]: pair for key, pair in both.items() if key[1] == contestant}
-        own = [pair for at, pair in pairs.items() if at in ended[contestant]]
-        beyond = ended[contestant] - (shared if contestant in compared else frozenset())
-        well = [pair for at, pair in pairs.items() if at in ended[contestant] - beyond]
-        kept = [(condition, *pair) for (condition, seed), pair in pairs.items() if (condition, seed) not in beyond]
-        rows = [
-            dict(row, controller=side, model="", variant=condition[4])
-            for condition, *pair in kept
-            for side, row in zip("ab", pair, strict=True)
-        ]
+        pairs = {key: pair for key, pair in both.items() if key[1] == contestant}
+        own = [key for key in pairs if key in flights]
+        kept = [key for key in pairs if key in shared or key not in flights]
+        rows = [dict(both[key][i], controller="ab"[i], model="", variant=key[0][4]) for key in kept for i in (0, 1)]
         (pooled,) = overall(rows, metric=metric, baseline="a", confidence=confidence)
-        left_out = [pooled.left_out, f"{len(beyond)} not ended well by all" if beyond else ""]
+        beyond = len(pairs) - len(kept)
+        left_out = [pooled.left_out, f"{beyond} not ended well by all" if beyond else ""]
+        means = (
+            change(*(_mean([both[key][i] for key in some], metric) for i in (0, 1)))
+            for some in ([key for key in own if key in shared], own)
+        )
         made.append(
             {
                 "label": label,
                 "cells": len(pairs),
                 "flown": {
-                    s: [sum(p[i]["outcome"] == "ok" for p in pairs.values()), len(pairs)] for i, s in enumerate("ab")
+                    s: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, s in enumerate("ab")
                 },
-                **change(*_means(well, metric)),
+                **next(means),
                 "pairs": pooled.pairs,
                 "seeds": pooled.units,
                 "left_out": ", ".join(filter(None, left_out)),
@@ -167,30 +226,27 @@ def _contestants(
                 "ratio_high": -pooled.reduction_low,
                 "p": pooled.p,
                 "p_least": pooled.p_least,
-                "own": {"pairs": len(own), **change(*_means(own, metric))},
+                "own": {"pairs": len(own), **next(means)},
             }
         )
-    corrected = holm(np.array([one["p"] for one in made]))
+    corrected = holm(np.array([record["p"] for record in made]))
     tests = int(np.count_nonzero(~np.isnan(corrected)))
-    for one, p in zip(made, corrected, strict=True):
-        one |= {"p_holm": float(p), "distinguishable": bool(p < 1 - confidence)}
-        one["testable"] = bool(tests * float(str(one["p_least"])) < 1 - confidence)
+    for record, p in zip(made, corrected, strict=True):
+        record |= {"p_holm": float(p), "distinguishable": bool(p < 1 - confidence)}
+        record["testable"] = bool(tests * record["p_least"] < 1 - confidence)
     return made
-
-
-def _means(pairs: Sequence[tuple[Row, Row]], metric: str) -> list[float]:
-    return [sum(pair[i][metric] for pair in pairs) / len(pairs) if pairs else math.nan for i in (0, 1)]
 
 
 def _conditions(both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], metric: str) -> list[dict[str, Any]]:
     """Means over the seeds that ended well on both sides, for every condition and contestant."""
     groups: dict[Key, list[tuple[Row, Row]]] = {}
-    for key, (x, y) in both.items():
-        if x["outcome"] == y["outcome"] == "ok":
-            groups.setdefault(key[:2], []).append((x, y))
-    names = ("plant", "vehicle", "trajectory", "speed", "setting")
+    for key, pair in both.items():
+        if all(map(is_flown, pair)):
+            groups.setdefault(key[:2], []).append(pair)
+    names = ("plant", "vehicle", "trajectory", "speed", "setting", "label")
     return [
-        {**dict(zip(names, condition, strict=True)), "label": labels[who], **change(*_means(pairs, metric))}
+        dict(zip(names, (*condition, labels[who]), strict=True))
+        | change(*(_mean(side, metric) for side in zip(*pairs, strict=True)))
         for (condition, who), pairs in groups.items()
     ]
 
@@ -224,7 +280,8 @@ def _condition_lines(conditions: Sequence[Mapping[str, Any]], metric: str) -> li
     lines = []
     for one in changed[:MOST_CONDITIONS]:
         world = f"@{one['plant']}" if len({c["plant"] for c in conditions}) > 1 else ""
-        where = " ".join(filter(None, (one["trajectory"], speed_text(one["speed"]), one["setting"], world)))
+        where = " ".join(filter(None, (one["trajectory"], speed_text(one["speed"]), world)))
+        where = ", ".join([where, *(setting_text(*pair) for pair in setting_pairs(one["setting"]))])
         numbers = f"{number(factor * one['a'])} -> {number(factor * one['b'])} {unit}"
         lines.append(f"  {one['label']} on {where}: {numbers} ({relative(one['relative'])})")
     rest = len(changed) - len(lines)
@@ -246,17 +303,10 @@ def results_means(paths: Sequence[Path]) -> tuple[str, dict[str, tuple[list[floa
     tables = [read_table(path / RESULTS_FILE, "results") for path in paths]
     metric = tables[0][1].get("metric", "mean_error")
     sides = matched(*(from_columns(columns) for columns, _ in tables))
-    shared_keys = [key for key in sides[0] if all(key in side for side in sides)]
-    ended: dict[Any, set[Any]] = {contestant: set() for _, contestant, _ in shared_keys}
-    for condition, contestant, seed in shared_keys:
-        if all(side[condition, contestant, seed]["outcome"] == "ok" for side in sides):
-            ended[contestant].add((condition, seed))
-    compared, shared = common(ended)
-    labels = contestant_labels(list(ended))
-    found = {}
-    for contestant, label in labels.items():
-        own = sorted(shared, key=str) if contestant in compared else []
-        rows = [[side[condition, contestant, seed] for condition, seed in own] for side in sides]
-        means = [sum(float(row[metric]) for row in flown) / len(flown) if flown else math.nan for flown in rows]
-        found[label] = means, len(own)
-    return metric, found
+    flights, shared = ended_well(sides)
+    in_all = [contestant for at, contestant, seed in sides[0] if all((at, contestant, seed) in side for side in sides)]
+    means = {}
+    for who, label in contestant_labels(list(dict.fromkeys(in_all))).items():
+        own = [flights[key] for key in sorted(shared, key=lambda key: str(key[::2])) if key[1] == who]
+        means[label] = [_mean([rows[i] for rows in own], metric) for i in range(len(paths))], len(own)
+    return metric, means

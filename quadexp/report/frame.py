@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +32,7 @@ GROUPS = ("vehicle", "plant", "world", "trajectory", "controller", "model", "see
 ASKED = ("vehicle", "plant", "trajectory", "trajectory.speed", "controller", "model", "seed")
 SAME = ("vehicle", "plant", "trajectory", "controller", "model", "variant", "sources")  # of flights that share settings
 MOST_GONE = 3  # of them that are tried where files are missing
+MILLISECONDS = 0.1  # s, below which times are printed in milliseconds
 SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", "gp", "drag")  # nodes that decide no flight
 
 Row = Mapping[str, Any]
@@ -47,15 +49,12 @@ class SweepFrame:
         record: Mapping[str, Any] | None = None,
         configs: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        self.rows = list(rows)
-        self.root, self.record = Path(root), record or {}
+        self.rows, self.root, self.record = list(rows), Path(root), record or {}
         self._own = configs or {}
-        self._store = CellStore(root)
         self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
-        self._gone: dict[tuple[Any, ...], int] = {}  # files of a group that could not be read
+        self._gone: Counter[tuple[Any, ...]] = Counter()  # files of a group that could not be read
         self._columns: dict[str, list[Any]] = {}
         self._checkpoints: dict[str, dict[str, Any]] = {}
-        self._lacking: dict[str, list[str]] = dict(self.record.get("without_flight", {}))
 
     @classmethod
     def read(cls, folder: str | Path) -> SweepFrame:
@@ -76,9 +75,9 @@ class SweepFrame:
 
     def taken(self, order: Sequence[int]) -> SweepFrame:
         """The frame of the rows at these places, in this order."""
-        found = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._own)
-        found._configs, found._gone = self._configs, self._gone
-        return found
+        frame = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._own)
+        frame._configs, frame._gone = self._configs, self._gone
+        return frame
 
     def column(self, name: str) -> list[Any]:
         """The value of a key or of a column of the results in every row; None where a flight does not have it.
@@ -87,10 +86,10 @@ class SweepFrame:
         """
         name = ALIASES.get(name, name)
         if name not in self._columns:
-            made = [self._value(row, name) for row in self.rows]
-            if all(value is None for value in made) and name not in (*ROW_COLUMNS, *GROUPS, *ASKED, "wanted"):
+            values = [self._value(row, name) for row in self.rows]
+            if all(value is None for value in values) and name not in (*ROW_COLUMNS, *GROUPS, *ASKED, "wanted"):
                 raise UsageError(f"{name}: no such column{suggestion(name, self.names)}")
-            self._columns[name] = made
+            self._columns[name] = values
         return self._columns[name]
 
     def has(self, name: str) -> bool:
@@ -104,43 +103,35 @@ class SweepFrame:
     @cached_property
     def names(self) -> list[str]:
         """The columns of the results, and every key of a flight."""
-        found: dict[str, None] = dict.fromkeys((*ROW_COLUMNS, *GROUPS))
+        names = dict.fromkeys((*ROW_COLUMNS, *GROUPS))
         for row in self.rows[:: max(1, len(self.rows) // 20)]:
-            found.update(dict.fromkeys(_flat(self._config(row))))
-            found.update(dict.fromkeys(f"model.{key}" for key in self._of_checkpoint(row["model"])))
-        return list(found)
+            names |= dict.fromkeys((*self._config(row), *(f"model.{key}" for key in self._of_checkpoint(row["model"]))))
+        return list(names)
 
     @cached_property
     def swept(self) -> list[str]:
         """The keys that take several values, the one that varies slowest first; the seed among them."""
         texts: dict[str, set[str]] = {}
-        for grid in self.record.get("grids") or ():
-            for text in (text for several in grid for text in several):
-                texts.setdefault(text.partition("=")[0], set()).add(text)
+        for text in (text for grid in self.record.get("grids") or () for several in grid for text in several):
+            texts.setdefault(text.partition("=")[0], set()).add(text)
         asked = [key for key, values in texts.items() if len(values) > 1]
-        for row in self.rows:
-            texts.update((key, set()) for key, _ in setting_pairs(row["variant"] or ""))
-        asked += [key for key, values in texts.items() if not values]
+        asked += [key for row in self.rows for key, _ in setting_pairs(row["variant"] or "")]
         parts = {"plant": ("world", *WORLD), "controller": ("remedies", *REMEDIES), "trajectory.speed": ("speed",)}
         named = {key.partition(".")[0] for key in asked}
-        asked += [key for key in ASKED if key not in asked and not named.intersection(parts.get(key, ()))]
+        asked += [key for key in ASKED if not named.intersection(parts.get(key, ()))]
         asked = [key for key in dict.fromkeys(asked) if key.partition(".")[0] not in SETTINGS_ASIDE]
         return [key for key in asked if len(self.values(key)) > 1]
 
     def values(self, name: str) -> list[Any]:
         """The different values of a column, without None; numbers sorted, texts in the order of the rows."""
-        found = list(dict.fromkeys(value for value in self.column(name) if value is not None))
-        return sorted(found) if all(map(is_number, found)) else found
+        values = list(dict.fromkeys(value for value in self.column(name) if value is not None))
+        return sorted(values) if all(map(is_number, values)) else values
 
     def controllers(self, axes: Iterable[str]) -> list[str]:
         """The controller of every row with those remedies in its name that are not axes by themselves."""
         kept = [group for group in REMEDIES if group not in axes and "remedies" not in axes]
-        return [
-            "+".join([row["controller"].partition("+")[0], *self._remedies(row, kept)])
-            if "+" in row["controller"]
-            else row["controller"]
-            for row in self.rows
-        ]
+        split = ((row, *row["controller"].partition("+")) for row in self.rows)
+        return ["+".join([name, *self._remedies(row, kept)]) if plus else name for row, name, plus, _ in split]
 
     # ---------------------------------------------------------------------------------------------------------- values
     def _value(self, row: Row, name: str) -> Any:
@@ -160,58 +151,50 @@ class SweepFrame:
         if name in varied:
             return read_value(varied[name])
         config = self._config(row)
-        if name in config:  # the overrides of a cell without a flight
-            return _named(config[name])
-        found: Any = config
-        for part in name.split("."):
-            found = found.get(part) if isinstance(found, Mapping) else None
-        if found is None and name in (*WORLD, *REMEDIES):
-            return "none"  # what does nothing is left out of the record of a flight
-        return _named(found)
+        value = _named(config.get(name, config.get(f"{name}.name")))
+        # What does nothing is left out of the record of a flight.
+        return "none" if value is None and name in (*WORLD, *REMEDIES) else value
 
     def _of_checkpoint(self, path: str | None) -> dict[str, Any]:
         """Settings of the fit, and the data, of a checkpoint that is still where the flight found it."""
-        if not path:
-            return {}
-        if path not in self._checkpoints:
-            found: dict[str, Any] = {}
-            try:
+        if path and path not in self._checkpoints:
+            self._checkpoints[path] = {}
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
                 payload = json.loads((Path(path) / "model.json").read_text(encoding="utf-8"))["payload"]
-                for part in ("settings", "dataset"):
-                    found |= {key: _named(value) for key, value in dict(payload.get(part) or {}).items()}
-            except (OSError, ValueError, KeyError, TypeError, AttributeError):
-                pass
-            self._checkpoints[path] = found
-        return self._checkpoints[path]
+                about = dict(payload.get("settings") or {}) | dict(payload.get("dataset") or {})
+                self._checkpoints[path] = {key: _named(value) for key, value in about.items()}
+        return self._checkpoints.get(path or "", {})
 
     def _remedies(self, row: Row, groups: Iterable[str]) -> list[str]:
         chosen = [self._value(row, group) for group in groups]
         return [str(name) for name in chosen if name not in (None, "none")]
 
     def _config(self, row: Row) -> Mapping[str, Any]:
-        """The settings of a flight: its own, where its file was read; else as far as they do not depend on speed and
-        seed, which are in its row: one file is read for all flights of a sweep that differ in these only."""
+        """The settings of a flight by dotted key: its own, where its file was read; else as far as they do not depend
+        on speed and seed, which are in its row: one file is read for all flights of a sweep that differ in these only.
+        """
         key = row["key"]
-        if key in self._own:
-            return self._own[key]
-        if key in self._lacking:
-            pairs = (text.partition("=") for text in self._lacking[key])
-            return {name: read_value(value) for name, _, value in pairs}
-        group = tuple(row.get(name) for name in SAME)
-        if group not in self._configs and self._gone.get(group, 0) < MOST_GONE:
+        overrides = None if key in self._own else self.record.get("without_flight", {}).get(key)
+        group = tuple(row.get(name) for name in SAME) if key not in self._own and overrides is None else (key,)
+        if group not in self._configs and self._gone[group] < MOST_GONE:
             try:
-                self._configs[group] = dict(read_metadata(self._store.path(key), "flight").get("config") or {})
+                if overrides is not None:
+                    config = {name: read_value(value) for name, _, value in (one.partition("=") for one in overrides)}
+                elif key in self._own:
+                    config = dict(self._own[key])
+                else:
+                    config = read_metadata(CellStore(self.root).path(key), "flight").get("config") or {}
+                self._configs[group] = flat(config)
             except QuadexpError:  # a cell that has gone: what its row says has to do
-                self._gone[group] = self._gone.get(group, 0) + 1
+                self._gone[group] += 1
         return self._configs.get(group, {})
 
 
-def _flat(value: Mapping[str, Any], prefix: str = "") -> Iterable[str]:
-    for name, inner in value.items():
-        if isinstance(inner, Mapping):
-            yield from _flat(inner, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}"
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as dotted keys."""
+    if not isinstance(value, Mapping):
+        return {prefix[:-1]: value}
+    return {key: item for name, inner in value.items() for key, item in flat(inner, f"{prefix}{name}.").items()}
 
 
 def _plain(value: Any) -> Any:
@@ -223,7 +206,7 @@ def _plain(value: Any) -> Any:
 
 def _named(value: Any) -> Any:
     """A value that can be compared and printed: the name of a part, a list as its text."""
-    if isinstance(value, Mapping):
+    if isinstance(value, Mapping):  # of a checkpoint
         return value.get("name")
     return _list_text(value) if isinstance(value, (list, tuple)) else _plain(value)
 
@@ -283,14 +266,38 @@ def setting_text(key: str, value: Any) -> str:
     """A setting in words with its unit: "wind 4 m/s" of wind.velocity=[4,0,0], "latency 30 ms", "nodes 20".
 
     Of a vector the length, of times below a tenth of a second milliseconds."""
-    group, _, last = key.rpartition(".")
-    name = group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
-    value, unit = read_value(value) if isinstance(value, str) else value, unit_of(key)
-    if unit and isinstance(value, str) and value.startswith("["):
-        with contextlib.suppress(TypeError, ValueError):
-            value = math.hypot(*json.loads(value))
+    value, unit = _magnitude(key, value), unit_of(key)
     if not is_number(value):
-        return f"{name} {str(value).lower() if isinstance(value, bool) else value}"
-    if unit == "s" and 0 < value < 0.1:
+        return f"{setting_name(key)} {str(value).lower() if isinstance(value, bool) else value}"
+    if unit == "s" and 0 < value < MILLISECONDS:
         value, unit = 1e3 * value, "ms"
-    return f"{name} {value:.6g} {unit}".strip()
+    return f"{setting_name(key)} {value:.6g} {unit}".strip()
+
+
+def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tuple[str, dict[str, str]]:
+    """A swept setting as a column: its heading with the unit, and text of an override -> text in the column.
+
+    Numbers are as in `setting_text` as long as no two values look the same. beside: all keys that have a column; the
+    heading is the whole key where two names are the same."""
+    numbers, unit = {text: _magnitude(key, text) for text in texts}, unit_of(key)
+    name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
+    if not all(map(is_number, numbers.values())) or len(set(numbers.values())) < len(numbers):
+        return with_unit(name, key), {text: text for text in texts}
+    if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS:
+        numbers, unit = {text: 1e3 * value for text, value in numbers.items()}, "ms"
+    return f"{name} ({unit})" if unit else name, {text: f"{value:.6g}" for text, value in numbers.items()}
+
+
+def setting_name(key: str) -> str:
+    """The last part of a key in words; of a velocity what has it: "wind" of wind.velocity."""
+    group, _, last = key.rpartition(".")
+    return group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
+
+
+def _magnitude(key: str, value: Any) -> Any:
+    """The number of a setting, of a vector with a unit its length; what is no number as it is."""
+    value = read_value(value) if isinstance(value, str) else value
+    if unit_of(key) and isinstance(value, str) and value.startswith("["):
+        with contextlib.suppress(TypeError, ValueError):
+            return math.hypot(*json.loads(value))
+    return value

@@ -13,7 +13,8 @@ that was not flown to its end has no error (log/outcome.py).
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,8 +24,32 @@ from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 
 SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor counts as at its limit
 
-# Columns of a result row that are errors, with the factor and unit in which they are printed.
-SHOWN = {"rmse": (1e3, "mm"), "mean_error": (1e3, "mm"), "max_error": (1e3, "mm")}
+
+class Shown(NamedTuple):
+    """How a number of a flight is printed and drawn. factor: from SI to `unit`."""
+
+    title: str
+    factor: float
+    unit: str
+
+
+NUMBERS = {
+    "rmse": Shown("RMSE", 1e3, "mm"),
+    "mean_error": Shown("mean error", 1e3, "mm"),
+    "max_error": Shown("largest error", 1e3, "mm"),
+    "attitude_rmse": Shown("attitude error (RMS)", 180 / math.pi, "°"),
+    "heading_rmse": Shown("heading error (RMS)", 180 / math.pi, "°"),
+    "saturated_share": Shown("samples at a thrust limit", 100.0, "%"),
+    "outside_data": Shown("outside data", 100.0, "%"),
+    "peak_speed": Shown("peak speed", 1.0, "m/s"),
+    "duration": Shown("duration", 1.0, "s"),
+    "solve_time_median": Shown("solve time median", 1e6, "us"),
+    "solve_time_p99": Shown("solve time p99", 1e6, "us"),
+    "solve_time_max": Shown("solve time max", 1e6, "us"),
+    "success": Shown("flights that ended well", 100.0, "%"),  # of several flights
+}
+# Errors that have a table of results.
+SHOWN = {name: (NUMBERS[name].factor, NUMBERS[name].unit) for name in ("rmse", "mean_error", "max_error")}
 
 
 def position_error(flight: Flight) -> np.ndarray:

@@ -195,53 +195,46 @@ class Common(NamedTuple):
 
 
 class Groups:
-    """The flights of a comparison, by condition and contestant in order of first appearance."""
+    """The flights of a comparison, in order of first appearance.
+
+    cells: (condition, contestant) -> flights. conditions: condition -> contestant -> seed, ascending -> flights (two of
+    a seed where a table was joined from two sweeps). worlds: plant and vehicle -> their conditions.
+    """
 
     def __init__(self, rows: Sequence[Row], baseline: str, metrics: Sequence[str]) -> None:
         self.cells: dict[tuple[Condition, Contestant], list[Flown]] = {}
         for row in (row for row in rows if not is_invalid(row)):
             flown = Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
             self.cells.setdefault((condition_of(row), contestant_of(row)), []).append(flown)
+        self.conditions: dict[Condition, dict[Contestant, dict[int, list[Flown]]]] = {}
+        for (condition, contestant), flights in self.cells.items():
+            by_seed = self.conditions.setdefault(condition, {}).setdefault(contestant, {})
+            for flown in sorted(flights, key=lambda flown: flown.seed):
+                by_seed.setdefault(flown.seed, []).append(flown)
+        self.worlds: dict[World, list[Condition]] = {}
+        for condition in self.conditions:
+            self.worlds.setdefault(condition[:2], []).append(condition)
         self.contestants = list(dict.fromkeys(contestant for _, contestant in self.cells))
         self.labels = contestant_labels(self.contestants)
-        self._rivals = [c for c in self.contestants if c[0] == baseline]
-        self._common: dict[Condition, Common] = {}
-        self._by_cell: dict[tuple[Condition, Contestant], tuple[dict[int, int], np.ndarray]] = {}
-
-    @cached_property
-    def worlds(self) -> dict[World, list[Condition]]:
-        """Plant and vehicle -> their conditions."""
-        found: dict[World, dict[Condition, None]] = {}
-        for condition, _ in self.cells:
-            found.setdefault(condition[:2], {})[condition] = None
-        return {world: list(conditions) for world, conditions in found.items()}
-
-    @cached_property
-    def _by_condition(self) -> dict[Condition, dict[Contestant, list[Flown]]]:
-        found: dict[Condition, dict[Contestant, list[Flown]]] = {}
-        for (condition, contestant), group in self.cells.items():
-            found.setdefault(condition, {})[contestant] = group
-        return found
+        self._baselines = [contestant for contestant in self.contestants if contestant[0] == baseline]
 
     def flights(self, conditions: Iterable[Condition]) -> dict[Contestant, Flights]:
         """Contestant -> how many of its trials in these conditions ended well."""
-        counts: dict[Contestant, list[int]] = {}
-        for condition in conditions:
-            here = self._by_condition.get(condition, {})
-            possible = {f.seed for group in here.values() for f in group if f.outcome != "infeasible"}
-            for contestant, group in here.items():
-                count = counts.setdefault(contestant, [0, 0])
-                count[0] += sum(f.outcome == "ok" for f in group)
-                count[1] += sum(f.seed in possible for f in group)
-        return {contestant: Flights(*count) for contestant, count in counts.items()}
+        counts: dict[Contestant, Flights] = {}
+        for here in (self.conditions[condition] for condition in conditions):
+            flown = {who: [one for same in by_seed.values() for one in same] for who, by_seed in here.items()}
+            possible = {one.seed for own in flown.values() for one in own if one.outcome != "infeasible"}
+            for who, own in flown.items():
+                count = Flights(sum(one.outcome == "ok" for one in own), sum(one.seed in possible for one in own))
+                counts[who] = counts.get(who, Flights(0, 0)).plus(count)
+        return counts
 
     def common(self, conditions: Iterable[Condition]) -> Common:
         """Who is compared over these conditions, and over which flights."""
         ended: dict[Contestant, set[tuple[Condition, int]]] = {}
         for condition in conditions:
-            for contestant, group in self._by_condition.get(condition, {}).items():
-                bad = {f.seed for f in group if f.outcome != "ok"}
-                good = {(condition, f.seed) for f in group if f.seed not in bad}
+            for contestant, by_seed in self.conditions[condition].items():
+                good = {(condition, seed) for seed, same in by_seed.items() if all(one.outcome == "ok" for one in same)}
                 ended.setdefault(contestant, set()).update(good)
         compared, shared = common(ended)
         seeds: dict[Condition, set[int]] = {}
@@ -249,40 +242,21 @@ class Groups:
             seeds.setdefault(condition, set()).add(seed)
         return Common(tuple(compared), {at: frozenset(s) for at, s in seeds.items()})
 
-    def common_in(self, condition: Condition) -> Common:
-        """As `common`, of one condition: one line of a table."""
-        if condition not in self._common:
-            self._common[condition] = self.common([condition])
-        return self._common[condition]
+    @cached_property
+    def lines(self) -> dict[Condition, Common]:
+        """As `common`, of each condition by itself: one line of a table."""
+        return {condition: self.common([condition]) for condition in self.conditions}
 
     def values(self, condition: Condition, contestant: Contestant, place: int, seeds: Set[int]) -> np.ndarray:
         """One metric, one value per seed in ascending order; the mean if a seed was flown more than once."""
-        own, values = self._values(condition, contestant)
-        if seeds >= own.keys():
-            return values[:, place]
-        return values[[i for seed, i in own.items() if seed in seeds], place]
-
-    def _values(self, condition: Condition, contestant: Contestant) -> tuple[dict[int, int], np.ndarray]:
-        """Seed -> index, ascending, and the values of all metrics, (seeds, metrics)."""
-        at = condition, contestant
-        if at not in self._by_cell:
-            group = sorted(self.cells.get(at, []), key=lambda f: f.seed)
-            seeds = dict.fromkeys(f.seed for f in group)
-            values = np.array([f.values for f in group], float).reshape(len(group), -1)
-            if len(seeds) < len(group):
-                places = {seed: [i for i, f in enumerate(group) if f.seed == seed] for seed in seeds}
-                values = np.array([values[same].mean(axis=0) for same in places.values()])
-            self._by_cell[at] = {seed: i for i, seed in enumerate(seeds)}, values
-        return self._by_cell[at]
+        by_seed = self.conditions[condition].get(contestant, {})
+        flights = ([one.values[place] for one in same] for seed, same in by_seed.items() if seed in seeds)
+        return np.array([own[0] if len(own) == 1 else np.mean(own) for own in flights], float)
 
     def baseline(self, contestant: Contestant) -> Contestant | None:
         """The baseline of a contestant; if the baseline flew with several settings, the one with the same settings."""
-        if contestant in self._rivals or not self._rivals:
-            return None
-        if len(self._rivals) == 1:
-            return self._rivals[0]
-        same = [rival for rival in self._rivals if rival[2] == contestant[2]]
-        return same[0] if len(same) == 1 else None
+        same = [who for who in self._baselines if len(self._baselines) == 1 or who[2] == contestant[2]]
+        return same[0] if len(same) == 1 and contestant not in self._baselines else None
 
     def pairs(
         self, condition: Condition, contestant: Contestant, rival: Contestant, among: Common | None = None
@@ -292,7 +266,7 @@ class Groups:
         among: take only the common flights, if both contestants are among the compared ones.
         """
         shared = among.seeds.get(condition, frozenset()) if among and {contestant, rival} <= {*among.compared} else None
-        own, others = (_by_seed(self.cells.get((condition, who), [])) for who in (contestant, rival))
+        own, others = (self.conditions[condition].get(who, {}) for who in (contestant, rival))
         name = self.labels[rival]
         pairs: list[tuple[Flown, Flown]] = []
         causes: Counter[str] = Counter()
@@ -302,8 +276,8 @@ class Groups:
                 causes["flown more than once"] += 1
             elif not mine or not its:
                 causes["not asked for" if not mine else f"not asked of {name}"] += 1
-            elif mine[0].outcome != "ok":
-                mine_was, its_was = mine[0].outcome, its[0].outcome
+            elif (mine_was := mine[0].outcome) != "ok":
+                its_was = its[0].outcome
                 also = f" as was {name}" if its_was == mine_was else f" ({name} {its_was})" if its_was != "ok" else ""
                 causes[mine_was + also] += 1
             elif its[0].outcome != "ok":
@@ -313,13 +287,6 @@ class Groups:
             else:
                 pairs.append((mine[0], its[0]))
         return pairs, causes
-
-
-def _by_seed(flights: Iterable[Flown]) -> dict[int, list[Flown]]:
-    found: dict[int, list[Flown]] = {}
-    for flown in flights:
-        found.setdefault(flown.seed, []).append(flown)
-    return found
 
 
 def causes_text(causes: Mapping[str, int]) -> str:

@@ -12,6 +12,7 @@ the flights that all of them ended well. Settings that the figure does not show 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 
 from quadexp.report.frame import SweepFrame, of_controller
 from quadexp.report.inference import mean_interval, success_interval
-from quadexp.report.pairing import common, seed_means
+from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
 
 Place = tuple[Any, ...]  # a value of each key that is shown
 SUCCESS = "success"  # the share of flights that ended well
@@ -54,30 +55,50 @@ def points(
     """Place -> point, in the order of the rows. keys: what a place has a value of. y: a number of the flights, or
     "success". others: keys that vary beside them, which are averaged. A flight without a value of a key has no place.
     """
-    columns = {key: shown_column(frame, key, keys) for key in keys}
-    mine = [of_controller(key) for key in keys]
-    rest = list(zip(*(frame.column(key) for key in others), strict=True)) if others else [()] * len(frame.rows)
-    values = None if y == SUCCESS else frame.column(y)
-    groups: dict[Place, dict[Place, list[int]]] = {}  # what is flown -> place -> rows
-    order: dict[Place, None] = {}
-    for i, place in enumerate(zip(*columns.values(), strict=True)):
-        if None in place:
-            continue
-        order.setdefault(place)
-        at = tuple(value for value, own in zip(place, mine, strict=True) if not own)
-        groups.setdefault(at, {}).setdefault(place, []).append(i)
-    made: dict[Place, Point] = {}
+    columns = [shown_column(frame, key, keys) for key in keys]
+    others_columns = [frame.column(key) for key in others]
+    values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
+    flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
+    well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
+    places: dict[Place, list[int]] = {}  # place -> rows
+    groups: dict[Place, list[Place]] = {}  # what is flown -> places
+    for i, place in enumerate(zip(*columns, strict=True)):
+        if None not in place:
+            places.setdefault(place, []).append(i)
+    for place in places:
+        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
+        groups.setdefault(flown, []).append(place)
+    used: dict[Place, list[int]] = {}
     for group in groups.values():
         ended = {
-            place: {(rest[i], frame.rows[i]["seed"]) for i in own if _has(frame, values, i)}
-            - {(rest[i], frame.rows[i]["seed"]) for i in own if not _has(frame, values, i)}
-            for place, own in group.items()
+            place: {flights[i] for i in places[place] if well[i]} - {flights[i] for i in places[place] if not well[i]}
+            for place in group
         }
         compared, shared = common(ended)
-        for place, own in group.items():
-            used = [i for i in own if (rest[i], frame.rows[i]["seed"]) in shared] if place in compared else []
-            made[place] = _point(frame, own, used, values, rest, confidence)
-    return {place: made[place] for place in order}
+        used |= {place: [i for i in places[place] if flights[i] in shared] for place in compared}
+    made = {}
+    for place, own in places.items():
+        rows = [frame.rows[i] for i in own]
+        outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
+        trials, ended_well = outcomes.total(), outcomes.pop("ok", 0)
+        about: dict[str, Any] = {"ended": ended_well, "trials": trials, "lost": dict(outcomes)}
+        about["invalid"] = "" if trials else str(rows[0]["cause"])
+        if y == SUCCESS:
+            single = len({row["seed"] for row in rows}) == len(rows)
+            low, high = success_interval(ended_well, trials, confidence) if single else (math.nan, math.nan)
+            share = ended_well / trials if trials else math.nan
+            made[place] = Point(share, low, high, trials, 0, method="Clopper-Pearson", **about)
+            continue
+        errors: dict[tuple[Place, int], list[float]] = {}
+        for i in used.get(place, ()):
+            errors.setdefault(flights[i], []).append(float(values[i]))
+        means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
+        if not len(means):
+            made[place] = Point(math.nan, math.nan, math.nan, 0, 0, **about)
+            continue
+        low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
+        made[place] = Point(float(means.mean()), low, high, len(used[place]), len(means), method=method, **about)
+    return made
 
 
 def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
@@ -86,35 +107,3 @@ def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
     if key == "controller":
         return frame.controllers(keys)
     return [row["model"] or "" for row in frame.rows] if key == "model" else frame.column(key)
-
-
-def _has(frame: SweepFrame, values: Sequence[Any] | None, i: int) -> bool:
-    return frame.rows[i]["outcome"] == "ok" and (values is None or values[i] is not None)
-
-
-def _point(
-    frame: SweepFrame, own: Sequence[int], used: Sequence[int], values: Sequence[Any] | None,
-    rest: Sequence[Any], confidence: float,
-) -> Point:  # fmt: skip
-    rows = [frame.rows[i] for i in own]
-    wrong = [str(row["cause"]) for row in rows if row["outcome"] == "invalid"]
-    lost: dict[str, int] = {}
-    for row in rows:
-        if row["outcome"] not in ("ok", "invalid"):
-            lost[row["outcome"]] = lost.get(row["outcome"], 0) + 1
-    ended = sum(row["outcome"] == "ok" for row in rows)
-    trials = len(rows) - len(wrong)
-    about: dict[str, Any] = {"ended": ended, "trials": trials, "lost": lost, "invalid": "" if trials else wrong[0]}
-    if values is None:
-        single = len({row["seed"] for row in rows}) == len(rows)
-        low, high = success_interval(ended, trials, confidence) if single else (math.nan, math.nan)
-        share = ended / trials if trials else math.nan
-        return Point(share, low, high, trials, 0, method="Clopper-Pearson", **about)
-    flown: dict[tuple[Any, int], list[float]] = {}
-    for i in used:
-        flown.setdefault((rest[i], frame.rows[i]["seed"]), []).append(float(values[i]))
-    means = seed_means({at: np.mean(several) for at, several in flown.items()})
-    if not len(means):
-        return Point(math.nan, math.nan, math.nan, 0, 0, **about)
-    limits = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
-    return Point(float(means.mean()), limits.low, limits.high, len(used), len(means), method=limits.method, **about)

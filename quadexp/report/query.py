@@ -1,21 +1,25 @@
 """Conditions on flights, such as `controller == gp_mpc and speed > 6`, evaluated by pandas as `DataFrame.query` does.
 
-A word that is a column of the results or a key of the configuration stands for its values, any other one for a text; a
-number may have a unit (5 mm); beside the signs of Python there are `like 'gp_*'` and `is null`. What pandas reads is
-put together from known columns, signs and literals: no name, call or attribute of the condition gets there. As in
-pandas, a missing value fulfils no comparison but `!=` and `not in`.
+A word that is a column of the results or a key of the configuration stands for its values, any other one for a text. A
+number may have a unit (5 mm); without one it has that of the tables beside a metric (`mean_error < 5` is in mm) and
+that of the configuration beside a key. Beside the signs of Python there are `like 'gp_*'` and `is null`.
+
+What pandas reads is put together from known columns, signs and literals: no name, call or attribute of the condition
+gets there. As in pandas, a missing value fulfils no comparison but `!=` and `not in`.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.frame import SweepFrame, is_number, read_value
+from quadexp.report.frame import SweepFrame, is_metric, is_number, read_value
+from quadexp.report.text import shown
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "us": 1e-6, "ms": 1e-3, "s": 1.0, "deg": math.pi / 180, "%": 0.01}
 SIGNS = {"=": "==", "<>": "!=", "&&": "and", "||": "or"}
@@ -52,6 +56,11 @@ def chosen(frame: SweepFrame, condition: str) -> list[bool]:
 
 def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]], texts: list[str]) -> list[str]:
     """The parts of the expression. Filled: columns, the values of each name in it; texts, the words that are no key."""
+    tokens: list[re.Match[str]] = []
+    while condition[(at := tokens[-1].end() if tokens else 0) :].strip():
+        if (token := _TOKEN.match(condition, at)) is None:
+            raise UsageError(f"--where {condition!r}: cannot be read from {condition[at:].strip()[:20]!r} on")
+        tokens.append(token)
     parts: list[str] = []
 
     def column(values: list[Any]) -> str:
@@ -59,14 +68,10 @@ def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]]
         columns[name] = values
         return name
 
-    at = 0
-    while condition[at:].strip():
-        token = _TOKEN.match(condition, at)
-        if token is None:
-            raise UsageError(f"--where {condition!r}: cannot be read from {condition[at:].strip()[:20]!r} on")
-        at = token.end()
+    for i, token in enumerate(tokens):
         if token["number"]:
-            parts.append(repr(float(token["number"]) * UNITS.get(token["unit"] or "", 1.0)))
+            number = float(token["number"])
+            parts.append(repr(number * UNITS[token["unit"].lower()] if token["unit"] else number / _factor(tokens, i)))
         elif token["null"] or token["like"]:
             own = columns.get(parts[-1] if parts else "")
             if own is None:
@@ -89,3 +94,11 @@ def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]]
             part = (token["joint"] or token["word"] or token["sign"]).lower()
             parts.append({**SIGNS, **LITERALS}.get(part, part))
     return parts
+
+
+def _factor(tokens: Sequence[re.Match[str]], place: int) -> float:
+    """From SI to the unit in which tables show the metric that the number at this place is compared with; 1 if none."""
+    ends = [i for i, token in enumerate(tokens) if token[0].strip().lower() in ("and", "or", "&&", "||")]
+    begin = max((i for i in ends if i < place), default=-1)
+    comparison = tokens[begin + 1 : min((i for i in ends if i > place), default=len(tokens))]
+    return next((shown(token["word"])[0] for token in comparison if token["word"] and is_metric(token["word"])), 1.0)

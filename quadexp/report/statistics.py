@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,19 +27,7 @@ import numpy as np
 
 from quadexp.log.outcome import FAILURES
 from quadexp.log.schema import describe
-from quadexp.report.inference import (
-    cohen_d,
-    holm,
-    least_p,
-    least_seeds,
-    log_ratio,
-    mean_interval,
-    paired_permutation,
-    rank_biserial,
-    reduction_interval,
-    success_interval,
-    vary,
-)
+from quadexp.report import inference
 from quadexp.report.metrics import SHOWN
 from quadexp.report.pairing import (
     Condition,
@@ -48,13 +36,12 @@ from quadexp.report.pairing import (
     Flown,
     Groups,
     Row,
-    World,
     causes_text,
     seed_means,
     whole,
 )  # fmt: skip
 from quadexp.report.text import count, probability, too_few
-from quadexp.report.winner import barred, line_p
+from quadexp.report.winner import best_of_lines
 
 COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
 DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share")  # no comparison: they are not paired by noise
@@ -178,7 +165,7 @@ class Statistic:
         """Seeds and p, such as "5 seeds, p = 0.13", or "2 seeds cannot show p < 0.05: at least 6 are needed"."""
         if self.testable:
             return f"{count(self.units, 'seed')}, {probability(self.p_holm)}"
-        return too_few(self.units, least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
+        return too_few(self.units, inference.least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
 
     def text(self) -> str:
         """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p < 0.0001)"."""
@@ -195,22 +182,6 @@ class Statistic:
         return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
 
 
-def tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
-    """How the flights of a group ended: counts by outcome, and the success rate.
-
-    trials: see `Groups.flights`; a cell without a result (failed) is one.
-    """
-    outcomes = Counter(f.outcome if f.outcome in ("ok", *FAILURES) else "failed" for f in flights)
-    counts = {"seeds": len(flights), "trials": trials, **{name: outcomes[name] for name in FAILURES}}
-    return {**counts, "success": outcomes["ok"] / trials if trials else NAN}
-
-
-def _success_limits(flights: Sequence[Flown], trials: int, confidence: float) -> dict[str, float]:
-    """Of one condition, whose flights are independent; those of several are not."""
-    limits = success_interval(sum(f.outcome == "ok" for f in flights), trials, confidence)
-    return dict(zip(("success_low", "success_high"), limits, strict=True))
-
-
 def compute_statistics(
     rows: Sequence[Row],
     *,
@@ -220,46 +191,44 @@ def compute_statistics(
 ) -> list[Statistic]:
     """The statistics of result rows, metric by metric. baseline: name of a controller."""
     groups = Groups(rows, baseline, metrics)
-    paired = {
-        (condition, contestant): (rival, *groups.pairs(condition, contestant, rival, groups.common_in(condition)))
-        for condition, contestant in groups.cells
-        if (rival := groups.baseline(contestant)) is not None
-    }
-    flights = {condition: groups.flights([condition]) for condition in dict.fromkeys(at for at, _ in groups.cells)}
-    trials = {at: flights[at[0]][at[1]].trials for at in groups.cells}
-    tallies = {
-        at: tally(group, trials[at]) | _success_limits(group, trials[at], confidence)
-        for at, group in groups.cells.items()
-    }
-    least = barred(groups)
+    about: dict[tuple[Condition, Contestant], dict[str, Any]] = {}  # what is the same for every metric
+    pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
+    for condition, among in groups.lines.items():
+        for contestant, flown in groups.flights([condition]).items():
+            at, rival = (condition, contestant), groups.baseline(contestant)
+            low, high = inference.success_interval(flown.ended, flown.trials, confidence)
+            about[at] = {
+                **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
+                "speed": NAN if condition[3] is None else condition[3],
+                **_whose(groups, contestant, confidence),
+                **_tally(groups.cells[at], flown.trials),
+                "success_low": low,
+                "success_high": high,
+            }
+            if rival is not None:
+                pairs[at], causes = groups.pairs(condition, contestant, rival, among)
+                about[at] |= {"baseline": groups.labels[rival], "left_out": causes_text(causes)}
     statistics: list[Statistic] = []
     for place, metric in enumerate(metrics):
         made = []
-        best = _best(groups, flights, place, confidence, least) if metric in COMPARED else {}
-        for (condition, contestant), group in groups.cells.items():
-            among = groups.common_in(condition)
+        best = best_of_lines(groups, place, confidence) if metric in COMPARED else {}
+        for at, flights in groups.cells.items():
+            (condition, contestant), among = at, groups.lines[at[0]]
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
-            values = np.array([flown.values[place] for flown in group if flown.outcome == "ok"])
-            shared = groups.values(condition, contestant, place, seeds) if seeds else values[:0]
+            values = np.array([flown.values[place] for flown in flights if flown.outcome == "ok"])
+            shared = groups.values(condition, contestant, place, seeds)
             own = _mean_fields(values, confidence)
             # The common flights are among its own: as many are the same.
             common = own if len(shared) == len(values) else _mean_fields(shared, confidence)
-            fields: dict[str, Any] = {
-                **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
-                **dict(zip(("controller", "model", "variant"), contestant, strict=True)),
-                "speed": NAN if condition[3] is None else condition[3],
-                **own,
-                **{"common" if name == "n" else f"common_{name}": value for name, value in common.items()},
-                "best_p": best.get((condition, contestant), NAN),
-                **tallies[condition, contestant],
-            }
-            if metric in COMPARED and (condition, contestant) in paired:
-                rival, pairs, left_out = paired[condition, contestant]
-                fields |= {"baseline": groups.labels[rival], "left_out": causes_text(left_out)}
-                fields |= _comparison(pairs, place, confidence)
-            unit, label = describe(metric, "results").unit, groups.labels[contestant]
-            made.append(Statistic(metric=metric, unit=unit, label=label, confidence=confidence, **fields))
-        corrected = holm(np.array([one.p for one in made]))
+            fields = about[at] | own
+            fields |= {"common" if name == "n" else f"common_{name}": value for name, value in common.items()}
+            if metric not in COMPARED:
+                fields |= {"baseline": "", "left_out": ""}
+            elif pairs.get(at):
+                fields |= _comparison(pairs[at], place, confidence)
+            unit = describe(metric, "results").unit
+            made.append(Statistic(metric=metric, unit=unit, best_p=best.get(at, NAN), **fields))
+        corrected = inference.holm(np.array([one.p for one in made]))
         comparisons = int(np.count_nonzero(~np.isnan(corrected)))
         statistics += [
             one if math.isnan(p) else replace(one, p_holm=float(p), comparisons=comparisons)
@@ -268,10 +237,22 @@ def compute_statistics(
     return statistics
 
 
+def _whose(groups: Groups, contestant: Contestant, confidence: float) -> dict[str, Any]:
+    names = dict(zip(("controller", "model", "variant"), contestant, strict=True))
+    return {**names, "label": groups.labels[contestant], "confidence": confidence}
+
+
+def _tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
+    """How flights ended: counts by outcome, and the success rate. A cell without a result (failed) is a trial."""
+    outcomes = Counter(f.outcome if f.outcome in ("ok", *FAILURES) else "failed" for f in flights)
+    counts = {"seeds": len(flights), "trials": trials, **{name: outcomes[name] for name in FAILURES}}
+    return {**counts, "success": outcomes["ok"] / trials if trials else NAN}
+
+
 def _mean_fields(values: np.ndarray, confidence: float) -> dict[str, Any]:
     """Number, mean, its interval and the standard deviation of the finite values; NaN if there are none."""
     values = values[np.isfinite(values)]
-    limits = mean_interval(values, confidence, least=0.0)
+    limits = inference.mean_interval(values, confidence, least=0.0)
     return {
         "n": len(values),
         "mean": float(np.mean(values)) if len(values) else NAN,
@@ -282,26 +263,11 @@ def _mean_fields(values: np.ndarray, confidence: float) -> dict[str, Any]:
     }
 
 
-def _best(
-    groups: Groups,
-    conditions: Iterable[Condition],
-    place: int,
-    confidence: float,
-    least: Mapping[World, frozenset[Contestant]],
-) -> dict[tuple[Condition, Contestant], float]:
-    """(condition, contestant) -> p that it is not the best of its line, by Holm over the lines."""
-    found = {at: line_p(groups, at, place, confidence, least[at[:2]]) for at in conditions}
-    corrected = holm(np.array([p for _, p in found.values()]))
-    return {(at, who): float(p) for (at, (who, _)), p in zip(found.items(), corrected, strict=True) if who is not None}
-
-
 def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: float) -> dict[str, Any]:
     own, others = (np.array([pair[side].values[place] for pair in pairs]) for side in (0, 1))
-    if not len(pairs):
-        return {}
     differences = own - others
-    limits = mean_interval(differences, confidence)
-    relative = reduction_interval(own, others, confidence)
+    limits = inference.mean_interval(differences, confidence)
+    relative = inference.reduction_interval(own, others, confidence)
     base = float(np.mean(others))
     return {
         "pairs": len(pairs),
@@ -309,20 +275,21 @@ def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: fl
         "difference": float(np.mean(differences)),
         "difference_low": limits.low,
         "difference_high": limits.high,
-        "reduction": 100 * (1 - float(np.mean(own)) / base) if base > 0 else NAN,
+        "reduction": _reduction(float(np.mean(own)) / base) if base > 0 else NAN,
         "reduction_low": relative.low,
         "reduction_high": relative.high,
-        "effect": rank_biserial(differences),
-        "cohen_d": cohen_d(differences),
-        **_test(differences, vary(own) or vary(others)),
+        "cohen_d": inference.cohen_d(differences),
+        **_test(differences, inference.vary(own) or inference.vary(others)),
     }
 
 
-def _test(differences: np.ndarray, varying: bool) -> dict[str, float]:
-    """p of the differences of some seeds, (n,), and the least that so many can give; NaN for copies of one flight."""
-    if len(differences) < 2 or not varying:
-        return {"p": NAN, "p_least": NAN}
-    return {"p": paired_permutation(differences), "p_least": least_p(len(differences))}
+def _test(differences: np.ndarray, varying: bool) -> dict[str, Any]:
+    """Effect and p of the differences of some seeds, (n,), and the least p that so many can give; no p for copies of
+    one flight."""
+    tested = {"effect": inference.rank_biserial(differences)}
+    if len(differences) > 1 and varying:
+        tested |= {"p": inference.paired_permutation(differences), "p_least": inference.least_p(len(differences))}
+    return tested
 
 
 def overall(
@@ -331,17 +298,16 @@ def overall(
     """Every contestant that has a baseline; see the module's equations."""
     groups = Groups(rows, baseline, (metric,))
     among = {world: groups.common(conditions) for world, conditions in groups.worlds.items()}
-    flights = {condition: groups.flights([condition]) for condition in dict.fromkeys(at for at, _ in groups.cells)}
+    flights = {condition: groups.flights([condition]) for condition in groups.conditions}
     made = []
     for contestant in groups.contestants:
-        rival = groups.baseline(contestant)
-        if rival is None:
+        if (rival := groups.baseline(contestant)) is None:
             continue
         logs: dict[tuple[Condition, int], float] = {}
-        every: list[list[float]] = []  # of each condition, also beyond the common flights
+        every: list[float] = []  # the mean of each condition, also beyond the common flights
+        own_pairs = trials = 0
         causes: Counter[str] = Counter()
         own: list[Flown] = []
-        trials = 0
         for condition in dict.fromkeys(at for at, who in groups.cells if who in (contestant, rival)):
             pairs, left_out = groups.pairs(condition, contestant, rival, among[condition[:2]])
             own += groups.cells.get((condition, contestant), [])
@@ -351,46 +317,36 @@ def overall(
             if len(here) < len(pairs):
                 causes["without an error above zero"] += len(pairs) - len(here)
             logs |= {(condition, seed): log for seed, log in here.items()}
-            if found := _logs(groups.pairs(condition, contestant, rival)[0]):
-                every.append([*found.values()])
+            if beyond := _logs(groups.pairs(condition, contestant, rival)[0]):
+                every.append(float(np.mean([*beyond.values()])))
+                own_pairs += len(beyond)
         kept = whole(logs.keys()) if logs else frozenset()
         if len(kept) < len(logs):
             causes["not in every condition"] += len(logs) - len(kept)
+        by_seed = seed_means(logs)
+        ratio = inference.log_ratio(by_seed, confidence)  # NaN without pairs
         made.append(
             Statistic(
                 metric=metric,
                 unit=describe(metric, "results").unit,
-                label=groups.labels[contestant],
                 baseline=groups.labels[rival],
-                confidence=confidence,
                 left_out=causes_text(causes),
                 conditions=len({condition for condition, _ in kept}),
                 pairs=len(kept),
-                own_pairs=sum(map(len, every)),
-                own_reduction=_reduction(math.exp(np.mean([*map(np.mean, every)]))) if every else NAN,
-                controller=contestant[0],
-                model=contestant[1],
-                variant=contestant[2],
-                **tally(own, trials),
-                **_over_seeds(seed_means(logs), confidence),
+                units=len(by_seed),
+                own_pairs=own_pairs,
+                own_reduction=_reduction(math.exp(np.mean(every))) if every else NAN,
+                reduction=_reduction(ratio.value),
+                reduction_low=_reduction(ratio.high),
+                reduction_high=_reduction(ratio.low),
+                **_whose(groups, contestant, confidence),
+                **_tally(own, trials),
+                **_test(by_seed, inference.vary(by_seed)),
             )
         )
-    corrected = holm(np.array([one.p for one in made]))
+    corrected = inference.holm(np.array([one.p for one in made]))
     tests = int(np.count_nonzero(~np.isnan(corrected))) or sum(one.pairs > 0 for one in made)
     return [replace(one, p_holm=float(p), comparisons=tests) for one, p in zip(made, corrected, strict=True)]
-
-
-def _over_seeds(logs: np.ndarray, confidence: float) -> dict[str, Any]:
-    """Of the logarithms of the ratio of every seed, (n,)."""
-    ratio = log_ratio(logs, confidence)  # NaN without pairs
-    return {
-        "units": len(logs),
-        "reduction": _reduction(ratio.value),
-        "reduction_low": _reduction(ratio.high),
-        "reduction_high": _reduction(ratio.low),
-        "effect": rank_biserial(logs),
-        **_test(logs, vary(logs)),
-    }
 
 
 def _logs(pairs: Sequence[tuple[Flown, Flown]]) -> dict[int, float]:

@@ -147,7 +147,7 @@ def _table(path: Path) -> dict[str, Any]:
 
         rows = from_columns(columns)
         summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
-        lines += _result_lines(record, rows, path.parent, summary)
+        lines += _result_lines(record, rows, summary)
     lines += _config_lines(record.get("config"))
     if kind == "results":  # the versions of the flights are in the rows; those of the record are of the table
         created = summary["provenance"].get("created")
@@ -201,21 +201,17 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
     return lines
 
 
-def _result_lines(
-    record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], folder: Path, summary: dict[str, Any]
-) -> list[str]:
-    from quadexp.report.statistics_file import comparison_texts, results_statistics
-    from quadexp.report.tables import to_markdown
+def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], summary: dict[str, Any]) -> list[str]:
+    from quadexp.report.tables import error_table
 
     outcomes = Counter(row["outcome"] for row in rows)
     lines = ["outcomes    " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())]
     lines += flown_by_lines(rows)
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
-        statistics, metric = results_statistics(folder, rows, **options), record.get("metric", "mean_error")
-        table = comparison_texts(statistics, metric)[0]
+        table = error_table(rows, record.get("metric", "mean_error"), **options)
         summary["tables"] = [table.table()]
-        lines += ["", *to_markdown(table).splitlines(), ""]
+        lines += ["", *table.markdown().splitlines(), ""]
     return lines
 
 

@@ -1,9 +1,10 @@
-"""The tables of a sweep.
+"""The tables of a sweep: errors, comparisons, flights.
 
 The error table has trajectory and speed down and controllers across; every setting that was swept is a column of its
 own, with its unit above and its values down, and so are many plants or worlds. The first row counts the flights that
 ended well; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
 settings contradict each other. The comparison table has one row per contestant and condition, against the baseline.
+The table of flights has any columns of the results and any keys, for the terminal, as CSV and as a sortable page.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from quadexp.report.frame import setting_text, with_unit
-from quadexp.report.metrics import SHOWN
+from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
+from quadexp.report.metrics import NUMBERS, SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
 from quadexp.report.pairing import (
@@ -27,13 +28,14 @@ from quadexp.report.pairing import (
     is_invalid,
     setting_pairs,
 )  # fmt: skip
+from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics, overall
-from quadexp.report.table import Table
-from quadexp.report.text import p_value, speed_text, with_interval
-from quadexp.report.winner import Verdict, verdicts
+from quadexp.report.table import Table, csv_text
+from quadexp.report.text import p_value, shown, speed_text, with_interval
+from quadexp.report.winner import verdicts
 
 MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
-TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest error"}
+TITLES = {name: NUMBERS[name].title for name in SHOWN}
 NAN = math.nan
 
 Line = tuple[str, ...]  # of an error table: trajectory with what else varies, speed, values of swept keys
@@ -70,7 +72,8 @@ def cell_text(s: Statistic) -> str:
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
     flown: column -> how many of its flights ended well. entries: (row, column) -> statistic. notes: lines below. keys:
-    settings that were swept. invalid: (row, column) of settings that contradict each other."""
+    settings that were swept. headings: of their columns. invalid: (row, column) of settings that contradict each other.
+    """
 
     metric: str
     unit: str
@@ -80,46 +83,32 @@ class ErrorTable:
     flown: Mapping[str, Flights]
     notes: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
+    headings: tuple[str, ...] = ()
     invalid: Set[tuple[Line, str]] = frozenset()
 
-    @property
-    def title(self) -> str:
-        return f"{TITLES[self.metric]} ({self.unit})"
-
-    def table(self, *, speed: str = "m/s", over: bool = False) -> Table:
-        """As texts. speed: heading of that column. over: title above the controllers."""
+    def table(self, *, speed: str = "m/s") -> Table:
+        """As texts. speed: heading of that column."""
         counts = (self.flown[column] for column in self.columns)
-        empty = [""] * (1 + len(self.keys))
-        rows = [["flown", *empty, *(count.text() if count.trials else "-" for count in counts)]]
+        rows = [["flown", *[""] * (1 + len(self.keys)), *(one.text() if one.trials else "-" for one in counts)]]
         rows += [[*line, *(self._text(line, column) for column in self.columns)] for line in self.rows]
-        heads = ["trajectory", speed, *map(with_unit, short_keys(self.keys), self.keys), *self.columns]
-        beside = 2 + len(self.keys)
-        return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes, beside=beside)
+        title, beside = f"{TITLES[self.metric]} ({self.unit})", 2 + len(self.keys)
+        heads = ["trajectory", speed, *self.headings, *self.columns]
+        return Table(heads, rows, title, head=1, over=title, notes=self.notes, beside=beside)
 
     def _text(self, line: Line, column: str) -> str:
         entry = self.entries.get((line, column))
         return cell_text(entry) if entry else "invalid" if (line, column) in self.invalid else "-"
 
-    def __str__(self) -> str:
-        return to_markdown(self)
+    def markdown(self) -> str:
+        return self.table().markdown(bullets=True)
+
+    def latex(self) -> str:
+        return self.table(speed="speed (m/s)").latex()
+
+    __str__ = markdown
 
     def _repr_html_(self) -> str:
         return self.table().html()
-
-
-def to_rich(table: ErrorTable, *, stacked: bool = False) -> Any:
-    """The error table for the terminal, without its notes."""
-    return table.table().rich(stacked=stacked)
-
-
-def to_markdown(table: ErrorTable) -> str:
-    """The error table in Markdown."""
-    return table.table().markdown(bullets=True)
-
-
-def to_latex(table: ErrorTable) -> str:
-    """The error table as a LaTeX tabular."""
-    return table.table(speed="speed (m/s)", over=True).latex()
 
 
 def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -145,14 +134,9 @@ def plant_labels(statistics: Sequence[Statistic]) -> list[str]:
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
     """(trajectory, other settings) -> label of a line, such as "circle, payload 0.1 kg"; no two are the same."""
     conditions = list(dict.fromkeys(conditions))
-    labels = {one: ", ".join([one[0], *(setting_text(*pair) for pair in setting_pairs(one[1]))]) for one in conditions}
+    labels = {at: ", ".join([at[0], *(setting_text(*pair) for pair in setting_pairs(at[1]))]) for at in conditions}
     count = Counter(labels.values())
-    return {one: f"{one[0]} {one[1]}".strip() if count[label] > 1 else label for one, label in labels.items()}
-
-
-def statistic_labels(statistics: Sequence[Statistic]) -> list[str]:
-    """`column_labels` of statistics."""
-    return column_labels([row_of(s) for s in statistics])
+    return {at: " ".join(filter(None, at)) if count[label] > 1 else label for at, label in labels.items()}
 
 
 def row_of(s: Statistic) -> dict[str, Any]:
@@ -161,87 +145,63 @@ def row_of(s: Statistic) -> dict[str, Any]:
     return {**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()}
 
 
-def short_keys(keys: Sequence[str]) -> list[str]:
-    """The last part of each key, such as "nodes"; the whole key where two end alike."""
-    last = [key.rpartition(".")[2] for key in keys]
-    return [short if last.count(short) == 1 else key for key, short in zip(keys, last, strict=True)]
-
-
-def table_of(
-    statistics: Sequence[Statistic],
-    pooled: Sequence[Statistic] = (),
-    found: Sequence[Verdict] = (),
-    more: Sequence[str] = (),
-    invalid: Sequence[Mapping[str, Any]] = (),
-) -> ErrorTable:
-    """The error table of one metric's statistics. pooled, found, more: for the notes, over all conditions. invalid:
-    rows of results whose settings contradict each other."""
-    metric = statistics[0].metric
-    rows = [*map(row_of, statistics), *invalid]
-    keys = swept_settings(rows)
-    bare = [without_settings(row, keys) for row in rows]
-    labels = column_labels(bare)
-    if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
-        keys = ["plant", *keys]
-        labels = column_labels([{**row, "plant": ""} for row in bare])
-    order: dict[Line, tuple[str, float]] = {}
-    entries: dict[tuple[Line, str], Statistic] = {}
-    wrong: set[tuple[Line, str]] = set()
-    flown: dict[str, Flights] = {}
-    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
-    for s, row, lean, label in zip([*statistics, *(None for _ in invalid)], rows, bare, labels, strict=True):
-        *_, speed, setting = condition_of(lean)
-        course = courses[row["trajectory"], setting]
-        own = settings_of(row) | {"plant": row["plant"]}
-        line = (course, speed_text(speed, ""), *(own.get(key, "") for key in keys))
-        order.setdefault(line, (course, -1.0 if speed is None else speed))
-        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
-        if s is None:
-            wrong.add((line, label))
-        else:
-            entries[line, label] = s
-    names = list(dict.fromkeys(line[0] for line in order))
-    lines = tuple(sorted(order, key=lambda line: (names.index(order[line][0]), order[line][1])))
-    notes = (*table_notes(statistics, pooled, found), *more)
-    return ErrorTable(
-        metric, SHOWN[metric][1], lines, tuple(flown), entries, flown, notes, tuple(keys), wrong - entries.keys()
-    )
-
-
-def settings_of(row: Mapping[str, Any]) -> dict[str, str]:
-    """Key -> value, as text, of the settings that vary within the sweep."""
-    return dict(setting_pairs(row.get("variant") or ""))
-
-
-def swept_settings(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """The settings that take several values, those of the conditions first."""
-    values: dict[str, set[str]] = {}
-    for row in rows:
-        for key, value in settings_of(row).items():
-            values.setdefault(key, set()).add(value)
-    found = [key for key, several in values.items() if len(several) > 1]
-    return sorted(found, key=lambda key: key.startswith("controller."))
-
-
-def without_settings(row: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
-    """The row without the settings of these keys."""
-    kept = [f"{key}={value}" for key, value in setting_pairs(row.get("variant") or "") if key not in keys]
-    return {**row, "variant": " ".join(kept)}
-
-
 def error_table(
-    rows: Sequence[Mapping[str, Any]],
+    results: Sequence[Mapping[str, Any]],
     metric: str = "mean_error",
     *,
     baseline: str = BASELINE,
     confidence: float = CONFIDENCE,
 ) -> ErrorTable:
-    """The error table of one metric from result rows; see `table_of`."""
+    """The error table of one metric from result rows."""
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    statistics = compute_statistics(rows, metrics=(metric,), **options)
-    found = verdicts(rows, metric=metric, confidence=confidence)
-    invalid = [row for row in rows if is_invalid(row)]
-    return table_of(statistics, overall(rows, metric=metric, **options), found, row_notes(rows), invalid)
+    statistics = compute_statistics(results, metrics=(metric,), **options)
+    best = verdicts(results, metric=metric, confidence=confidence)
+    notes = table_notes(statistics, overall(results, metric=metric, **options), best)
+    rows = [*map(row_of, statistics), *filter(is_invalid, results)]
+    settings = [dict(setting_pairs(row.get("variant") or "")) for row in rows]
+    values: dict[str, list[str]] = {}
+    for own in settings:
+        for key, value in own.items():
+            values.setdefault(key, []).append(value)
+    keys = [key for key, several in values.items() if len(set(several)) > 1]
+    keys.sort(key=lambda key: key.startswith("controller."))  # those of the conditions first
+    kept = (" ".join(f"{key}={value}" for key, value in own.items() if key not in keys) for own in settings)
+    bare = [{**row, "variant": variant} for row, variant in zip(rows, kept, strict=True)]
+    labels = column_labels(bare)
+    shown_as = {key: setting_column(key, values[key], keys) for key in keys}
+    if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
+        labels = column_labels([{**row, "plant": ""} for row in bare])
+        shown_as = {"plant": ("plant", {row["plant"]: row["plant"] for row in rows}), **shown_as}
+    order: dict[Line, tuple[str, float]] = {}
+    entries: dict[tuple[Line, str], Statistic] = {}
+    wrong: set[tuple[Line, str]] = set()
+    flown: dict[str, Flights] = {}
+    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
+    for i, (row, label) in enumerate(zip(bare, labels, strict=True)):
+        *_, speed, setting = condition_of(row)
+        course, own = courses[row["trajectory"], setting], settings[i] | {"plant": row["plant"]}
+        texts = (column[own[key]] if key in own else "" for key, (_, column) in shown_as.items())
+        line = (course, speed_text(speed, ""), *texts)
+        order.setdefault(line, (course, -1.0 if speed is None else speed))
+        flown.setdefault(label, Flights(0, 0))
+        if i < len(statistics):
+            entries[line, label] = statistics[i]
+            flown[label] = flown[label].plus(statistics[i].flown)
+        else:
+            wrong.add((line, label))
+    names = list(dict.fromkeys(line[0] for line in order))
+    return ErrorTable(
+        metric=metric,
+        unit=SHOWN[metric][1],
+        rows=tuple(sorted(order, key=lambda line: (names.index(order[line][0]), order[line][1]))),
+        columns=tuple(flown),
+        entries=entries,
+        flown=flown,
+        notes=(*notes, *row_notes(results)),
+        keys=tuple(shown_as),
+        headings=tuple(heading for heading, _ in shown_as.values()),
+        invalid=wrong - entries.keys(),
+    )
 
 
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
@@ -252,7 +212,7 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     heading += ["reduction (%)", "effect", "p", "p (Holm)", "left out"]
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
     rows = []
-    for s, label in zip(statistics, statistic_labels(statistics), strict=True):
+    for s, label in zip(statistics, column_labels([*map(row_of, statistics)]), strict=True):
         if not s.baseline:
             continue
         change = ["-", "-"]
@@ -274,3 +234,51 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     )
     title = f"{TITLES[metric]} against {', '.join(baselines)}"
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
+
+
+class FlightsTable(NamedTuple):
+    """names: of the columns that are shown."""
+
+    names: list[str]
+    table: Table
+
+
+def flights_table(frame: SweepFrame, names: Sequence[str], *, all_of_them: bool = True) -> FlightsTable:
+    """Flights with these columns, in the units in which tables show them. all_of_them: also empty columns.
+
+    Raises UsageError for a name that is no column and no key.
+    """
+    columns = {name: frame.column(name) for name in names}
+    columns = {name: own for name, own in columns.items() if all_of_them or any(value is not None for value in own)}
+    texts = [[_flight_text(name, value) for value in own] for name, own in columns.items()]
+    left = (i for i, own in enumerate(columns.values()) if not all(is_number(v) for v in own if v is not None))
+    rows = [*map(list, zip(*texts, strict=True))]
+    return FlightsTable(list(columns), Table([*map(heading, columns)], rows, left=frozenset(left)))
+
+
+def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
+    """Flights as CSV: SI units, every digit."""
+    return csv_text(names, zip(*(frame.column(name) for name in names), strict=True))
+
+
+def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
+    """Flights as a page that sorts and filters, and opens without a network."""
+    columns = [Column(name, heading(name), shown(name)[0] if is_metric(name) else 1.0) for name in names]
+    rows = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
+    return sortable_page(title, columns, rows, notes=[f"{len(rows)} flights of {title}"])
+
+
+def heading(name: str) -> str:
+    """The name with the unit in which its numbers are shown."""
+    unit = shown(name)[1]
+    return with_unit(name, name) if not is_metric(name) else f"{name} ({unit})" if unit else name
+
+
+def _flight_text(name: str, value: Any) -> str:
+    if value is None:
+        return ""
+    if not is_number(value):
+        return str(value).lower() if isinstance(value, bool) else str(value)
+    if is_metric(name):
+        return f"{shown(name)[0] * value:.4g}"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from quadexp.report.metrics import SHOWN
+from quadexp.report.metrics import NUMBERS
 
 MOST_DECIMALS = 3  # of a percentage
 SPACE, NOBREAK, MINUS, DASH = "\u202f", "\u00a0", "\u2212", "\u2013"  # SPACE: narrow, does not break
@@ -19,12 +19,10 @@ _UNIT = re.compile(r"(?<=\d) (?=(?:mm|m/s|ms|µs|s|%|°)(?![\w/]))")
 _BRACKETS = re.compile(r"\[[^\[\]]*\d\]|\bp [<=] ")
 
 
-ANGLES = ("attitude_rmse", "heading_rmse")
-
-
 def shown(metric: str) -> tuple[float, str]:
     """Factor from SI and unit in which a metric is printed."""
-    return SHOWN.get(metric, (180 / math.pi, "°") if metric in ANGLES else (1.0, ""))
+    known = NUMBERS.get(metric)
+    return (known.factor, known.unit) if known else (1.0, "")
 
 
 def significant(value: float, least: int = 1) -> str:

@@ -17,22 +17,16 @@ from typing import Any, Literal
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
+from quadexp.report.metrics import NUMBERS
 from quadexp.report.points import SUCCESS, Place, Point, points, shown_column
 from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
 
 Kind = Literal["lines", "heat", "parallel"]
-What = tuple[Kind, str, Sequence[str], Sequence[str]]  # kind, x, by, facet
 WHO = ("controller", "model")
+FLOWN = (*WHO, "trajectory")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
-Y_TITLES = {
-    "mean_error": "mean error", "rmse": "RMSE", "max_error": "largest error", "attitude_rmse": "attitude error (RMS)",
-    "heading_rmse": "heading error (RMS)", SUCCESS: "flights that ended well",
-    "saturated_share": "samples at a thrust limit",
-}  # fmt: skip
-Y_UNITS = {SUCCESS: (100.0, "%"), "saturated_share": (100.0, "%"), "outside_data": (100.0, "%"),
-           "peak_speed": (1.0, "m/s"), "duration": (1.0, "s")}  # fmt: skip
-Y_UNITS |= dict.fromkeys(("solve_time_median", "solve_time_p99", "solve_time_max"), (1e6, "us"))
+MOST_VALUES = 6  # of a key that is averaged, named in a note
 
 
 @dataclass(frozen=True)
@@ -97,19 +91,17 @@ class View:
 
     @property
     def panels(self) -> list[Place]:
-        """The panels, in the order of the values of their keys."""
-        found = list(dict.fromkeys(place[: len(self.facet)] for place in self.places))
-        return sorted(found, key=lambda one: [_order(value) for value in one]) if self._sortable(found) else found
+        """The values of `facet`, each a panel."""
+        return self._values(0, len(self.facet))
 
     def lines(self) -> list[Place]:
         """The values of `by`, the same in every panel."""
-        start = len(self.facet)
-        found = list(dict.fromkeys(place[start : start + len(self.by)] for place in self.places))
-        return sorted(found, key=lambda one: [_order(value) for value in one]) if self._sortable(found) else found
+        return self._values(len(self.facet), len(self.facet) + len(self.by))
 
-    @staticmethod
-    def _sortable(found: Sequence[Place]) -> bool:
-        return all(all(map(is_number, values)) for values in zip(*found, strict=True))
+    def _values(self, start: int, end: int) -> list[Place]:
+        """The different values of some of the keys, sorted where all are numbers."""
+        values = list(dict.fromkeys(place[start:end] for place in self.places))
+        return sorted(values) if all(is_number(value) for place in values for value in place) else values
 
     @property
     def file_name(self) -> str:
@@ -121,15 +113,15 @@ class View:
 
     @property
     def factor(self) -> float:
-        return unit_and_factor(self.y)[0]
+        return unit_shown(self.y)[0]
 
     @property
     def unit(self) -> str:
-        return unit_and_factor(self.y)[1]
+        return unit_shown(self.y)[1]
 
     @property
     def y_label(self) -> str:
-        title = Y_TITLES.get(self.y, self.y.replace("_", " "))
+        title = NUMBERS[self.y].title if self.y in NUMBERS else self.y.replace("_", " ")
         return f"{title} ({self.unit})" if self.unit else title
 
     @property
@@ -145,21 +137,18 @@ class View:
             bars = f"; bars: its {100 * self.confidence:g} % interval (Clopper-Pearson)" if exact else ""
             return f"share of flights{bars}"
         seeds = sorted({point.seeds for point in shown})
-        over = "one flight each" if seeds == [1] and not self.others else f"mean over {_span(seeds)}"
-        if self.kind != "lines":
-            return over
-        known = any(point.method == "t" for point in shown)
+        span = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else count(seeds[0], "seed") if seeds else "seeds"
+        over = "one flight each" if seeds == [1] and not self.others else f"mean over {span}"
+        known = self.kind == "lines" and any(point.method == "t" for point in shown)
         return over + (f"; bars: its {100 * self.confidence:g} % interval (Student's t)" if known else "")
 
     def title(self, keys: Sequence[str], values: Place) -> str:
-        return ", ".join(
-            value_text(key, value)
-            if key in ("trajectory", *WHO)
-            else f"{value_text(key, value)} m/s"
-            if key == "trajectory.speed"
-            else setting_text(key, value)
-            for key, value in zip(keys, values, strict=True)
-        )
+        """Such as "circle, 8 m/s, payload 0.1 kg"."""
+        texts = []
+        for key, value in zip(keys, values, strict=True):
+            text = value_text(key, value) + (" m/s" if key == "trajectory.speed" else "")
+            texts.append(text if key in (*FLOWN, "trajectory.speed") else setting_text(key, value))
+        return ", ".join(texts)
 
 
 def view(
@@ -170,38 +159,33 @@ def view(
 
     Raises UsageError for a key that is none, a key that is given twice, or where nothing can be drawn.
     """
-    _check_y(frame, y)
+    metrics = [*filter(is_metric, frame.names), SUCCESS]
+    if y not in metrics:
+        raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
+    given_x, given_by, given_facet = (_checked(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
+    given = [*given_x, *given_by, *given_facet]
     if kind == "parallel":
-        return _made(frame, _parallel(frame, [*([x] if x else []), *(by or ())] or None), y, confidence)
-    given = [ALIASES.get(key, key) for key in [*([x] if x else []), *(by or ()), *(facet or ())]]
+        return _made(frame, kind, "", _parallel(frame, [*given_x, *given_by]), [], y, confidence)
     for key in given:
-        _check_key(frame, key)
         if given.count(key) > 1:
             raise UsageError(f"{key}: stands twice among --x, --by and --facet")
-    told = {"model"} if any(key.startswith("model.") for key in given) else set()
-    free = [key for key in frame.swept if key not in (*given, "seed", *told)]
-    x = ALIASES.get(x, x) if x else _longest(frame, [k for k in free if k not in (*WHO, "trajectory")] or free)
+    free = _beside(frame, given)
+    x = given_x[0] if given_x else _longest(frame, free)
     free = [key for key in free if key != x]
-    own_by = [ALIASES.get(key, key) for key in by or ()]
-    own_facet = [ALIASES.get(key, key) for key in facet or ()]
     who = [key for key in WHO if key in free]
     if kind == "heat":
-        if not own_by:
-            rest = [key for key in free if key not in (*WHO, "trajectory")] or free
-            own_by = [_longest(frame, rest)] if rest else []
-        if len(own_by) != 1:
+        given_by = given_by or ([_longest(frame, free)] if free else [])
+        if len(given_by) != 1:
             raise UsageError("--kind heat: needs two keys: one for --x, one for --by")
-        who = [key for key in who if key not in own_by]
-        own_facet += who
+        who = [key for key in who if key not in given_by]
     elif by is None:
-        own_by, who = who, []
-    else:
-        own_facet += who  # the mean of two controllers is the error of none
-    if facet is None and "trajectory" in free and "trajectory" not in own_by:
-        own_facet += ["trajectory"]
-    return _made(frame, (kind or "lines", x, own_by, own_facet), y, confidence)
+        given_by, who = who, []
+    given_facet += who  # the mean of two controllers is the error of none
+    if facet is None and "trajectory" in free and "trajectory" not in given_by:
+        given_facet.append("trajectory")
+    return _made(frame, kind or "lines", x, given_by, given_facet, y, confidence)
 
 
 def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95) -> list[View]:
@@ -213,132 +197,105 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
     if "trajectory.speed" in axes:  # plants and vehicles are panels beside it
         course += [key for key in ("plant", "vehicle") if key in axes]
         axes = [key for key in axes if key not in course]
-    if not axes:
-        x = who[0] if who else course[0] if course else "seed"
-        rest = [key for key in (*who, *course) if key != x]
-        return [
-            _made(frame, ("lines", x, [k for k in rest if k in who], [k for k in rest if k in course]), y, confidence)
-        ]
     if len(axes) > 2:
-        return [_made(frame, _parallel(frame, [*who, *course, *axes]), y, confidence)]
-    x = _longest(frame, axes)
-    rest = [key for key in axes if key != x]
+        return [_made(frame, "parallel", "", _parallel(frame, [*who, *course, *axes]), [], y, confidence)]
+    x = _longest(frame, axes) if axes else [*who, *course, "seed"][0]
+    who, course, rest = ([key for key in keys if key != x] for keys in (who, course, axes))
     if not rest:
-        return [_made(frame, ("lines", x, who, course), y, confidence)]
+        return [_made(frame, "lines", x, who, course, y, confidence)]
     few = not who and len(frame.values(rest[0])) <= MOST_LINES
-    lines: What = ("lines", x, rest if few else who, course if few else [*course, *rest])
-    found = [_made(frame, lines, y, confidence)]
+    by, facet = (rest, course) if few else (who, [*course, *rest])
+    views = [_made(frame, "lines", x, by, facet, y, confidence)]
     if all(len(frame.values(key)) > 2 for key in axes):
-        found.append(_made(frame, ("heat", x, rest, [*who, *course]), y, confidence))
-    return found
+        views.append(_made(frame, "heat", x, rest, [*who, *course], y, confidence))
+    return views
 
 
-def _made(frame: SweepFrame, what: What, y: str, confidence: float) -> View:
-    kind, x, by, facet = what
-    keys = [*by] if kind == "parallel" else [*facet, *by, x]
-    told = {"model"} if any(key.startswith("model.") for key in keys) else set()  # which tells the checkpoints apart
-    others = [key for key in frame.swept if key not in (*keys, "seed", *told)]
-    if kind != "parallel" and (mixed := [key for key in WHO if key in others]):
-        facet, others = [*facet, *mixed], [key for key in others if key not in mixed]
-        keys = [*facet, *by, x]
-    found = points(frame, keys, y, others=[*others], confidence=confidence)
-    if not any(point.is_shown for point in found.values()):
-        raise UsageError(_why_nothing(frame, keys, y))
-    notes = _notes(frame, keys, others, y, found)
-    along = tuple(_axis(frame, key, keys) for key in by) if kind == "parallel" else ()
-    by, facet = ((), ()) if kind == "parallel" else (by, facet)
+def _made(
+    frame: SweepFrame, kind: Kind, x: str, by: Sequence[str], facet: Sequence[str], y: str, confidence: float
+) -> View:
+    """The view of these keys. by: of parallel coordinates all of them."""
+    parallel = kind == "parallel"
+    others = _beside(frame, [*by, *facet, x])
+    if not parallel:
+        facet = [*facet, *(key for key in WHO if key in others)]
+        others = [key for key in others if key not in WHO]
+    keys = [*by] if parallel else [*facet, *by, x]
+    places = points(frame, keys, y, others=others, confidence=confidence)
+    if not any(point.is_shown for point in places.values()):
+        if any(row["outcome"] == "ok" for row in frame.rows):
+            raise UsageError(f"no flight that ended well has {y} and a value of {listed(keys)}")
+        flights = count(len(frame.rows), "flight")
+        raise UsageError(f"none of the {flights} ended well: there is no {y} to draw (--y success draws that)")
+    axes = {
+        key: Axis.of(key, list(dict.fromkeys(shown_column(frame, key, keys))) if key in WHO else frame.values(key))
+        for key in keys
+    }
+    alone = {}  # what all flights share of who flew and what, without what the figure shows
+    for key in ("controller", "trajectory", "trajectory.speed"):
+        values = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
+        if key not in (*keys, *others) and len(set(values)) == 1 and values[0] is not None:
+            alone[key] = values[0]
     return View(
-        kind, y, _axis(frame, x, keys), tuple(by), tuple(facet),
-        tuple(others), along, confidence, tuple(notes), found, _alone(frame, [*keys, *others]),
+        kind, y, axes[by[0] if parallel else x], () if parallel else tuple(by), tuple(facet), tuple(others),
+        tuple(axes.values()) if parallel else (), confidence, tuple(_notes(frame, keys, others, y, places)), places,
+        alone,
     )  # fmt: skip
 
 
-def _alone(frame: SweepFrame, shown: Sequence[str]) -> dict[str, Any]:
-    """What all flights share of who flew and what, without what a figure shows."""
-    found = {}
-    for key in ("controller", "trajectory", "trajectory.speed"):
-        values = frame.controllers(shown) if key == "controller" else frame.column(key)
-        if key not in shown and len(set(values)) == 1 and values[0] is not None:
-            found[key] = values[0]
-    return found
+def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
+    """What was swept beside these keys; a setting of the fit tells the checkpoints apart."""
+    aside = {"seed", *keys, *(["model"] if any(key.startswith("model.") for key in keys) else [])}
+    return [key for key in frame.swept if key not in aside]
 
 
-def _parallel(frame: SweepFrame, keys: Sequence[str] | None) -> tuple[Kind, str, list[str], list[str]]:
-    chosen = [ALIASES.get(key, key) for key in keys or [key for key in frame.swept if key != "seed"]]
-    for key in chosen:
-        _check_key(frame, key)
-    chosen += [key for key in WHO if key in frame.swept and key not in chosen]
-    if len(chosen) < 2:
+def _parallel(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
+    chosen = [*(keys or (key for key in frame.swept if key != "seed")), *(key for key in WHO if key in frame.swept)]
+    if len(chosen := list(dict.fromkeys(chosen))) < 2:
         raise UsageError("--kind parallel: needs two keys or more that take several values")
-    return "parallel", chosen[0], list(dict.fromkeys(chosen)), []
+    return chosen
 
 
 def _notes(
-    frame: SweepFrame, keys: Sequence[str], others: Sequence[str], y: str, found: dict[Place, Point]
+    frame: SweepFrame, keys: Sequence[str], others: Sequence[str], y: str, places: dict[Place, Point]
 ) -> list[str]:
     notes = []
     for key in keys:
         values = frame.values(key)
-        if len(values) == 1 and key not in ("seed", *WHO, "trajectory"):
+        if len(values) == 1 and key not in ("seed", *FLOWN):
             notes.append(f"{key} is {value_text(key, values[0])} in all flights that have it")
         shown = shown_column(frame, key, keys)
-        lacking = [row for row, value in zip(frame.rows, shown, strict=True) if value is None]
+        lacking = [row["controller"] for row, value in zip(frame.rows, shown, strict=True) if value is None]
         if lacking:
-            names = list(dict.fromkeys(row["controller"] for row in lacking))
-            notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({listed(names)})")
+            names = listed(list(dict.fromkeys(lacking)))
+            notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({names})")
     for key in others:
         texts = [value_text(key, value) for value in frame.values(key)]
-        rest = f", ... ({len(texts)} values)" if len(texts) > 6 else ""
-        notes.append(f"mean over {key}: {', '.join(texts[:6])}{rest}")
-    if y != SUCCESS:
-        trials = sum(point.trials for point in found.values())
-        ended = sum(point.ended for point in found.values())
-        if ended < trials:
-            notes.append(f"{trials - ended} of {trials} flights did not end well: marked k/n where k of n did")
-    if wrong := sum(bool(point.invalid) for point in found.values()):
+        rest = f", ... ({len(texts)} values)" if len(texts) > MOST_VALUES else ""
+        notes.append(f"mean over {key}: {', '.join(texts[:MOST_VALUES])}{rest}")
+    trials, ended = (sum(getattr(point, name) for point in places.values()) for name in ("trials", "ended"))
+    if y != SUCCESS and ended < trials:
+        notes.append(f"{trials - ended} of {trials} flights did not end well: marked k/n where k of n did")
+    if wrong := sum(bool(point.invalid) for point in places.values()):
         notes.append(f"{count(wrong, 'place')} invalid: settings that contradict each other")
     return notes
 
 
-def _why_nothing(frame: SweepFrame, keys: Sequence[str], y: str) -> str:
-    if not any(row["outcome"] == "ok" for row in frame.rows):
-        flights = count(len(frame.rows), "flight")
-        return f"none of the {flights} ended well: there is no {y} to draw (--y success draws that)"
-    return f"no flight that ended well has {y} and a value of {listed(keys)}"
-
-
-def _check_y(frame: SweepFrame, y: str) -> None:
-    metrics = [name for name in frame.names if is_metric(name)] + [SUCCESS]
-    if y not in metrics:
-        raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
-
-
-def _check_key(frame: SweepFrame, key: str) -> None:
-    if is_metric(key):
-        raise UsageError(f"{key}: is a result of a flight, not a setting: it can be --y")
-    if not frame.has(key):
-        raise UsageError(f"{key}: no such key{suggestion(key, frame.names, frame.swept)}")
+def _checked(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
+    """The full names of keys; UsageError for what is none."""
+    keys = [ALIASES.get(key, key) for key in keys]
+    for key in keys:
+        if is_metric(key):
+            raise UsageError(f"{key}: is a result of a flight, not a setting: it can be --y")
+        if not frame.has(key):
+            raise UsageError(f"{key}: no such key{suggestion(key, frame.names, frame.swept)}")
+    return keys
 
 
 def _longest(frame: SweepFrame, keys: Sequence[str]) -> str:
-    """The key with most values, numbers first."""
-    if not keys:
-        return "controller"
+    """The key with most values, numbers first; who flew and what only where there is no other."""
+    keys = [key for key in keys if key not in FLOWN] or list(keys) or ["controller"]
     return max(keys, key=lambda key: (all(map(is_number, frame.values(key))), len(frame.values(key)), -keys.index(key)))
-
-
-def _axis(frame: SweepFrame, key: str, keys: Sequence[str]) -> Axis:
-    if key in WHO:
-        return Axis.of(key, list(dict.fromkeys(shown_column(frame, key, keys))))
-    return Axis.of(key, frame.values(key))
-
-
-def _order(value: Any) -> tuple[bool, Any]:
-    return (False, value) if is_number(value) else (True, str(value))
-
-
-def _span(counts: Sequence[int]) -> str:
-    return count(counts[0], "seed") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} seeds" if counts else "seeds"
 
 
 def value_text(key: str, value: Any) -> str:
@@ -348,8 +305,3 @@ def value_text(key: str, value: Any) -> str:
     if is_number(value):
         return f"{value:.6g}"
     return str(value).rstrip("/").rpartition("/")[2] if key == "model" else str(value)
-
-
-def unit_and_factor(y: str) -> tuple[float, str]:
-    """Factor from SI and unit in which a column is drawn."""
-    return Y_UNITS.get(y) or unit_shown(y)

@@ -15,13 +15,12 @@ most: alpha / 2 for the verdict over all conditions, alpha / 2 for the marks in 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.report.inference import NO_RATIO, Ratio, log_ratio
+from quadexp.report.inference import NO_RATIO, Ratio, holm, log_ratio
 from quadexp.report.pairing import (
     Common,
     Condition,
@@ -51,25 +50,25 @@ class Ranking(NamedTuple):
 
 def rank(groups: Groups, among: Common, who: Sequence[Contestant], place: int, confidence: float) -> Ranking:
     """The ranking of those in `who` that are compared, by one metric over the common flights."""
-    who = [one for one in who if one in among.compared]
+    who = [contestant for contestant in who if contestant in among.compared]
     logs = dict(zip(who, _logs(groups, among, who, place), strict=True)) if who else {}
     if not logs or not len(logs[who[0]]):
         return Ranking(None, {}, math.nan)
-    first, *others = sorted(who, key=lambda one: float(np.mean(logs[one])))
-    ratios = {one: log_ratio(logs[one] - logs[first], confidence) for one in others}
+    first, *others = sorted(who, key=lambda contestant: float(np.mean(logs[contestant])))
+    ratios = {other: log_ratio(logs[other] - logs[first], confidence) for other in others}
     p = [ratio.p for ratio in ratios.values()]
     return Ranking(first, ratios, min(1.0, len(who) * max(p)) if p and not np.isnan(p).any() else math.nan)
 
 
 def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> np.ndarray:
     """ln of the error of each, (who, seeds), without flights in which one of them has no error above zero."""
-    found: dict[tuple[Condition, int], np.ndarray] = {}
+    logs: dict[tuple[Condition, int], np.ndarray] = {}
     for condition, seeds in among.seeds.items():
-        values = np.array([groups.values(condition, one, place, seeds) for one in who]).T
+        values = np.array([groups.values(condition, contestant, place, seeds) for contestant in who]).T
         for seed, errors in zip(sorted(seeds), values, strict=True):
             if np.all(np.isfinite(errors) & (errors > 0)):
-                found[condition, seed] = np.log(errors)
-    return seed_means(found).reshape(-1, len(who)).T
+                logs[condition, seed] = np.log(errors)
+    return seed_means(logs).reshape(-1, len(who)).T
 
 
 def ratio_of(groups: Groups, among: Common, who: Contestant, other: Contestant, confidence: float) -> Ratio:
@@ -78,71 +77,67 @@ def ratio_of(groups: Groups, among: Common, who: Contestant, other: Contestant, 
     return log_ratio(own - others, confidence)
 
 
-def line_p(
-    groups: Groups, condition: Condition, place: int, confidence: float, barred: Iterable[Contestant] = ()
-) -> tuple[Contestant | None, float]:
-    """The contestant that may be marked as best of one condition, and the p that it is not; (None, nan) for none.
+def best_of_lines(groups: Groups, place: int, confidence: float) -> dict[tuple[Condition, Contestant], float]:
+    """(condition, contestant) that may be marked as best of its line -> p that it is not, by Holm over the lines.
 
-    barred: those with the smallest share of flights that ended well on this plant and vehicle.
-    """
-    among = groups.common_in(condition)
-    flights = groups.flights([condition])
-    rivals = [one for one in flights if not is_bound(one[0])]
-    ranking = rank(groups, among, rivals, place, confidence)
-    least = ranking.least
-    if least is None or least in {*barred} or not _flew_most(least, flights):
-        return None, math.nan
-    means = {
-        one: float(np.mean(groups.values(condition, one, place, among.seeds[condition]))) for one in ranking.ratios
-    }
-    own = float(np.mean(groups.values(condition, least, place, among.seeds[condition])))
-    if any(mean < own for mean in means.values()):  # the table shows means, not logarithms
-        return None, math.nan
-    return least, ranking.p
+    Those with the smallest share of flights that ended well on a plant and vehicle are not marked there."""
+    barred = {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}
+    p: dict[tuple[Condition, Contestant], float] = {}
+    for condition, among in groups.lines.items():
+        flights = groups.flights([condition])
+        ranking = rank(groups, among, _ranked(flights), place, confidence)
+        if (least := ranking.least) is None or least in barred[condition[:2]] or not _flew_most(least, flights):
+            continue
+        means = {
+            who: float(np.mean(groups.values(condition, who, place, among.seeds[condition])))
+            for who in (least, *ranking.ratios)
+        }
+        if means[least] <= min(means.values()):  # the table shows means, not logarithms
+            p[condition, least] = ranking.p
+    return dict(zip(p, holm(np.array([*p.values()])).tolist(), strict=True))
 
 
-def _flew_most(who: Contestant, flights: dict[Contestant, Flights]) -> bool:
-    return all(not one.share > flights[who].share for one in flights.values())
+def _ranked(flights: Mapping[Contestant, Flights]) -> list[Contestant]:
+    return [who for who in flights if not is_bound(who[0])]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+def _flew_most(who: Contestant, flights: Mapping[Contestant, Flights]) -> bool:
+    return all(not other.share > flights[who].share for other in flights.values())
+
+
+class Verdict(NamedTuple):
     """The contestant with the least error of one metric on one plant and vehicle, over all conditions.
 
-    flown: [label, flights that ended well, trials] of each. compared: labels. common: number of common flights, of
-    `units` seeds in `conditions` conditions. least: "" if nobody is compared. ways: number of ranked contestants.
-    best: `least` differs significantly from all of them and no contestant flew more. flew_less: another one ended a
-    larger share of its flights well. alike: those not distinguishable from the least. next: the nearest one, with
-    `ratio` times the error. bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value,
-    low, high, p] or NaN.
+    common: number of common flights, of `units` seeds. least: "" if nobody is compared. ways: number of ranked
+    contestants. alike: those not distinguishable from the least. flew_less: another one ended a larger share of its
+    flights well. next: the nearest one, with `ratio` times the error. has_bound: a bound is compared, and not ranked.
     """
 
     metric: str
     plant: str
     vehicle: str
-    confidence: float
-    flown: list[list[Any]]
-    compared: list[str]
     common: int
-    conditions: int
     units: int
     least: str
     ways: int
-    best: bool
-    flew_less: bool
     alike: list[str]
+    flew_less: bool
     next: str
-    ratio: list[float]
+    ratio: Ratio
     p: float
-    bound: str
-    bound_ratio: list[float]
+    has_bound: bool
+
+    @property
+    def best(self) -> bool:
+        """Whether `least` differs significantly from all others and no contestant flew more."""
+        return self.ways > 1 and not self.alike and not self.flew_less
 
     def text(self) -> str:
         """Such as "least over the 20 flights that all ended well: gp_mpc, the best of 3, ..."."""
-        if not self.least or not self.ways > 1:
+        if not self.ways > 1:
             return ""
         over = f"over the {count(self.common, 'flight')} that all ended well"
-        head = f"least {over}{', bounds aside' if self.bound else ''}: {self.least}"
+        head = f"least {over}{', bounds aside' if self.has_bound else ''}: {self.least}"
         value, low, high, _ = self.ratio
         limits = "" if math.isnan(low) else f" [{low:.3g}, {high:.3g}]"
         chance = probability(self.p) or f"{count(self.units, 'seed')} cannot tell"
@@ -157,42 +152,28 @@ class Verdict:
 def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: float = 0.95) -> list[Verdict]:
     """One verdict for every plant and vehicle."""
     groups = Groups(rows, "", (metric,))
+    labels = groups.labels
     made = []
     for (plant, vehicle), conditions in groups.worlds.items():
-        about: dict[str, Any] = {"metric": metric, "plant": plant, "vehicle": vehicle, "confidence": confidence}
-        made.append(_verdict(groups, groups.common(conditions), groups.flights(conditions), about))
+        among, flights = groups.common(conditions), groups.flights(conditions)
+        ranking = rank(groups, among, _ranked(flights), 0, confidence)
+        least, alike = ranking.least, ranking.alike(confidence)
+        nearest = next(iter([*alike, *ranking.ratios]), None)
+        made.append(
+            Verdict(
+                metric=metric,
+                plant=plant,
+                vehicle=vehicle,
+                common=among.flights,
+                units=among.units,
+                least=labels[least] if least else "",
+                ways=len(ranking.ratios) + (least is not None),
+                alike=[labels[who] for who in alike],
+                flew_less=least is not None and not _flew_most(least, flights),
+                next=labels[nearest] if nearest else "",
+                ratio=ranking.ratios[nearest] if nearest else NO_RATIO,
+                p=ranking.p,
+                has_bound=least is not None and any(is_bound(who[0]) for who in among.compared),
+            )
+        )
     return made
-
-
-def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], about: dict[str, Any]) -> Verdict:
-    confidence, labels = about["confidence"], groups.labels
-    rivals = [one for one in flights if not is_bound(one[0])]
-    ranking = rank(groups, among, rivals, 0, confidence)
-    least, alike = ranking.least, ranking.alike(confidence)
-    less = least is not None and not _flew_most(least, flights)
-    nearest = next(iter(alike), next(iter(ranking.ratios), None))
-    bound = next((one for one in among.compared if least is not None and is_bound(one[0])), None)
-    bound_ratio = ratio_of(groups, among, least, bound, confidence) if least and bound else NO_RATIO
-    return Verdict(
-        **about,
-        flown=[[labels[one], *count] for one, count in flights.items()],
-        compared=[labels[one] for one in among.compared],
-        common=among.flights,
-        conditions=len(among.seeds),
-        units=among.units,
-        least=labels[least] if least is not None else "",
-        ways=len(ranking.ratios) + (least is not None),
-        best=bool(ranking.ratios) and not alike and not less,
-        flew_less=less,
-        alike=[labels[one] for one in alike],
-        next=labels[nearest] if nearest is not None else "",
-        ratio=list(ranking.ratios[nearest] if nearest is not None else NO_RATIO),
-        p=ranking.p,
-        bound=labels[bound] if bound is not None else "",
-        bound_ratio=list(bound_ratio),
-    )
-
-
-def barred(groups: Groups) -> dict[tuple[str, str], frozenset[Contestant]]:
-    """Plant and vehicle -> those with the smallest share of flights that ended well."""
-    return {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,8 +11,9 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle, input_hashes
 from quadexp.experiment.checkpoints import ModelFile, find_model
 from quadexp.experiment.identity import canonical, digest, flight_record
-from quadexp.parts.cells import Cell, refuse_mistakes
+from quadexp.parts.cells import Cell, Grid, refuse_mistakes
 from quadexp.parts.schema import world_parts
+from quadexp.report.inference import least_seeds
 from quadexp.sweeps.sweep_table import condition
 
 SCHEMA = 1  # version of what a cell is; with a higher number every older cell is unknown
@@ -60,6 +62,23 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
         if key not in jobs:
             jobs[key] = Job(key, digest(condition(record)), cell, model)
     return jobs
+
+
+def too_few_seeds(grids: Iterable[Grid], baseline: str, confidence: float) -> str:
+    """What to say before a sweep of several seeds that cannot show a difference in any line of its table: the paired
+    permutation test of n seeds gives 2^(1-n) at least, corrected by Holm over all comparisons; "" where they can."""
+    seeds = comparisons = 0
+    for grid in grids:
+        axes = {texts[0].partition("=")[0]: texts for texts in grid}
+        seeds = max(seeds, len(axes.pop("seed", ())))
+        controllers = axes.get("controller", ())
+        if f"controller={baseline}" in controllers:
+            lines = math.prod(map(len, axes.values()))
+            comparisons += lines - lines // len(controllers)
+    least = least_seeds(comparisons, confidence) if comparisons else 0
+    if not 1 < seeds < least:
+        return ""
+    return f"no single line can be significant with {seeds} seeds; seed='range({least})' could"
 
 
 def cell_key(record: Mapping[str, Any], inputs: Mapping[str, str]) -> str:

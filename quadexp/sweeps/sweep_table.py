@@ -27,7 +27,6 @@ from quadexp.report.statistics_file import (
     Statistics,
     comparison_texts,
     results_statistics,
-    statistics_csv,
     write_comparison,
 )
 from quadexp.report.tables import ErrorTable
@@ -85,11 +84,10 @@ def write_results(
     record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows. Rows that
     are there already with the same record are left as they are.
     """
-    statistics = results_statistics(root, rows, baseline=record["baseline"], confidence=record["confidence"])
+    statistics = results_statistics(rows, baseline=record["baseline"], confidence=record["confidence"])
     csv, columns, path = to_csv(rows), to_columns(rows), root / RESULTS
-    texts = comparison_texts(statistics, record["metric"])[1]
-    texts |= {"results.csv": csv, "statistics.csv": statistics_csv(statistics.rows)}
-    made = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+    table, texts = comparison_texts(statistics, record["metric"])
+    made = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in {**texts, "results.csv": csv}.items()}
     record = {**record, "made": made, "statistics": statistics.fingerprint}
     wrong, same = [], False
     if path.exists():
@@ -103,7 +101,7 @@ def write_results(
         write_text(root / "results.csv", csv)
     if not same:
         write_table(path, columns, record, "results")
-    table, paths = write_comparison(root, statistics, record["metric"])
+    paths = write_comparison(root, statistics, texts)
     files = {"results": str(path), "csv": str(root / "results.csv"), **paths}
     return statistics, table, files, [f"{what}: written anew" for what in wrong]
 

@@ -11,12 +11,13 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
+from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
 from quadexp.models.checkpoint import save_model
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.parts.compose import compose, expand
 from quadexp.report.compare import compare
-from quadexp.report.compare_parts import change, differing
+from quadexp.report.compare_results import change, differing
 from quadexp.report.result_rows import to_columns
 from quadexp.sweeps.sweep import run_sweep
 from tests.log.flights import straight_flight
@@ -86,6 +87,19 @@ class TestFlights:
     def test_flights_of_different_length(self, tmp_path):
         paths = flight(tmp_path / "a.parquet"), flight(tmp_path / "b.parquet", samples=8)
         assert "(5 common samples of 5 and 8)" in compare(*paths)["lines"][-1]
+
+    def test_flights_with_other_control_rates(self, tmp_path):
+        """Every second sample of a flight, 2 cm beside it."""
+        fast, slow = flight(tmp_path / "a.parquet", samples=9), straight_flight(9)
+        config = compose(["controller.rate=25"])
+        slow = Flight({name: column[::2] for name, column in slow.columns.items()}, slow.metadata)
+        slow.columns["p_y"] = slow["p_y"] + 0.02
+        slow.metadata.update(describe(config, build_vehicle(config.vehicle), None))
+        slow.metadata["row"] = result_row(config, slow)
+        write_flight(tmp_path / "b.parquet", slow)
+        for paths in ((fast, tmp_path / "b.parquet"), (tmp_path / "b.parquet", fast)):
+            found = compare(*paths)["paths"]
+            assert found["common"] == 5 and found["distance"] == pytest.approx(0.02)
 
     def test_a_recorded_flight_has_nothing_to_compare(self, tmp_path):
         write_flight(tmp_path / "a.parquet", straight_flight())

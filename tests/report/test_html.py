@@ -18,8 +18,7 @@ from quadexp.report.page.pareto import pareto_front
 from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.result_rows import from_columns
-from quadexp.report.statistics_file import results_statistics
-from quadexp.report.tables import cell_text, table_of
+from quadexp.report.tables import cell_text, error_table
 from quadexp.report.text import probability
 from tests.report.results import ERRORS, make_results, many_results
 
@@ -133,11 +132,11 @@ def test_only_what_knows_the_air_and_differs_in_nothing_else_is_credited(tmp_pat
 
 def test_the_numbers_on_the_page_are_those_of_the_table(text, results):
     columns, _ = read_table(results / "results.parquet", "results")
-    statistics = results_statistics(None, from_columns(columns))
+    rows = from_columns(columns)
     tables = Page(text).tables
     assert set(tables) == {"mean_error", "rmse", "max_error"}
     for metric, cells in tables.items():
-        table = table_of(statistics.of(metric))
+        table = error_table(rows, metric)
         by_label = dict(zip(read_comparison(results).look, range(2, 6), strict=True))
         assert len(cells) == 1 + len(table.rows)
         for line, row in zip(cells[1:], table.rows, strict=True):

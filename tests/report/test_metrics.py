@@ -51,28 +51,11 @@ def test_attitude_error_is_the_rotation_angle_and_blind_to_the_quaternions_sign(
     assert flight_metrics(flight, 0.0, 20.0)["attitude_rmse"] == pytest.approx(expected)
 
 
-def test_attitude_error_between_two_tilts_is_relative():
-    flight = straight_flight(1)
-    a, b = math.radians(20) / 2, math.radians(50) / 2  # about the same axis: 30 degrees apart
-    flight.columns.update(q_w=np.array([math.cos(a)]), q_y=np.array([math.sin(a)]))
-    flight.columns.update(ref_q_w=np.array([math.cos(b)]), ref_q_y=np.array([math.sin(b)]))
-    np.testing.assert_allclose(attitude_error(flight), math.radians(30))
-
-
 def test_a_sample_is_saturated_when_any_rotor_is_at_a_limit():
     flight = straight_flight(4)
     flight.columns["u_1"] = np.array([2.0, 20.0, 19.9, 0.0])
     flight.columns["u_2"] = np.array([2.0, 20.0, 2.0, 2.0])
     assert saturated_share(flight, 0.0, 20.0) == 0.5
-
-
-def test_solve_times():
-    flight = straight_flight(101)
-    flight.columns["solve_time"] = np.arange(101) * 1e-6
-    metrics = flight_metrics(flight, 0.0, 20.0)
-    assert metrics["solve_time_median"] == pytest.approx(50e-6)
-    assert metrics["solve_time_p99"] == pytest.approx(99e-6)
-    assert metrics["solve_time_max"] == pytest.approx(100e-6)
 
 
 @pytest.mark.parametrize("every", [1, 6])
@@ -84,6 +67,10 @@ def test_instants_of_an_inner_loop_are_no_steps_of_the_controller(every):
     dt = flight.t[1] - flight.t[0]
     metrics = flight_metrics(flight, 0.0, 20.0, every * dt)
     assert metrics["solve_time_median"] == pytest.approx(50e-6) and metrics["unconverged_count"] == 1
+    flight.columns["solve_time"] = np.arange(60) * 1e-6
+    metrics = flight_metrics(flight, 0.0, 20.0)
+    names = ("solve_time_median", "solve_time_p99", "solve_time_max")
+    assert [1e6 * metrics[name] for name in names] == pytest.approx([29.5, 58.41, 59])
 
 
 @pytest.mark.parametrize("outcome", ["lost", "solver_failed", "left_corridor", "ok"])

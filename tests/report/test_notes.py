@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from quadexp.report.notes import notes
-from quadexp.report.tables import error_table, to_latex, to_markdown
+from quadexp.report.tables import error_table
 from tests.report.test_tables import row
 
 
@@ -51,4 +51,4 @@ def test_they_stand_under_every_table():
     said = "gp_mpc: 25 % of samples outside the data its model was fitted to"
     table = error_table(rows)
     assert any(note.startswith(said) for note in table.notes)
-    assert said in to_markdown(table) and said in to_latex(table)
+    assert said in table.markdown() and said in table.latex()

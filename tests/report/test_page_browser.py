@@ -8,8 +8,8 @@ import json
 import pytest
 
 from quadexp.report.draw import page_of
-from quadexp.report.flights_table import page_of as table_page
 from quadexp.report.frame import SweepFrame
+from quadexp.report.tables import page_of as table_page
 from quadexp.report.view import view
 from tests.report.sweeps import swept
 from tests.report.test_html_browser import browser, pytestmark  # noqa: F401

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
-from quadexp.log.store import read_metadata
-from quadexp.report import inference, statistics_file
+from quadexp.log.store import read_metadata, read_table
+from quadexp.report import inference
 from quadexp.report.pairing import contestant_labels, split_variant, variant_parts
 from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics, overall
-from quadexp.report.statistics_file import results_statistics, statistics_csv, write_comparison, write_statistics
+from quadexp.report.statistics_file import comparison_texts, results_statistics, write_comparison
 from tests.report.test_tables import row
 
 
@@ -45,16 +45,13 @@ class TestOneCondition:
         assert gp.effect == 1.0 and gp.cohen_d == pytest.approx(0.23 / spread)
         assert gp.p == gp.p_least == 0.25 and gp.p_holm == 0.25 and gp.comparisons == 1 and not gp.significant
 
-    def test_the_baseline_is_compared_with_nobody(self):
+    def test_the_baseline_is_compared_with_nobody_and_any_controller_can_be_it(self):
         rows = errors("nominal_mpc", [0.2, 0.3]) + errors("gp_mpc", [0.1, 0.1])
         nominal = only(compute_statistics(rows, metrics=["rmse"]), "nominal_mpc")
         assert nominal.baseline == "" and nominal.pairs == 0 and math.isnan(nominal.p_holm)
         assert nominal.mean == pytest.approx(0.3) and nominal.interval == "t"  # rmse = 1.2 mean_error in `row`
-
-    def test_another_baseline(self):
-        rows = errors("nominal_mpc", [0.2, 0.2]) + errors("gp_mpc", [0.1, 0.1])
         nominal = only(compute_statistics(rows, metrics=["rmse"], baseline="gp_mpc"), "nominal_mpc")
-        assert nominal.baseline == "gp_mpc" and nominal.reduction == pytest.approx(-100) and nominal.effect == -1.0
+        assert nominal.baseline == "gp_mpc" and nominal.reduction == pytest.approx(-150) and nominal.effect == -1.0
 
     def test_pairs_are_of_seeds_and_not_of_rows(self):
         rows = errors("nominal_mpc", [0.2, 0.3, 0.4]) + errors("gp_mpc", [0.1, 0.2, 0.3])[::-1]
@@ -84,43 +81,37 @@ class TestFailures:
         + errors("gp_mpc", [0.1, "lost", 0.1, "solver_failed", "lost", "failed"])
     )  # fmt: skip
 
-    def test_what_was_left_out_is_counted_by_cause(self):
-        gp = only(compute_statistics(self.ROWS, metrics=["mean_error"]), "gp_mpc")
-        assert (gp.seeds, gp.n, gp.lost, gp.solver_failed, gp.failed, gp.infeasible) == (6, 2, 2, 1, 1, 0)
-        assert gp.failures == {"lost": 2, "solver_failed": 1, "failed": 1}
-        assert gp.pairs == 1 and gp.left_out == (
-            "1 lost, 1 lost by nominal_mpc, 1 solver_failed, 1 lost as was nominal_mpc, 1 failed"
-        )
-        assert gp.mean == pytest.approx(0.1) and gp.baseline_mean == pytest.approx(0.2)
+    @pytest.mark.parametrize(
+        ("nominal", "gp", "pairs", "left_out"),
+        [
+            (["lost", 0.3, 0.5, "lost"], [0.1, "lost", "solver_failed", "lost"], 0,
+             "1 lost by nominal_mpc, 1 lost, 1 solver_failed, 1 lost as was nominal_mpc"),
+            ([0.2, "lost"], [0.1, "solver_failed"], 1, "1 solver_failed (nominal_mpc lost)"),
+            ([0.2, 0.3], ["infeasible", "infeasible"], 0, "2 infeasible"),
+            ([0.2, 0.3], [None, 0.1, 0.1], 1, "1 not asked for, 1 not asked of nominal_mpc"),
+            ([0.2, 0.3], [(0.1, 0.2), 0.1], 1, "1 flown more than once"),
+        ],
+    )  # fmt: skip
+    def test_what_was_left_out_is_counted_by_cause(self, nominal, gp, pairs, left_out):
+        own = [
+            one | {"seed": seed}
+            for seed, values in enumerate(gp)
+            for one in errors("gp_mpc", [] if values is None else values if isinstance(values, tuple) else [values])
+        ]
+        found = only(compute_statistics(errors("nominal_mpc", nominal) + own, metrics=["mean_error"]), "gp_mpc")
+        assert (found.pairs, found.left_out) == (pairs, left_out)
 
-    def test_success_rate(self):
+    def test_flights_are_counted_by_outcome_and_the_success_rate_is_of_trials(self):
         gp = only(compute_statistics(self.ROWS, metrics=["mean_error"]), "gp_mpc")
-        assert gp.success == pytest.approx(2 / 6)
+        assert (gp.seeds, gp.n, gp.mean) == (6, 2, pytest.approx(0.1))
+        assert gp.failures == {"lost": 2, "solver_failed": 1, "failed": 1} and gp.success == pytest.approx(2 / 6)
         assert (gp.success_low, gp.success_high) == pytest.approx(inference.success_interval(2, 6))
-        # What nobody can fly is no trial.
-        rows = errors("gp_mpc", [0.1, "lost", "infeasible", "infeasible"])
-        gp = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
-        assert gp.success == 0.5 and gp.infeasible == 2 and gp.seeds == 4
-
-    def test_nothing_flown_at_all(self):
-        rows = errors("nominal_mpc", [0.2, 0.3]) + errors("gp_mpc", ["infeasible", "infeasible"])
-        gp = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
-        assert gp.n == 0 and math.isnan(gp.mean) and gp.left_out == "2 infeasible"
-        assert gp.success == 0 and gp.flown.text() == "0 of 2"  # what nominal_mpc flew, somebody can fly
-
-    def test_an_outcome_nobody_knows_is_a_failure(self):
-        gp = only(compute_statistics(errors("gp_mpc", [0.1, "exploded"]), metrics=["rmse"]), "gp_mpc")
-        assert gp.failed == 1 and gp.success == 0.5
-
-    def test_seeds_that_only_one_of_them_flew(self):
-        rows = errors("nominal_mpc", [0.2, 0.3]) + errors("gp_mpc", [0.1, 0.1, 0.1])[1:]
-        gp = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
-        assert gp.pairs == 1 and gp.left_out == "1 not asked for, 1 not asked of nominal_mpc"
-
-    def test_two_flights_of_one_seed_are_no_pair(self):
-        rows = errors("nominal_mpc", [0.2, 0.3]) + errors("gp_mpc", [0.1, 0.1]) + errors("gp_mpc", [0.2])
-        gp = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
-        assert gp.pairs == 1 and gp.n == 3 and gp.left_out == "1 flown more than once"
+        # What nobody can fly is no trial, what another one flew is one, and an unknown outcome is a failure.
+        rows = errors("gp_mpc", [0.1, "exploded", "infeasible", "infeasible"])
+        alone = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
+        assert (alone.success, alone.failed, alone.infeasible, alone.seeds) == (0.5, 1, 2, 4)
+        beside = compute_statistics(rows + errors("nominal_mpc", [0.2] * 4), metrics=["mean_error"])
+        assert only(beside, "gp_mpc").flown.text() == "1 of 4"
 
 
 class TestConditions:
@@ -131,14 +122,10 @@ class TestConditions:
             "trajectory.path=a b.csv",
         )
         assert variant_parts("controller.position_weight=0.5") == ["position_weight=0.5"]
-        rows = [
-            made
-            for payload, scale in (("0", 1.0), ("0.1", 2.0))
-            for made in (
-                *errors("nominal_mpc", [0.2 * scale, 0.22 * scale], variant=f"plant.payload={payload}"),
-                *errors("gp_mpc", [0.1, 0.1], variant=f"plant.payload={payload}"),
-            )
-        ]
+        rows = []
+        for payload, scale in (("0", 1.0), ("0.1", 2.0)):
+            rows += errors("nominal_mpc", [0.2 * scale, 0.22 * scale], variant=f"plant.payload={payload}")
+            rows += errors("gp_mpc", [0.1, 0.1], variant=f"plant.payload={payload}")
         statistics = compute_statistics(rows, metrics=["mean_error"])
         assert [s.setting for s in statistics] == ["plant.payload=0"] * 2 + ["plant.payload=0.1"] * 2
         assert [s.reduction for s in statistics][1::2] == pytest.approx(
@@ -147,14 +134,10 @@ class TestConditions:
         assert all(s.comparisons == 2 for s in statistics if s.baseline)
 
     def test_several_baselines_are_met_with_the_same_settings(self):
-        rows = [
-            made
-            for nodes, nominal in ((10, 0.2), (20, 0.4))
-            for made in (
-                *errors("nominal_mpc", [nominal] * 2, variant=f"controller.nodes={nodes}"),
-                *errors("gp_mpc", [0.1] * 2, variant=f"controller.nodes={nodes}"),
-            )
-        ]
+        rows = []
+        for nodes, nominal in ((10, 0.2), (20, 0.4)):
+            rows += errors("nominal_mpc", [nominal] * 2, variant=f"controller.nodes={nodes}")
+            rows += errors("gp_mpc", [0.1] * 2, variant=f"controller.nodes={nodes}")
         rows += errors("perfect_mpc", [0.1] * 2, variant="controller.nodes=30")
         statistics = compute_statistics(rows, metrics=["mean_error"])
         assert only(statistics, "gp_mpc nodes=10").reduction == pytest.approx(50)
@@ -163,14 +146,8 @@ class TestConditions:
         assert only(statistics, "perfect_mpc nodes=30").baseline == ""
 
     def test_holm_counts_every_comparison_of_a_metric(self):
-        rows = [
-            made
-            for speed in (4.0, 8.0)
-            for made in (
-                *errors("nominal_mpc", [0.2, 0.3, 0.4, 0.5], speed=speed),
-                *errors("gp_mpc", [0.1, 0.1, 0.1, 0.1], speed=speed),
-            )
-        ]
+        rows = [one for v in (4.0, 8.0) for one in errors("nominal_mpc", [0.2, 0.3, 0.4, 0.5], speed=v)]
+        rows += [one for v in (4.0, 8.0) for one in errors("gp_mpc", [0.1] * 4, speed=v)]
         for statistic in compute_statistics(rows, metrics=["mean_error", "rmse"]):
             if statistic.baseline:
                 assert statistic.p == 1 / 8 and statistic.p_holm == 1 / 4 and statistic.comparisons == 2
@@ -192,14 +169,8 @@ class TestOverall:
         return made
 
     def test_a_ratio_that_is_the_same_everywhere(self):
-        rows = [
-            made
-            for speed, scale in ((4.0, 1), (8.0, 10))
-            for made in (
-                *errors("nominal_mpc", [0.1 * scale, 0.2 * scale], speed=speed),
-                *errors("gp_mpc", [0.02 * scale, 0.04 * scale], speed=speed),
-            )
-        ]
+        rows = errors("nominal_mpc", [0.1, 0.2], speed=4.0) + errors("gp_mpc", [0.02, 0.04], speed=4.0)
+        rows += errors("nominal_mpc", [1.0, 2.0], speed=8.0) + errors("gp_mpc", [0.2, 0.4], speed=8.0)
         (gp,) = overall(rows)
         assert (gp.label, gp.conditions, gp.pairs, gp.left_out) == ("gp_mpc", 2, 4, "")
         assert gp.reduction == pytest.approx(80) and gp.units == 2 and gp.effect == 1.0
@@ -259,57 +230,33 @@ class TestOverall:
 class TestFile:
     ROWS = (*TestFailures.ROWS, *errors("perfect_mpc", [0.01] * 6), row("gp_mpc", speed=None, trajectory="hover"))
 
-    def test_what_is_written_is_read_back(self, tmp_path, monkeypatch):
-        made = results_statistics(tmp_path, self.ROWS)
-        write_statistics(tmp_path, made)
-        assert read_metadata(tmp_path / "statistics.parquet", "statistics")["baseline"] == "nominal_mpc"
-        monkeypatch.setattr(statistics_file, "compute_statistics", lambda *_, **__: pytest.fail("computed again"))
-        again = results_statistics(tmp_path, self.ROWS)
-        assert repr(again) == repr(made)
+    def written(self, folder, **options):
+        statistics = results_statistics(self.ROWS, **options)
+        table, texts = comparison_texts(statistics, "rmse")
+        return statistics, table, write_comparison(folder, statistics, texts)
 
-    @pytest.mark.parametrize("change", [{"baseline": "gp_mpc"}, {"confidence": 0.9}])
-    def test_another_question_is_computed(self, tmp_path, change):
-        write_statistics(tmp_path, results_statistics(tmp_path, self.ROWS))
-        made = results_statistics(tmp_path, self.ROWS, **change)
-        assert {s.confidence for s in made.rows} == {change.get("confidence", 0.95)}
-        assert {s.baseline for s in made.rows} - {""} == {change.get("baseline", "nominal_mpc")}
-
-    def test_other_rows_are_computed(self, tmp_path):
-        write_statistics(tmp_path, results_statistics(tmp_path, self.ROWS))
-        changed = [dict(self.ROWS[0], mean_error=0.7), *self.ROWS[1:]]
-        assert only(results_statistics(tmp_path, changed).of("mean_error"), "nominal_mpc").mean == pytest.approx(
-            1.7 / 4
-        )
-
-    def test_csv_holds_every_column_in_full_precision(self):
-        statistics = compute_statistics(errors("gp_mpc", [1 / 3, 1 / 7]), metrics=["mean_error"])
-        (back,) = csv.DictReader(io.StringIO(statistics_csv(statistics)))
-        assert float(back["mean"]) == statistics[0].mean and float(back["low"]) == statistics[0].low
-        assert back["unit"] == "m" and back["p"] == "" and back["lost"] == "0"
-
-    def test_columns_carry_their_units(self, tmp_path):
-        import pyarrow.parquet as pq
-
-        write_statistics(tmp_path, results_statistics(None, self.ROWS))
+    def test_the_files_hold_every_column_in_full_precision_with_its_unit(self, tmp_path):
+        statistics, table, files = self.written(tmp_path)
+        assert set(files) == {"markdown", "latex", "comparison", "statistics", "statistics_csv"}
+        columns, record = read_table(tmp_path / "statistics.parquet", "statistics")
+        assert record["baseline"] == "nominal_mpc" and record["fingerprint"] == statistics.fingerprint
+        assert columns["mean"].tolist() == pytest.approx([one.mean for one in statistics.rows], rel=0, nan_ok=True)
         schema = pq.read_schema(tmp_path / "statistics.parquet")
         units = {field.name: (field.metadata or {}).get(b"unit") for field in schema}
         assert units["speed"] == b"m/s" and units["reduction_low"] == b"%" and units["mean"] == b"see `unit`"
-
-    def test_tables_of_one_metric(self, tmp_path):
-        table, files = write_comparison(tmp_path, results_statistics(None, self.ROWS), "rmse")
-        assert set(files) == {"markdown", "latex", "comparison", "statistics", "statistics_csv"}
-        text = (tmp_path / "table.md").read_text()
-        assert "RMSE (mm)" in text and "RMSE against nominal_mpc" in text
-        assert "| circle | 8 | gp_mpc | 1 | -120.0 | 50.0 | 1.00 | - | - | 1 lost, 1 lost by nominal_mpc," in text
-        latex = (tmp_path / "comparison.tex").read_text()
-        assert r"reduction (\%)" in latex and r"1 solver\_failed" in latex and latex.count(r"\toprule") == 1
+        first, *_ = csv.DictReader((tmp_path / "statistics.csv").read_text().splitlines())
+        assert float(first["low"]) == statistics.rows[0].low and first["p"] == "" and first["lost"] == "2"
+        assert "RMSE against nominal_mpc" in (tmp_path / "table.md").read_text()
         # Without a baseline there is nothing to compare, and no table left of another one.
-        table, files = write_comparison(tmp_path, results_statistics(None, self.ROWS, baseline="rls_mpc"), "rmse")
+        _, table, files = self.written(tmp_path, baseline="rls_mpc")
         assert "comparison" not in files and not (tmp_path / "comparison.tex").exists()
         assert any("no comparison" in note for note in table.notes)
 
-
-def test_two_failures_of_two_kinds_are_both_named():
-    rows = errors("nominal_mpc", [0.2, "lost"]) + errors("gp_mpc", [0.1, "solver_failed"])
-    gp = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
-    assert gp.left_out == "1 solver_failed (nominal_mpc lost)"
+    def test_rows_that_are_there_are_not_written_again(self, tmp_path):
+        self.written(tmp_path)
+        before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+        self.written(tmp_path)
+        assert before == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+        statistics, _, _ = self.written(tmp_path, confidence=0.9)
+        assert read_metadata(tmp_path / "statistics.parquet", "statistics")["confidence"] == 0.9
+        assert {one.confidence for one in statistics.rows} == {0.9}

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import read_table, write_table
-from quadexp.messages import latex
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import cell_text, comparison_table, error_table, table_of, to_latex, to_markdown, to_rich
+from quadexp.report.tables import cell_text, comparison_table, error_table
 from quadexp.report.text import significant, with_interval
 
 
@@ -71,35 +70,44 @@ def test_columns_tell_apart_whatever_differs():
 
 
 def test_many_worlds_are_rows():
-    names = ("nominal_mpc", "gp_mpc", "perfect_mpc")
-    rows = [
-        row(name, plant=plant, seed=s)
-        for plant in ("simplified", "simplified/wind", "ideal")
-        for name in names
-        for s in (0, 1)
-    ]
-    table = error_table(rows)
+    names, plants = ("nominal_mpc", "gp_mpc", "perfect_mpc"), ("simplified", "simplified/wind", "ideal")
+    table = error_table([row(name, plant=plant, seed=s) for plant in plants for name in names for s in (0, 1)])
     assert table.columns == names and table.keys == ("plant",) and len(table.entries) == 9
-    assert table.rows == tuple(("circle", "8", plant) for plant in ("simplified", "simplified/wind", "ideal"))
+    assert table.rows == tuple(("circle", "8", plant) for plant in plants)
     assert table.table().columns[:3] == ["trajectory", "m/s", "plant"]
-    latex = to_latex(table)
-    assert r" & & & \multicolumn{3}{c}{mean error (mm)}" in latex and r"\cmidrule(l){4-6}" in latex
+    assert r" & & & \multicolumn{3}{c}{mean error (mm)}" in table.latex() and r"\cmidrule(l){4-6}" in table.latex()
 
 
-def test_a_swept_key_of_the_controller_has_a_column_with_its_values_down():
+@pytest.mark.parametrize(
+    ("settings", "headings", "lines"),
+    [
+        (["plant.payload=0", "plant.payload=1"], ["payload (kg)"], [["0"], ["1"]]),
+        (["wind.velocity=[4,0,0]", "wind.velocity=[3,4,0]"], ["wind (m/s)"], [["4"], ["5"]]),
+        (["wind.velocity=[4,0,0]", "wind.velocity=[0,4,0]"], ["wind (m/s)"], [["[4,0,0]"], ["[0,4,0]"]]),
+        (["link.latency=0", "link.latency=0.03"], ["latency (ms)"], [["0"], ["30"]]),
+        (["horizon=published", "horizon=robust"], ["horizon"], [["published"], ["robust"]]),
+        (["plant.payload=0 controller.nodes=5", "plant.payload=1 controller.nodes=10"], ["payload (kg)", "nodes"],
+         [["0", "5"], ["1", "10"]]),
+    ],
+)  # fmt: skip
+def test_a_swept_key_has_a_column_with_its_unit_above_and_its_values_down(settings, headings, lines):
     rows = [
-        row(name, variant=f"controller.nodes={nodes} plant.payload={payload}", error=0.001 * nodes, seed=s)
+        row(name, variant=variant, error=0.001 * (1 + k), seed=s)
         for name in ("nominal_mpc", "gp_mpc")
-        for nodes in (5, 10)
-        for payload in (0, 1)
+        for k, variant in enumerate(settings)
         for s in (0, 1)
     ]
     table = error_table(rows)
-    assert table.columns == ("nominal_mpc", "gp_mpc") and table.keys == ("plant.payload", "controller.nodes")
-    assert table.table().columns[:4] == ["trajectory", "m/s", "payload (kg)", "nodes"]
-    assert table.rows == tuple(("circle", "8", p, n) for n in ("5", "10") for p in "01")
-    means = {(line[3], column): 1e3 * entry.common_mean for (line, column), entry in table.entries.items()}
-    assert means == {(n, c): pytest.approx(float(n)) for n in ("5", "10") for c in table.columns}
+    assert table.table().columns == ["trajectory", "m/s", *headings, "nominal_mpc", "gp_mpc"]
+    assert [list(line[2:]) for line in table.rows] == lines and len(table.entries) == 4
+    means = [1e3 * table.entries[line, "gp_mpc"].common_mean for line in table.rows]
+    assert means == pytest.approx([1.0, 2.0])
+
+
+def test_no_two_columns_have_the_same_label():
+    settings = (("nominal_mpc", ""), ("gp_mpc", "controller.a.gain=1"), ("gp_mpc", "controller.b.gain=1"))
+    table = error_table([row(name, seed=s, variant=variant) for name, variant in settings for s in range(2)])
+    assert table.columns == ("nominal_mpc", "gp_mpc controller.a.gain=1", "gp_mpc controller.b.gain=1")
 
 
 def test_the_comparison_names_its_lines_as_the_error_table_does():
@@ -108,7 +116,7 @@ def test_the_comparison_names_its_lines_as_the_error_table_does():
     rows = [row(name, seed=s, error=e, variant=v) for v in settings for name, e in who.items() for s in (0, 1)]
     statistics = compute_statistics(rows, metrics=("mean_error",))
     lines = comparison_table(statistics).rows
-    assert table_of(statistics).rows == (("circle", "8", "published"), ("circle", "8", "robust"))
+    assert error_table(rows).rows == (("circle", "8", "published"), ("circle", "8", "robust"))
     assert [line[0] for line in lines] == ["circle, horizon published", "circle, horizon robust"]
     assert [line[1:3] for line in lines] == [["8", "perfect_mpc"]] * 2
 
@@ -136,26 +144,13 @@ MADE = (("nominal_mpc", 0.2, 0.0), ("gp_mpc", 0.004, 0.001))  # error at the fir
 def test_markdown_and_latex():
     rows = [row(name, error=e + s * d, seed=s) for name, e, d in MADE for s in (0, 1, 2)]
     table = error_table(rows)
-    assert "| flown |  | 3 of 3 | 3 of 3 |\n| circle | 8 | 200.0 | **5.00** [2.52, 7.48] |" in to_markdown(table)
-    latex = to_latex(table)
+    assert "| flown |  | 3 of 3 | 3 of 3 |\n| circle | 8 | 200.0 | **5.00** [2.52, 7.48] |" in table.markdown()
+    latex = table.latex()
     assert r"circle & 8 & 200.0 & \textbf{5.00} [2.52, 7.48] \\" in latex
     assert r"nominal\_mpc & gp\_mpc" in latex and r"flown &  & 3 of 3 & 3 of 3 \\" in latex
     assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == 1
     assert r"trajectory & speed (m/s) & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
     assert latex.count("&") == 2 + 3 * 3
-
-
-def test_latex_escapes_outcomes_with_underscores():
-    table = error_table([row(outcome="solver_failed")])
-    assert r"1 solver\_failed" in to_latex(table)
-
-
-def test_the_terminal_shows_the_same_numbers():
-    from rich.console import Console
-
-    console = Console(width=100, file=io.StringIO())
-    console.print(to_rich(error_table([row(error=0.2), row("gp_mpc", error=0.004)])))
-    assert "200.0" in console.file.getvalue() and "4.00" in console.file.getvalue()
 
 
 def test_csv_and_parquet_hold_every_column_in_full_precision(tmp_path):
@@ -175,7 +170,7 @@ class TestIntervals:
 
         table = error_table([row(seed=s, error=0.2 + 0.01 * s) for s in range(3)])
         console = Console(width=60, file=io.StringIO())
-        console.print(to_rich(table, stacked=True))
+        console.print(table.table().rich(stacked=True))
         lines = [line.split("│")[-2].strip() for line in console.file.getvalue().splitlines() if "│" in line]
         assert lines == ["3 of 3", "210.0", "[185.2, 234.8]"]  # 10 mm spread, t(0.975, 2) = 4.303
 
@@ -196,11 +191,11 @@ class TestIntervals:
         assert gp.significant and not nominal.significant  # six pairs: p = 2 / 2^6
         assert nominal.common_low < nominal.common_mean < nominal.common_high
         mean, text = f"{1e3 * gp.common_mean:.2f}", f"[{1e3 * gp.common_low:.2f}, {1e3 * gp.common_high:.2f}]"
-        assert f"**{mean}** {text}*" in to_markdown(table)
-        assert rf"\textbf{{{mean}}} {text}$^*$" in to_latex(table)
-        assert f"] (1 lost) | **{mean}** {text}* (own {1e3 * gp.mean:.2f} of 7) |" in to_markdown(table)
+        assert f"**{mean}** {text}*" in table.markdown()
+        assert rf"\textbf{{{mean}}} {text}$^*$" in table.latex()
+        assert f"] (1 lost) | **{mean}** {text}* (own {1e3 * gp.mean:.2f} of 7) |" in table.markdown()
         assert 1e3 * gp.mean == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.common == 6
-        assert r"- \* differs from nominal_mpc: p < 0.05" in to_markdown(table)
+        assert r"- \* differs from nominal_mpc: p < 0.05" in table.markdown()
         assert table.notes[0].startswith(
             "mean over the flights of a line that all ended well, of 7 seeds [95 % interval: Student's t]; bold:"
         )
@@ -217,6 +212,3 @@ class TestIntervals:
         assert error_table(rows).notes[1] == (
             "5 seeds cannot show p < 0.05 in a line, over 1 comparison: at least 6 are needed"
         )
-
-    def test_latex_escapes_everything(self):
-        assert latex("a_b & 5 % < {x} \\") == r"a\_b \& 5 \% $<$ \{x\} \textbackslash{}"

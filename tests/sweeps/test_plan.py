@@ -16,8 +16,9 @@ from quadexp.parts.cells import Cells
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.schema import WORLD, Config
 from quadexp.parts.settings import keys_of
+from quadexp.report.inference import least_p
 from quadexp.sweeps import plan
-from quadexp.sweeps.plan import plan_cells
+from quadexp.sweeps.plan import plan_cells, too_few_seeds
 from quadexp.sweeps.results import select
 from tests.sweeps.test_sweep import fly, key_of
 
@@ -203,3 +204,19 @@ class TestInterrupted:
         write_table(out / "results.parquet", {**columns, "rmse": 2 * columns["rmse"]}, {}, "results")
         second = fly(grid, out)
         assert second.flown == 0 and list(second.rows) == list(first.rows)
+
+
+@pytest.mark.parametrize(
+    ("asked", "comparisons"),
+    [
+        (["controller=nominal_mpc,gp_mpc"], 1),
+        (["controller=nominal_mpc,gp_mpc,perfect_mpc", "trajectory.speed=4,6", "trajectory=circle,lemniscate"], 8),
+    ],
+)
+def test_before_a_sweep_it_is_said_how_many_seeds_could_show_a_difference(asked, comparisons):
+    enough = next(n for n in range(2, 99) if comparisons * least_p(n) < 0.05)
+    for seeds in range(2, 14):
+        said = too_few_seeds(expand([*asked, f"seed=range({seeds})"]).grids, "nominal_mpc", 0.95)
+        expected = f"no single line can be significant with {seeds} seeds; seed='range({enough})' could"
+        assert said == (expected if seeds < enough else "")
+    assert not too_few_seeds(expand(["controller=gp_mpc", "seed=0,1"]).grids, "nominal_mpc", 0.95)  # no comparison

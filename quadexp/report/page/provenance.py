@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.parts.cells import Grid
-from quadexp.report.compare_parts import flat
 from quadexp.report.flown_by import versions_of
+from quadexp.report.frame import flat
 from quadexp.report.margin_line import margin_line
 from quadexp.report.page.source import Comparison
 

@@ -19,6 +19,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.inference import Ratio
+from quadexp.report.notes import notes
 from quadexp.report.pairing import (
     Common,
     Condition,
@@ -354,7 +355,7 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
     chosen: str = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
-    statistics = results_statistics(file.parent, every, baseline=chosen, confidence=confidence)
+    statistics = results_statistics(every, baseline=chosen, confidence=confidence)
     return Comparison(
         root=file.parent,
         rows=rows,
@@ -364,5 +365,5 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
         baseline=chosen,
         confidence=confidence,
         digest=hashlib.sha256(file.read_bytes()).hexdigest(),
-        notes=statistics.notes,
+        notes=notes(every),
     )
