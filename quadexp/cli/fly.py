@@ -141,7 +141,6 @@ def evaluate(
     from quadexp.progress import Progress
     from quadexp.report.notes import invalid_text
     from quadexp.report.statistics_file import statistics_csv
-    from quadexp.report.tables import to_latex, to_markdown
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
     from quadexp.sweeps.plan import too_few_seeds
@@ -193,8 +192,8 @@ def evaluate(
     }
     texts = {
         "csv": lambda: statistics_csv(result.statistics.of(settings.metric)),
-        "markdown": lambda: to_markdown(result.table),
-        "latex": lambda: to_latex(result.table),
+        "markdown": result.table.markdown,
+        "latex": result.table.latex,
     }
     return Answer(record, [], [*table, out] if table else [result.table, out], [*filter(None, notes)], failed, texts)
 

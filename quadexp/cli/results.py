@@ -58,14 +58,8 @@ def results(
     """
     from quadexp.errors import UsageError
     from quadexp.log.outcome import RULE
-<<<<<<< HEAD
-    from quadexp.report.flights_table import csv_of, flights_table, page_of
     from quadexp.report.flown_by import flown_by, flown_by_lines
-=======
-    from quadexp.report.flown_by import flown_by, flown_by_lines
-    from quadexp.report.tables import csv_of, flights_table
-    from quadexp.sweeps.results import prune as prune_results
->>>>>>> h4
+    from quadexp.report.tables import csv_of, flights_table, page_of
     from quadexp.sweeps.results import select
 
     if verify:
@@ -111,10 +105,6 @@ def _prune(folder: Path, filters: list[str], remove: bool) -> Answer:
 
 def _page(page: str, path: Path, force: bool, opened: bool) -> Answer:
     from quadexp.files.writer import check_output, write_text
-<<<<<<< HEAD
-=======
-    from quadexp.report.tables import page_of
->>>>>>> h4
 
     write_text(check_output(path, force=force), page, force=force)
     if opened:

@@ -271,19 +271,11 @@ def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
 
 
 def print_table(table: Any) -> None:
-<<<<<<< HEAD
     """Print a Table or an ErrorTable with its notes; stacked where the terminal is too narrow."""
-    from quadexp.report.tables import to_rich
-
-    out, rich = console(), table.rich if hasattr(table, "rich") else functools.partial(to_rich, table)
+    out = console()
+    rich = table.rich if hasattr(table, "rich") else table.table().rich
     shown = rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
         shown = rich(stacked=True)
-=======
-    out = console()
-    shown = table.table().rich()
-    if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
-        shown = table.table().rich(stacked=True)
->>>>>>> h4
     out.print(shown)
     print_lines(table.notes)
