@@ -10,7 +10,7 @@ from quadexp.cli.app import app
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose
-from quadexp.report.delay_figures import Profile, delay_figure
+from quadexp.report.log_figures import Profile, delay_figure
 
 
 def test_the_chosen_candidate_and_its_standard_error_are_drawn():

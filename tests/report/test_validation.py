@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.report.validation_figures import rollout_figure
-from quadexp.report.validation_table import MODES, rollout_lines
+from quadexp.report.model_figures import rollout_figure
+from quadexp.report.model_lines import MODES, rollout_lines
 
 HORIZONS, PREDICTORS = (0.1, 0.5), ("nominal", "linear drag")
 
