@@ -156,7 +156,7 @@ def animate(
     format: Format = None,
     json: Json = False,
 ) -> None:
-    """Draw flights over one reference as a moving picture in real time, a GIF or WebP file.
+    """Draw flights over one reference as a moving picture in real time: GIF, WebP, or MP4 by ffmpeg.
 
     \b
     quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif

@@ -102,12 +102,14 @@ def test_the_wind_is_an_arrow_that_points_where_the_air_goes(tmp_path, wind, way
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"out": "a.mp4"}, "must end in .gif or .webp"),
+        ({"out": "a.avi"}, "must end in .gif, .webp, .mp4"),
+        ({"out": "a.mp4"}, "needs ffmpeg on the PATH"),
         ({"rate": 0.5}, r"--rate 0.5: must be in \[1, 50\]"),
         ({"begin": 50.0}, "0 frames from 50"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line_and_no_file(tmp_path, given, message):
+def test_what_cannot_be_drawn_is_one_line_and_no_file(tmp_path, monkeypatch, given, message):
+    monkeypatch.setenv("PATH", "")
     path = flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0))
     out = tmp_path / given.pop("out", "a.gif")
     with pytest.raises(UsageError, match=message):
@@ -124,10 +126,31 @@ def test_flights_of_different_references_are_refused(tmp_path):
         animate(paths, tmp_path / "a.gif")
 
 
-def test_flights_at_different_control_rates_follow_one_reference(tmp_path):
-    slow = flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0))
-    made = straight_flight(60)
-    at = np.arange(0.0, made.t[-1] + 1e-9, (made.t[1] - made.t[0]) / 4)
-    columns = {name: np.interp(at, made.t, values) for name, values in made.columns.items()}
-    fast = write_flight(tmp_path / "gp_mpc.parquet", Flight(columns, {**made.metadata, "controller": "gp_mpc"}))
-    assert animate([slow, fast], tmp_path / "a.gif")["frames"] == animate([slow], tmp_path / "b.gif")["frames"]
+@pytest.mark.parametrize("ratio", [4.0, 0.6])
+def test_flights_at_different_control_rates_follow_one_reference(tmp_path, ratio):
+    """Also where few of their samples are at the same times."""
+    turning = straight_flight(60)
+    for name, of in (("p_x", np.cos), ("p_y", np.sin)):
+        turning.columns[f"ref_{name}"] = turning.columns[name] = 5 * of(2 * turning.t)
+    slow = write_flight(tmp_path / "slow.parquet", turning)
+    at = np.arange(0.0, turning.t[-1] + 1e-9, (turning.t[1] - turning.t[0]) / ratio)
+    columns = {name: np.interp(at, turning.t, values) for name, values in turning.columns.items()}
+    for name, of in (("ref_p_x", np.cos), ("ref_p_y", np.sin)):
+        columns[name] = 5 * of(2 * at)
+    fast = write_flight(tmp_path / "fast.parquet", Flight(columns, {**turning.metadata, "controller": "gp_mpc"}))
+    assert animate([slow, fast], tmp_path / "a.gif", rate=10)["frames"] > 2
+
+
+def test_a_video_has_every_frame_and_the_last_one_stays(tmp_path, monkeypatch):
+    """By a stand-in for ffmpeg, which writes down what it is given."""
+    program = tmp_path / "ffmpeg"
+    program.write_text('#!/bin/sh\nfor target; do :; done\n{ echo "$@"; cat; } > "$target"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    made = animate([flight(tmp_path, "gp_mpc", (0.1, 0.0, 0.0))], tmp_path / "a.mp4", rate=10, end=0.5)
+    command, _, pixels = made["path"].read_bytes().partition(b"\n")
+    assert b"-s 720x390 -r 10 " in command and len(pixels) == (made["frames"] + 12) * 720 * 390 * 3
+    program.write_text("#!/bin/sh\ncat > /dev/null; echo no such codec >&2; exit 1\n")
+    with pytest.raises(UsageError, match="ffmpeg: no such codec"):
+        animate([tmp_path / "gp_mpc.parquet"], tmp_path / "b.mp4", rate=10, end=0.5)
+    assert not (tmp_path / "b.mp4").exists()
