@@ -10,7 +10,6 @@ import pytest
 from quadexp.log.store import write_table
 from quadexp.parts.compose import expand
 from quadexp.report.compare import compare
-from quadexp.report.drawing import fastest
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
@@ -20,7 +19,7 @@ from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import error_table, to_latex, to_markdown
 from quadexp.report.winner import verdicts
-from quadexp.sweeps.figures import SweepFigures
+from quadexp.sweeps.figures import SweepFigures, path_grids
 from quadexp.sweeps.sweep import run_sweep
 from tests.report.results import speed_figure
 from tests.report.test_tables import row
@@ -234,6 +233,9 @@ def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(real, tmp_pa
 
 
 def test_paths_of_a_real_sweep_say_who_is_missing(real):
-    chosen, missing = fastest([r for r in real[1].rows if r["speed"] == 10.0])["circle"]
-    assert [label for label, _ in chosen] == ["perfect_mpc nodes=8", "perfect_mpc nodes=12"]
-    assert missing == ["nominal_mpc nodes=8 (lost)", "nominal_mpc nodes=12 (lost)"]
+    grid = path_grids(real[1].rows)["circle"]
+    assert grid.conditions == ["4 m/s", "10 m/s"] and not grid.left_out
+    assert grid.controllers == [f"{name}_mpc nodes={n}" for name in ("nominal", "perfect") for n in (8, 12)]
+    outcomes = {place: row["outcome"] for place, row in grid.cells.items()}
+    lost = {place for place in outcomes if place[0].startswith("nominal") and place[1] == "10 m/s"}
+    assert len(outcomes) == 8 and lost == {place for place, outcome in outcomes.items() if outcome == "lost"}

@@ -72,20 +72,25 @@ def test_what_was_not_flown_is_not_drawn(rows):
     lost = [made | {"outcome": "lost"} for made in rows]
     with pytest.raises(UsageError, match="none of the 24 flights ended well"):
         speed_figure(lost)
-    assert solve_times(lost) is None
 
 
-def test_paths_share_one_colour_scale():
-    flights = [("a", straight_flight(20, (0.0, 0.2, 0.0))), ("b", straight_flight(20, (0.0, 0.01, 0.0)))]
-    figure = tracked_paths(flights, "circle, 8 m/s")
-    drawn = [panel.collections[0] for panel in figure.axes[:2]]
-    assert drawn[0].norm is drawn[1].norm
+def test_paths_have_a_row_a_controller_and_a_column_a_condition():
+    """One colour scale; the place of a flight that did not end well says so; a single condition is in the title."""
+    far, near, perfect = (straight_flight(20, (0.0, offset, 0.0)) for offset in (0.2, 0.01, 0.0))
+    flights = {("a", "4 m/s"): far, ("a", "8 m/s"): far, ("b", "4 m/s"): near}
+    figure = tracked_paths(flights, "circle", {("b", "8 m/s"): "lost"}, ["6 m/s"])
+    panels = figure.axes[:4]
+    drawn = [panel.collections[0] for panel in panels[:3]]
+    assert drawn[0].norm is drawn[1].norm is drawn[2].norm
     np.testing.assert_allclose(drawn[0].get_array(), 200.0)
-    assert "mean 10 mm" in figure.axes[1].get_title()
-
-
-def test_a_perfect_flight_can_be_drawn(tmp_path):
-    assert save(tracked_paths([("perfect", straight_flight(20))]), tmp_path / "p").exists()
+    titles = ["4 m/s\nmean 200 mm", "8 m/s\nmean 200 mm", "mean 10 mm", ""]
+    assert [panel.get_title() for panel in panels] == titles
+    assert [panel.get_ylabel() for panel in panels] == ["a\ny (m)", "", "b\ny (m)", ""]
+    assert [text.get_text() for text in panels[3].texts] == ["lost"]
+    assert figure.get_suptitle() == "circle\nnot drawn: 6 m/s"
+    single = tracked_paths({("a", "4 m/s"): perfect, ("b", "4 m/s"): perfect}, "circle")
+    assert [panel.get_title() for panel in single.axes[:2]] == ["a\nmean 0 mm", "b\nmean 0 mm"]
+    assert single.get_suptitle() == "circle, 4 m/s"
 
 
 def test_an_hour_of_flight_is_a_small_file(tmp_path):
@@ -95,7 +100,7 @@ def test_an_hour_of_flight_is_a_small_file(tmp_path):
     for kind, off in (("", noise), ("ref_", 0 * noise)):
         circle = {f"{kind}p_x": np.cos(flight.t) + off[0], f"{kind}p_y": np.sin(flight.t) + off[1]}
         flight.columns.update(circle)
-    path = save(tracked_paths([("an hour", flight)]), tmp_path / "hour")
+    path = save(tracked_paths({("an hour", ""): flight}), tmp_path / "hour")
     assert path.stat().st_size < 200_000 and path.read_bytes().count(b"<image") >= 2  # one is the scale
 
 
