@@ -45,7 +45,6 @@ def tracked_paths(
     """
     places = dict.fromkeys([*flights, *(missing or {})])
     controllers, conditions = (list(dict.fromkeys(place[k] for place in places)) for k in (0, 1))
-    conditions.sort(key=[condition for _, condition in flights].index)
     most = max(1, MAX_PANELS // len(conditions))
     left_out = [*left_out, *(f"{controller} (no room)" for controller in controllers[most:])]
     panels = [(controller, condition) for controller in controllers[:most] for condition in conditions]
@@ -82,7 +81,7 @@ def tracked_paths(
     figure.legend(*entries(grid.flat), loc="outside lower center", ncols=2)
     title = ", ".join(filter(None, (title, conditions[0] if single else "")))
     if left_out:
-        title += "\n" + textwrap.fill(f"not drawn: {', '.join(left_out)}", int(14 * figure.get_size_inches()[0]))
+        title += "\n" + textwrap.fill(f"not drawn: {'; '.join(left_out)}", int(14 * figure.get_size_inches()[0]))
     if title:
         figure.suptitle(title.strip(), fontsize=10)
     return figure

@@ -23,9 +23,9 @@ from quadexp.files.writer import clean, remove
 from quadexp.log.cell_store import CellStore
 from quadexp.provenance import source_hash
 from quadexp.report.frame import SweepFrame
-from quadexp.report.pairing import condition_of, is_flown
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.result_rows import to_columns
-from quadexp.report.tables import column_labels, course_labels
+from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.report.view import automatic
 from quadexp.sweeps.child import cause
@@ -80,35 +80,48 @@ def drawings(
 
 class PathGrid(NamedTuple):
     """Flights of one trajectory. cells: (controller, condition) -> row of the first seed that ended well, otherwise of
-    the first seed. left_out: conditions beyond MAX_CONDITIONS."""
+    the first seed; one condition after the other. left_out: conditions beyond MAX_CONDITIONS."""
 
-    controllers: list[str]
-    conditions: list[str]
     cells: dict[tuple[str, str], Row]
     left_out: list[str]
 
 
 def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
-    """By trajectory, as far as a flight of it ended well; of many conditions the slowest, the fastest, one between."""
+    """By trajectory, as far as a flight of it ended well. Of many speeds the slowest, the fastest, one between; where
+    worlds and other settings differ too, the fastest of each."""
+    names = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
-    cells: dict[str, dict[tuple[str, str], Row]] = {}
-    for row, controller in zip(rows, column_labels(rows), strict=True):
+    several = [key for key in ("plant", "vehicle") if len({row[key] for row in rows}) > 1]
+    cells: dict[str, dict[tuple[str, str, float], Row]] = {}
+    for row in rows:
         *_, speed, setting = condition_of(row)
-        words = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
-        place = controller, ", ".join(filter(None, (speed_text(speed), words)))
+        worlds = [str(row[key]).partition("/")[2] or row[key] for key in several]
+        settings = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
+        words = ", ".join(filter(None, [*worlds, settings])).replace("=", " ")
+        place = names[contestant_of(row)], words, speed or 0.0
         of_course = cells.setdefault(row["trajectory"], {})
         if place not in of_course or (is_flown(row) and not is_flown(of_course[place])):
             of_course[place] = row
-    grids = {}
+    grids: dict[str, PathGrid] = {}
     for trajectory, of_course in cells.items():
-        speeds = {condition: condition_of(row)[3] or 0.0 for (_, condition), row in of_course.items() if is_flown(row)}
-        conditions = sorted(speeds, key=lambda condition: speeds[condition])
-        shown = sorted({round(k) for k in np.linspace(0, len(conditions) - 1, MAX_CONDITIONS)}) if conditions else []
-        kept = [conditions[k] for k in shown]
-        chosen = {place: row for place, row in of_course.items() if place[1] in kept}
-        left_out = [condition for condition in conditions if condition not in kept]
+        flown = sorted({place[1:] for place, row in of_course.items() if is_flown(row)}, key=lambda place: place[::-1])
+        speeds = {words: [speed for other, speed in flown if other == words] for words, _ in flown}
+        each = max(1, MAX_CONDITIONS // max(len(speeds), 1))
+        kept = [
+            (words, speed)
+            for words, of_words in list(speeds.items())[:MAX_CONDITIONS]
+            for speed in sorted({of_words[round(k)] for k in np.linspace(len(of_words) - 1, 0, each)})
+        ]
+        texts = {(words, v): ", ".join(filter(None, (speed_text(v or None), words))) for words, v in flown}
+        chosen = {
+            (name, texts[condition]): row
+            for condition in kept
+            for (name, *other), row in of_course.items()
+            if tuple(other) == condition
+        }
         if kept:
-            grids[trajectory] = PathGrid(list(dict.fromkeys(c for c, _ in chosen)), kept, chosen, left_out)
+            left_out = [text for place, text in texts.items() if place not in kept]
+            grids[trajectory] = PathGrid(chosen, left_out)
     return grids
 
 

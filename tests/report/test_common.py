@@ -234,8 +234,19 @@ def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(real, tmp_pa
 
 def test_paths_of_a_real_sweep_say_who_is_missing(real):
     grid = path_grids(real[1].rows)["circle"]
-    assert grid.conditions == ["4 m/s", "10 m/s"] and not grid.left_out
-    assert grid.controllers == [f"{name}_mpc nodes={n}" for name in ("nominal", "perfect") for n in (8, 12)]
+    assert list(dict.fromkeys(condition for _, condition in grid.cells)) == ["4 m/s", "10 m/s"] and not grid.left_out
+    names = {f"{name}_mpc nodes={n}" for name in ("nominal", "perfect") for n in (8, 12)}
+    assert {name for name, _ in grid.cells} == names
     outcomes = {place: row["outcome"] for place, row in grid.cells.items()}
     lost = {place for place in outcomes if place[0].startswith("nominal") and place[1] == "10 m/s"}
     assert len(outcomes) == 8 and lost == {place for place, outcome in outcomes.items() if outcome == "lost"}
+
+
+def test_paths_of_worlds_are_columns_and_the_fastest_of_each_is_drawn():
+    asked = [(plant, speed) for plant in ("simplified", "simplified/wind=constant") for speed in (4.0, 8.0)]
+    rows = [row("gp_mpc", plant=plant, speed=speed) for plant, speed in asked]
+    grid = path_grids(rows)["circle"]
+    assert [condition for _, condition in grid.cells] == ["8 m/s, simplified", "8 m/s, wind constant"]
+    assert grid.left_out == ["4 m/s, simplified", "4 m/s, wind constant"]
+    many = path_grids([row("gp_mpc", speed=speed) for speed in (2.0, 4.0, 6.0, 8.0)])["circle"]
+    assert len(many.cells) == 3 and many.left_out == ["4 m/s"]
