@@ -37,7 +37,7 @@ from quadexp.report.points import SUCCESS, Place, Point
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.style import PLAIN, STYLE, Figure, Look, entries, looks, plain_log, styled
 from quadexp.report.text import significant
-from quadexp.report.view import Axis, View
+from quadexp.report.view import Axis, View, value_text
 
 SUFFIXES = ("png", "pdf", "svg", "html")
 ON_PAPER: Any = {"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2}
@@ -49,6 +49,7 @@ SPREAD = 0.6  # of the room of a group, taken by its places side by side
 MOST_LETTERS = 400  # cells of a map that have their number written into them
 EMPTY = "#F2F2F2"
 MOST_TICKS = 12
+LONGEST_TICK = 20  # letters, beside a map
 MOST_COMBINATIONS = 400  # of parallel coordinates: with more, a line cannot be told from its neighbours
 
 
@@ -166,7 +167,7 @@ def label_of(view: View, line: Place, names: Mapping[str, str]) -> str:
             text = view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint")
         else:
             text = str(value) if key == "controller" else f"{names.get(key, key.rpartition('.')[2])}={value}"
-        parts.append(names.get(str(value), text))
+        parts.append(names.get(value_text(key, value), text))
     return " ".join(filter(None, parts))
 
 
@@ -316,9 +317,7 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
     panel.imshow(np.ma.masked_invalid(values), cmap=ERROR_COLOURS, norm=norm, aspect="auto", origin="lower")
     panel.grid(False)
     for axis, place in ((view.x, panel.xaxis), (down_axis, panel.yaxis)):
-        place.set_ticks(
-            range(len(axis.values)), [textwrap.shorten(axis.text(v), 18, placeholder="...") for v in axis.values]
-        )
+        place.set_ticks(range(len(axis.values)), [_shortened(axis.text(v)) for v in axis.values])
     if sum(map(len, map(view.x.text, view.x.values))) > 5 * len(view.x.values):
         panel.tick_params(axis="x", rotation=30)
     for (j, i), value in np.ndenumerate(values):
@@ -334,6 +333,10 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
             panel.add_patch(hatch)
         if values.size <= MOST_LETTERS:
             panel.text(i, j, "\n".join(lines), ha="center", va="center", fontsize=7, color=colour)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_TICK else f"{text[: LONGEST_TICK - 3]}..."
 
 
 @_drawn

@@ -69,7 +69,8 @@ class Axis:
         return self.names.get(self.key) or with_unit(self.key, self.key)
 
     def text(self, value: Any) -> str:
-        return self.names.get(str(value)) or value_text(self.key, value)
+        text = value_text(self.key, value)
+        return self.names.get(text, text)
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ class View:
         """The same with texts of one's own for the metric, keys, and values of keys, such as {"gp_mpc": "GP"}.
 
         Raises UsageError for a name of none of these."""
-        known = {self.y, *self.keys, *(str(value) for place in (*self.places, self.alone.values()) for value in place)}
+        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
+        known = {self.y, *self.keys, *values, *map(str, self.alone.values())}
         for name in names:
             if name not in known:
                 raise UsageError(f"--label {name}: no key or value of this figure{suggestion(name, sorted(known))}")
@@ -171,16 +173,14 @@ class View:
         return over + (f"; bars: its {100 * self.confidence:g} % interval (Student's t)" if known else "")
 
     def title(self, keys: Sequence[str], values: Place) -> str:
-        return ", ".join(
-            self.names[str(value)]
-            if str(value) in self.names
-            else value_text(key, value)
-            if key in ("trajectory", *WHO)
-            else f"{value_text(key, value)} m/s"
-            if key == "trajectory.speed"
-            else setting_text(key, value)
-            for key, value in zip(keys, values, strict=True)
-        )
+        return ", ".join(self._text(key, value) for key, value in zip(keys, values, strict=True))
+
+    def _text(self, key: str, value: Any) -> str:
+        """A value in words with its unit."""
+        text = value_text(key, value)
+        if text in self.names or key in ("trajectory", *WHO):
+            return self.names.get(text, text)
+        return f"{text} m/s" if key == "trajectory.speed" else setting_text(key, value)
 
 
 def view(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,6 +104,16 @@ def test_parallel_coordinates_have_a_line_a_combination(frame):
     assert any(np.allclose(line.get_ydata(), [*heights, 0.0]) for line in lines), "the least error ends lowest"
     assert sum(line.get_ydata()[-1] < 0 for line in lines) == 10  # one lost, nine invalid
     assert any("10 without a flight that ended well" in text for text in texts(panel))
+
+
+def test_names_of_ones_own_stand_at_axes_lines_panels_and_leave_the_colours(frame):
+    names = {"controller.nodes": "N", "perfect_mpc": "ours", "mean_error": "error (mm)", "1": "one second"}
+    figure = figure_of(replace(automatic(frame)[0].named(names), heading="Title", width=3.5))
+    panel = figure.axes[1]
+    assert (panel.get_xlabel(), figure.axes[0].get_ylabel(), panel.get_title()) == ("N", "error (mm)", "one second")
+    assert figure.get_suptitle() == "Title" and figure.get_figwidth() == 3.5
+    drawn = {line.get_label(): to_hex(line.lines[0].get_color()) for line in panel.containers}
+    assert drawn == {"nominal_mpc": KNOWN["nominal_mpc"][0].lower(), "ours": KNOWN["perfect_mpc"][0].lower()}
 
 
 def test_heights_follow_the_scale_of_an_axis():
