@@ -132,12 +132,9 @@ def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> N
         t = coarse["t"][coarse["t"] <= fine["t"][-1] + 1e-9]
         alike = SAME if np.isin(t.round(9), fine["t"].round(9)).all() else ALIKE
         for name in ("ref_p_x", "ref_p_y", "ref_p_z"):
-            if np.abs(_between_samples(fine, name, t) - coarse[name][: len(t)]).max() > alike:
+            between = CubicSpline(fine["t"], fine[name])(t) if len(fine) > 1 else fine[name]
+            if np.abs(between - coarse[name][: len(t)]).max() > alike:
                 raise UsageError(f"{path}: follows another reference than {paths[0]}; give flights of one trajectory")
-
-
-def _between_samples(flight: Flight, name: str, t: np.ndarray) -> np.ndarray:
-    return CubicSpline(flight["t"], flight[name])(t) if len(flight) > 1 else flight[name]
 
 
 def _labels(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
@@ -165,8 +162,8 @@ class _Flown:
         return self.flight.wind
 
     def sample(self, t: float) -> int:
-        """The last sample that is not after a time (s)."""
-        return int(np.searchsorted(self.flight["t"], t + 1e-9)) - 1
+        """The last sample that is not after a time (s), or the first one."""
+        return max(int(np.searchsorted(self.flight["t"], t + 1e-9)) - 1, 0)
 
     def show(self, t: float) -> None:
         """Move everything to a time (s)."""
@@ -207,7 +204,7 @@ class _Picture:
             (line,) = course.plot([], [], color=colour, label=f"{label}: {of_all}")
             body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
             self._flown.append(_Flown(flight, error, _rotors(flight), trail, vehicle, body, line))
-        shown = [flown.error[_between(flown.flight, begin, end)].max() for flown in self._flown]
+        shown = [flown.error[flown.sample(begin) : flown.sample(end) + 1].max() for flown in self._flown]
         size = max(float(np.linalg.norm(flown.rotors, axis=1).max()) for flown in self._flown)
         reach = 1.05 * float(max(shown)) + 1.6 * size
         near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
@@ -259,12 +256,6 @@ class _Picture:
 
 def _canvas(figure: Figure) -> Any:
     return FigureCanvasAgg(figure)
-
-
-def _between(flight: Flight, begin: float, end: float) -> np.ndarray:
-    """Whether a sample is shown, (k,); the last one where the flight ended before."""
-    t = flight["t"]
-    return (t >= min(begin, float(t[-1]))) & (t <= end)
 
 
 def _title(flight: Flight) -> str:
