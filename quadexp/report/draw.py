@@ -149,7 +149,7 @@ def line_figure(view: View) -> Figure:
         first.set_yticks(range(0, 101, 20))
     for row in grid:
         row[0].set_ylabel(view.y_label)
-    _mark_gone(grid.flat, view, look, labels)
+    _mark_gone(list(grid.flat), view, look, labels)
     if len(lines) > 1:
         figure.legend(*entries(grid.flat), loc="outside lower center", ncols=columns)
     return figure
