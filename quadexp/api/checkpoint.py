@@ -52,7 +52,7 @@ class Checkpoint:
         """A matplotlib figure: the Gaussian processes over their features, with the rows of `data`."""
         from quadexp.models.dataset import ResidualDataset
         from quadexp.models.gaussian_process import GPModel
-        from quadexp.report.fit_figures import fit_figure
+        from quadexp.report.model_figures import fit_figure
 
         if not isinstance(self.model, GPModel):
             raise UsageError(f"{self.path}: holds no Gaussian processes to draw")

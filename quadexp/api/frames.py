@@ -113,7 +113,7 @@ class Flight(Frame):
 
     def plot(self, *columns: str) -> Any:
         """A matplotlib figure: the named columns over time, or path, position error and thrusts."""
-        from quadexp.api.figures import over_time, overview
+        from quadexp.report.log_figures import over_time, overview
 
         missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
         if missing:

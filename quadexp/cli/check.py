@@ -149,8 +149,8 @@ def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str
 
 
 def _draw(folder: Path, loaded: dict[Path, Any], found: dict[str, list[Any]]) -> dict[str, Path]:
-    from quadexp.report.check_figures import consistency_figure
     from quadexp.report.figures import save
+    from quadexp.report.log_figures import consistency_figure
 
     drawn: dict[str, Path] = {}
     for path, flight in loaded.items():

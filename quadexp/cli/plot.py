@@ -11,6 +11,7 @@ from quadexp.cli.options import Force, Format, Json, Out
 from quadexp.cli.terminal import answered, format_of, guarded, print_lines, say
 
 Keys = list[str] | None
+WIDTHS = {"column": 3.5, "page": 7.16}  # inches, of the IEEE
 
 
 @guarded
@@ -28,6 +29,14 @@ def plot(
     kind: Annotated[
         str | None, typer.Option("--kind", metavar="KIND", help="lines, heat (a map of --x and --by) or parallel.")
     ] = None,
+    width: Annotated[
+        str | None, typer.Option("--width", metavar="column|page", help="For a paper: 3.5 or 7.16 inches wide.")
+    ] = None,
+    label: Annotated[
+        list[str] | None,
+        typer.Option("--label", metavar="KEY=TEXT", help="A text of your own for a key, a value or --y; repeatable."),
+    ] = None,
+    title: Annotated[str, typer.Option("--title", metavar="TEXT", help="The title of the figure.")] = "",
     out: Out = Path("plot.png"),
     force: Force = False,
     format: Format = None,
@@ -42,8 +51,11 @@ def plot(
     \b
     quadexp plot results/x --x controller.horizon --y mean_error --by controller.nodes --out a.png
     quadexp plot results/x --x controller.horizon --by controller.nodes --kind heat --out map.pdf
+    quadexp plot results/x --width column --label gp_mpc="GP (ours)" --title "Circle" --out figure.pdf
     quadexp plot results/x --x vehicle.mass --facet trajectory --where "controller like '*_mpc'" --out b.html
     """
+    from dataclasses import replace
+
     from quadexp.errors import UsageError
     from quadexp.report.draw import FIGURES, check_path, records, save_view
     from quadexp.report.frame import SweepFrame
@@ -53,6 +65,11 @@ def plot(
     form = format_of(format, json)
     if kind is not None and kind not in FIGURES:
         raise UsageError(f"--kind {kind}: must be one of {', '.join(FIGURES)}")
+    if width is not None and width not in WIDTHS:
+        raise UsageError(f"--width {width}: must be one of {', '.join(WIDTHS)}")
+    names = dict(text.partition("=")[::2] for text in label or ())
+    if not all(names.values()):
+        raise UsageError(f"--label {next(name for name in names if not names[name])}: give KEY=TEXT")
     path = check_path(out, force)
     frame = SweepFrame.read(results)
     if where:
@@ -60,14 +77,15 @@ def plot(
         if not frame.rows:
             raise UsageError(f"--where {where!r}: no flight fulfils it")
     options: Any = {"kind": kind, "confidence": float(frame.record.get("confidence", 0.95))}
-    made = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), **options)
-    save_view(made, path, title=f"{results.name}: {made.y_label}", force=force)
-    numbers = records(made)
-    about = {"kind": made.kind, "x": made.x.key, "by": made.by, "facet": made.facet, "y": made.y}
-    record = {"path": path, **about, "notes": [made.caption, *made.notes], "points": numbers}
+    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), **options).named(names)
+    figure = replace(figure, heading=title, width=WIDTHS[width] if width else None)
+    save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
+    numbers = records(figure)
+    about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
+    record = {"path": path, **about, "notes": [figure.caption, *figure.notes], "points": numbers}
     if answered(form, record, lambda: numbers, "plot"):
         return
-    for note in made.notes:
+    for note in ((figure.caption,) if width else ()) + figure.notes:
         say(f"note: {note}")
     print_lines([path])
 

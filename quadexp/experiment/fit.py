@@ -100,12 +100,12 @@ def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, A
 
 
 def _draw(fit: Fit, folder: Path) -> dict[str, str]:
-    from quadexp.report import fit_figures
     from quadexp.report.figures import save
+    from quadexp.report.model_figures import calibration_figure, fit_figure
 
-    made = {"fit": fit_figures.fit_figure(fit.held_out_model, fit.train if fit.test is None else fit.test)}
+    made = {"fit": fit_figure(fit.held_out_model, fit.train if fit.test is None else fit.test)}
     if fit.test is not None:
-        made["calibration"] = fit_figures.calibration_figure(fit.held_out_model, fit.test)
+        made["calibration"] = calibration_figure(fit.held_out_model, fit.test)
     return {name: str(save(figure, folder / name, inside=folder.parent)) for name, figure in made.items()}
 
 

@@ -127,10 +127,10 @@ def write_identification(
     if not figures:
         return {}
     from quadexp.report.figures import save
-    from quadexp.report.identify_figures import draw_identification
+    from quadexp.report.model_figures import identification_figures
 
-    made = draw_identification(*result)
-    return {name: str(save(figure, out / "figures" / name, inside=out)) for name, figure in made.items()}
+    figures_by_name = identification_figures(*result).items()
+    return {name: str(save(figure, out / "figures" / name, inside=out)) for name, figure in figures_by_name}
 
 
 def identify_flights(
@@ -148,7 +148,7 @@ def identify_flights(
 
     Raises UsageError or DataError before anything is written.
     """
-    from quadexp.report.identify_lines import identification_lines, main_lines
+    from quadexp.report.model_lines import identification_lines, main_lines
 
     check_output(out, force=force, folder=True)
     names = unique_names(paths)

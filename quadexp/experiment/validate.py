@@ -106,7 +106,7 @@ def validate(
         "versions": versions(),
         "provenance": provenance(),
     }
-    from quadexp.report.validation_table import validation_lines
+    from quadexp.report.model_lines import validation_lines
 
     report["lines"] = validation_lines(report)
     report["files"] = _write(report, found, out, figures, force) if out is not None else {}
@@ -248,16 +248,10 @@ def _write(report: dict[str, Any], found: Sequence[Residuals], out: Path, figure
     files = {"report": str(out / REPORT_FILE)}
     write_text(out / REPORT_FILE, json.dumps(record, indent=1, default=str) + "\n", force=force)
     if figures:
-        from quadexp.report import validation_figures
         from quadexp.report.figures import save
+        from quadexp.report.model_figures import validation_figures
 
-        made = {
-            "residuals": validation_figures.residual_figure(report["rows"]),
-            "speed": validation_figures.band_figure(report["bands"]),
-            "rollouts": validation_figures.rollout_figure(report["rollouts"]),
-            "thrust_scale": validation_figures.scale_figure(found, report["flights"]),
-        }
-        files |= {name: str(save(figure, out / name)) for name, figure in made.items()}
+        files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report, found).items()}
     if not record["rows"]:
         raise DataError("validate: no rows")
     return files

@@ -6,14 +6,20 @@ every vehicle drawn to scale from above. Where there is wind, an arrow in its co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from PIL import Image
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import UsageError
@@ -21,16 +27,17 @@ from quadexp.files.writer import check_output, written
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.progress import Progress
 from quadexp.report.metrics import position_error
 from quadexp.report.page.replay import SOME_ROTORS
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
 
-FORMATS = (".gif", ".webp")
+FORMATS = (".gif", ".webp", ".mp4")
 DPI = 100
 SIZE = (7.2, 3.9)  # inches
 TRAIL = 1.5  # s of path behind a vehicle
-COLOURS = 64  # of a frame
+COLOURS = 64  # of a GIF or WebP
 HOLD = 1.2  # s that the last frame stays
 MOST_FRAMES = 3000
 SAME = 1e-6  # m; references that differ by more are not the same
@@ -46,13 +53,16 @@ def animate(
     end: float | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Write the flights as an animation, GIF or WebP by the suffix of `out`; returns path, frames and duration (s).
+    """Write the flights as an animation; returns path, frames and duration (s).
 
-    rate: frames a second. begin, end: s of the flights that are shown; None: to the end.
-    Raises UsageError where the flights do not follow one reference, or nothing is left to show.
+    out: GIF, WebP or MP4 by its suffix. rate: frames a second. begin, end: s of the flights that are shown; None: to
+    the end. Raises UsageError where the flights do not follow one reference, or nothing is left to show.
     """
-    if out.suffix.lower() not in FORMATS:
-        raise UsageError(f"--out {out}: must end in {' or '.join(FORMATS)}")
+    suffix = out.suffix.lower()
+    if suffix not in FORMATS:
+        raise UsageError(f"--out {out}: must end in {', '.join(FORMATS)}")
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        raise UsageError(f"--out {out}: needs ffmpeg on the PATH; without it, give .gif or .webp")
     if not 1 <= rate <= 50:
         raise UsageError(f"--rate {rate:g}: must be in [1, 50] frames per second")
     flights = [read_flight(path, whole=True) for path in paths]
@@ -66,27 +76,64 @@ def animate(
         )
     check_output(out, force=force)
     picture = _Picture(_labels(paths, flights), flights, begin, end)
-    frames = [picture.frame(t) for t in times]
-    unit = 10 if out.suffix.lower() == ".gif" else 1  # ms, of the durations that a file can hold
-    shown = unit * np.diff(np.round(1000 * (times - begin) / unit)).astype(int)  # rounded, without drifting from t
-    durations = [*shown.tolist(), round(1000 * HOLD)]
+    with written(out, force=force) as file, Progress("frames") as progress:
+        frames = _counted(picture, times, progress)
+        if suffix == ".mp4":
+            _write_mp4(frames, rate, file)
+        else:
+            _write_images(frames, picture.frame(times[len(times) // 2]), times, suffix, file)
+    return {"path": out, "frames": len(times), "duration": len(times) / rate}
 
-    with written(out, force=force) as file:
-        frames[0].save(
-            file, out.suffix[1:].upper(), save_all=True, append_images=frames[1:], duration=durations, loop=0
-        )
-    return {"path": out, "frames": len(frames), "duration": len(frames) / rate}
+
+def _counted(picture: _Picture, times: np.ndarray, progress: Progress) -> Iterator[Image.Image]:
+    for k, t in enumerate(times):
+        yield picture.frame(t)
+        progress(k + 1, len(times))
+
+
+def _write_images(
+    frames: Iterator[Image.Image], typical: Image.Image, times: np.ndarray, suffix: str, file: BinaryIO
+) -> None:
+    """GIF or WebP; all frames have the colours of the typical one."""
+    colours = typical.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    indexed = (frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames)
+    unit = 10 if suffix == ".gif" else 1  # ms, of the durations that a file can hold
+    shown = unit * np.diff(np.round(1000 * (times - times[0]) / unit)).astype(int)  # rounded, without drifting from t
+    durations = [*shown.tolist(), round(1000 * HOLD)]
+    options = {"save_all": True, "append_images": indexed, "duration": durations, "loop": 0}
+    next(indexed).save(file, suffix[1:].upper(), **options)
+
+
+def _write_mp4(frames: Iterator[Image.Image], rate: float, file: BinaryIO) -> None:
+    first = next(frames)
+    size = f"{first.width}x{first.height}"
+    with tempfile.TemporaryDirectory() as folder:
+        video = Path(folder) / "video.mp4"
+        source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{rate:g}", "-i", "-"]
+        target = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(video)]
+        command = ["ffmpeg", "-loglevel", "error", *source, *target]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
+            assert ffmpeg.stdin is not None
+            for frame in chain([first], frames):
+                ffmpeg.stdin.write(frame.tobytes())
+            ffmpeg.stdin.write(round(HOLD * rate) * frame.tobytes())
+            _, said = ffmpeg.communicate()
+        if ffmpeg.returncode:
+            raise UsageError(f"ffmpeg: {said.decode(errors='replace').strip()}")
+        file.write(video.read_bytes())
 
 
 def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
+    """UsageError where a flight has another reference; those of other control rates are compared between samples."""
     for path, flight in zip(paths, flights, strict=True):
         if not len(flight["t"]) or "ref_p_x" not in flight.columns:
             raise UsageError(f"{path}: has no samples with a reference to show")
-        coarse, fine = sorted((flight, flights[0]), key=lambda one: len(one) / max(float(one["t"][-1]), 1e-9))
+        coarse, fine = sorted((flight, flights[0]), key=lambda f: len(f) / max(float(f["t"][-1]), 1e-9))
         t = coarse["t"][coarse["t"] <= fine["t"][-1] + 1e-9]
         alike = SAME if np.isin(t.round(9), fine["t"].round(9)).all() else ALIKE
         for name in ("ref_p_x", "ref_p_y", "ref_p_z"):
-            if np.abs(np.interp(t, fine["t"], fine[name]) - coarse[name][: len(t)]).max() > alike:
+            between = CubicSpline(fine["t"], fine[name])(t) if len(fine) > 1 else fine[name]
+            if np.abs(between - coarse[name][: len(t)]).max() > alike:
                 raise UsageError(f"{path}: follows another reference than {paths[0]}; give flights of one trajectory")
 
 
@@ -96,19 +143,50 @@ def _labels(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
     return [f"{name} {path.stem}" if names.count(name) > 1 else name for name, path in zip(names, paths, strict=True)]
 
 
+@dataclass
+class _Flown:
+    """A flight, and what of it moves. error: of its samples (m). rotors: their positions (m)."""
+
+    flight: Flight
+    error: np.ndarray
+    rotors: np.ndarray
+    trail: Any
+    vehicle: Any
+    body: Any
+    line: Any
+    wind: Any = None
+
+    @property
+    def air(self) -> Any:
+        """The wind, (k, 3) (m/s); None where it is not known."""
+        return self.flight.wind
+
+    def sample(self, t: float) -> int:
+        """The last sample that is not after a time (s), or the first one."""
+        return max(int(np.searchsorted(self.flight["t"], t + 1e-9)) - 1, 0)
+
+    def show(self, t: float) -> None:
+        """Move everything to a time (s)."""
+        flight, k = self.flight, self.sample(t)
+        now, ended = slice(0, k + 1), t > flight["t"][-1] + 0.1
+        behind = slice(int(np.searchsorted(flight["t"], t - TRAIL)), k + 1)
+        self.trail.set_data(flight["p_x"][behind], flight["p_y"][behind])
+        self.vehicle.set_data(flight["p_x"][k : k + 1], flight["p_y"][k : k + 1])
+        self.vehicle.set_marker("x" if ended else "o")
+        self.line.set_data(flight["t"][now], 1e3 * np.maximum(self.error[now], 1e-9))
+        self.body.set_segments([] if ended else _body(flight, k, self.rotors))
+        if self.wind is not None:
+            self.wind.set_UVC(*self.air[k, :2])
+
+
 class _Picture:
-    """The figure, of which a frame changes only what moves."""
+    """The figure: its ground is drawn once, and what moves over it again in every frame."""
 
     @styled
     def __init__(self, labels: Sequence[str], flights: Sequence[Flight], begin: float, end: float) -> None:
-        self._flights, found = flights, looks(labels)
-        self._errors = [position_error(flight) for flight in flights]
-        self._arms = [_rotors(flight) for flight in flights]
         longest = max(flights, key=lambda flight: len(flight["t"]))
-        self._reference = longest
-        self.figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
-        FigureCanvasAgg(self.figure)
-        parts: Any = self.figure.subfigures(1, 2, width_ratios=(1.15, 1))
+        self._figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+        parts: Any = self._figure.subfigures(1, 2, width_ratios=(1.15, 1))
         left, right = parts
         path, course = left.subplots(2, 1, height_ratios=(2.2, 1))
         near = right.subplots()
@@ -116,88 +194,68 @@ class _Picture:
         path.set_aspect("equal", "datalim")
         path.set(xlabel="x (m)", ylabel="y (m)")
         path.set_title(_title(longest), fontsize=9)
-        self._here, self._trails, self._lines, self._bodies = [], [], [], []
-        for label, flight, error in zip(labels, flights, self._errors, strict=True):
-            colour = found[label].colour
-            self._trails += path.plot([], [], color=colour, linewidth=2)
-            self._here += path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
+        look = looks(labels)
+        self._flown = []
+        for label, flight in zip(labels, flights, strict=True):
+            colour, error = look[label].colour, position_error(flight)
             of_all = f"mean {1e3 * error.mean():.3g} mm" if flight.outcome in COMPLETED else flight.outcome
-            self._lines += course.plot([], [], color=colour, label=f"{label}: {of_all}")
-            body = LineCollection([], colors=colour, linewidths=2.2)
-            near.add_collection(body)
-            self._bodies.append(body)
-        largest = max(
-            float(error[_between(flight, begin, end)].max())
-            for flight, error in zip(flights, self._errors, strict=True)
-        )
-        reach = 1.05 * largest + 1.6 * max(float(np.linalg.norm(arms, axis=1).max()) for arms in self._arms)
+            (trail,) = path.plot([], [], color=colour, linewidth=2)
+            (vehicle,) = path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
+            (line,) = course.plot([], [], color=colour, label=f"{label}: {of_all}")
+            body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
+            self._flown.append(_Flown(flight, error, _rotors(flight), trail, vehicle, body, line))
+        shown = [flown.error[flown.sample(begin) : flown.sample(end) + 1].max() for flown in self._flown]
+        size = max(float(np.linalg.norm(flown.rotors, axis=1).max()) for flown in self._flown)
+        reach = 1.05 * float(max(shown)) + 1.6 * size
         near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
         near.set_aspect("equal")
         near.plot(0, 0, marker="+", markersize=12, color="#777777")
-        self._add_wind(near, [found[label].colour for label in labels], reach)
+        self._add_winds(near, reach)
+        self._strength = near.text(0.02, 0.02, "", transform=near.transAxes, fontsize=8, color="#777777")
         self._clock = near.set_title("to scale", fontsize=9)
-        positive = [error[error > 0] for error in self._errors]
-        low = (
-            max(min(float(np.percentile(one, 5)) for one in positive if len(one)), 1e-6)
-            if any(map(len, positive))
-            else 1e-6
-        )
-        course.set(
-            xlim=(0, longest["t"][-1]),
-            yscale="log",
-            ylim=(1e3 * low, 1.3e3 * max(max(float(error.max()) for error in self._errors), 2 * low)),
-            xlabel="time (s)",
-            ylabel="error (mm)",
-        )
+        smallest = [np.percentile(error, 5) for f in self._flown if len(error := f.error[f.error > 0])]
+        low = max(min(smallest, default=0.0), 1e-6)
+        high = 1.3 * max(2 * low, *(flown.error.max() for flown in self._flown))
+        course.set(xlim=(0, longest["t"][-1]), yscale="log", ylim=(1e3 * low, 1e3 * high))
+        course.set(xlabel="time (s)", ylabel="error (mm)")
         plain_log(course.yaxis)
         right.legend(*course.get_legend_handles_labels(), loc="outside lower center", fontsize=8)
-        self.figure.draw_without_rendering()
-        self.figure.set_layout_engine("none")  # one layout for all frames
+        self._figure.draw_without_rendering()
+        self._figure.set_layout_engine("none")  # one layout for all frames
+        moving = [(flown.trail, flown.vehicle, flown.line, flown.body, flown.wind) for flown in self._flown]
+        self._moving = [artist for artists in moving for artist in artists if artist is not None]
+        self._moving += [self._clock, self._strength]
+        for artist in self._moving:
+            artist.set_animated(True)
+        self._canvas = _canvas(self._figure)
+        self._canvas.draw()
+        self._ground = self._canvas.copy_from_bbox(self._figure.bbox)
 
-    def _add_wind(self, near: Any, colours: Sequence[str], reach: float) -> None:
+    def _add_winds(self, near: Any, reach: float) -> None:
         """Arrows of the winds, all around one point; the strongest is a quarter of the window long."""
-        blown = [
-            (flight, flight.wind, colour)
-            for flight, colour in zip(self._flights, colours, strict=True)
-            if flight.wind is not None and flight.wind.any()
-        ]
-        strongest = max((float(np.linalg.norm(wind, axis=1).max()) for _, wind, _ in blown), default=1.0)
+        blown = [flown for flown in self._flown if flown.air is not None and flown.air.any()]
+        strongest = max((float(np.linalg.norm(flown.air, axis=1).max()) for flown in blown), default=1.0)
         drawn = {"angles": "xy", "scale_units": "xy", "scale": 2 * strongest / reach, "pivot": "mid", "width": 0.012}
-        at = -0.7 * reach, 0.7 * reach
-        self._winds = [
-            (flight["t"], wind, near.quiver(*at, 0, 0, color=colour, **drawn)) for flight, wind, colour in blown
-        ]
-        self._strength = near.text(0.02, 0.02, "", transform=near.transAxes, fontsize=8, color="#777777")
+        for flown in blown:
+            colour = flown.line.get_color()
+            flown.wind = near.quiver(-0.7 * reach, 0.7 * reach, 0, 0, color=colour, **drawn)
+        self._windy = blown[:1]
 
     def frame(self, t: float) -> Image.Image:
         """The picture at a time (s)."""
-        for flight, error, arms, here, trail, line, body in zip(
-            self._flights, self._errors, self._arms, self._here, self._trails, self._lines, self._bodies, strict=True
-        ):
-            k = int(np.searchsorted(flight["t"], t + 1e-9)) - 1
-            ended = t > flight["t"][-1] + 0.1
-            first = int(np.searchsorted(flight["t"], t - TRAIL))
-            here.set_data(flight["p_x"][k : k + 1], flight["p_y"][k : k + 1])
-            here.set_marker("x" if ended else "o")
-            trail.set_data(flight["p_x"][first : k + 1], flight["p_y"][first : k + 1])
-            line.set_data(flight["t"][: k + 1], 1e3 * np.maximum(error[: k + 1], 1e-9))
-            body.set_segments([] if ended else _body(flight, k, arms))
-        for times, wind, arrow in reversed(self._winds):
-            now = wind[int(np.searchsorted(times, t + 1e-9)) - 1]
-            arrow.set_UVC(now[0], now[1])
-            self._strength.set_text(f"wind {np.linalg.norm(now):.1f} m/s")
+        self._canvas.restore_region(self._ground)
         self._clock.set_text(f"to scale, from above, t = {t:.1f} s")
-        canvas: Any = self.figure.canvas
-        canvas.draw()
-        return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()).quantize(
-            COLOURS, dither=Image.Dither.NONE
-        )
+        for flown in self._flown:
+            flown.show(t)
+        for flown in self._windy:
+            self._strength.set_text(f"wind {np.linalg.norm(flown.air[flown.sample(t)]):.1f} m/s")
+        for artist in self._moving:
+            artist.axes.draw_artist(artist)
+        return Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
 
 
-def _between(flight: Flight, begin: float, end: float) -> np.ndarray:
-    """Whether a sample is shown, (k,); the last one where the flight ended before."""
-    t = flight["t"]
-    return (t >= min(begin, float(t[-1]))) & (t <= end)
+def _canvas(figure: Figure) -> Any:
+    return FigureCanvasAgg(figure)
 
 
 def _title(flight: Flight) -> str:

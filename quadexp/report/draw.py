@@ -8,7 +8,8 @@ heat       one key along x, one along y, the mean as a colour and as a number. W
 parallel   an axis a key, a line a combination, its colour the error, which is the last axis. Combinations without a
            flight that ended well are dashed and grey, and end below it
 
-A file is PNG, PDF or SVG, or one HTML page with the numbers, which opens offline.
+A file is PNG, PDF or SVG, or one HTML page with the numbers, which opens offline. With `View.width` it is for a paper:
+as wide as a column or page of the IEEE with letters that fit it, and its notes are left to the caption.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ import io
 import math
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
@@ -32,11 +35,13 @@ from quadexp.files.writer import check_output, write_text, written
 from quadexp.report.figures import ERROR_COLOURS
 from quadexp.report.points import SUCCESS, Place, Point
 from quadexp.report.sortable import Column, sortable_page
-from quadexp.report.style import PLAIN, Figure, Look, entries, looks, plain_log, styled
+from quadexp.report.style import PLAIN, STYLE, Figure, Look, entries, looks, plain_log, styled
 from quadexp.report.text import significant
-from quadexp.report.view import Axis, View
+from quadexp.report.view import Axis, View, value_text
 
 SUFFIXES = ("png", "pdf", "svg", "html")
+ON_PAPER: Any = {"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2}
+LEAST_PANEL = 2.2  # inches, of the width of a panel on paper
 MAX_PANELS = 36
 WIDEST_LINEAR = 5.0  # ratio of the largest to the smallest mean, beyond which their axis is logarithmic
 APART = 0.065  # share of a panel between two labels of ticks
@@ -44,6 +49,7 @@ SPREAD = 0.6  # of the room of a group, taken by its places side by side
 MOST_LETTERS = 400  # cells of a map that have their number written into them
 EMPTY = "#F2F2F2"
 MOST_TICKS = 12
+LONGEST_TICK = 20  # letters, beside a map
 MOST_COMBINATIONS = 400  # of parallel coordinates: with more, a line cannot be told from its neighbours
 
 
@@ -52,30 +58,56 @@ def figure_of(view: View) -> Figure:
     return FIGURES[view.kind](view)
 
 
+def _drawn(draw: Callable[[View], Figure]) -> Callable[[View], Figure]:
+    """Decorator of what draws a view: the style, with smaller letters on paper."""
+
+    @wraps(draw)
+    def drawn(view: View) -> Figure:
+        with matplotlib.rc_context({**STYLE, **(ON_PAPER if view.width else {})}):
+            figure = draw(view)
+            for panel in figure.axes if view.width else ():
+                panel.tick_params(labelsize=ON_PAPER["legend.fontsize"])
+        return figure
+
+    return drawn
+
+
 def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, **share: Any) -> tuple[Figure, Any]:
     """A figure and its grid of panels, each with its title, and what its marks are above them.
 
     size: of a panel (inches). most: panels across. room: inches beside the panels, for a legend. share: of axes."""
-    panels, left = view.panels[:MAX_PANELS], view.panels[MAX_PANELS:]
-    across = min(len(panels), most)
-    down, width = math.ceil(len(panels) / across), max(5.6, 1.4 + size[0] * across)
-    height = size[1] * down + 0.4 + room + 0.17 * len(_notes(view, left, width))
-    figure = Figure(figsize=(width, height), layout="constrained")
+    panels, without = view.panels[:MAX_PANELS], view.panels[MAX_PANELS:]
+    across, width = _across(view, size[0], most)
+    down = math.ceil(len(panels) / across)
+    each = min(size[1], 0.8 * width / across) if view.width else size[1]
+    above = _above(view, without, width)
+    figure = Figure(figsize=(width, each * down + 0.4 + room + 0.17 * len(above)), layout="constrained")
     grid = figure.subplots(down, across, squeeze=False, **share)
     for panel, facet in zip(grid.flat, panels, strict=False):
-        panel.set_title(textwrap.fill(view.title(view.facet, facet), 34))
+        panel.set_title(textwrap.fill(view.title(view.facet, facet), max(12, int(11 * width / across))))
         panel.set_xlabel(view.x.label)
     for panel in grid.flat[len(panels) :]:
         panel.set_axis_off()
-    figure.suptitle("\n".join(_notes(view, left, width)), fontsize=8)
+    figure.suptitle("\n".join(above), fontsize=8)
     return figure, grid
 
 
-def _notes(view: View, left: Sequence[Place], width: float) -> list[str]:
-    """The lines above a figure: what its marks are, and what it leaves out."""
-    gone = [view.title(view.facet, facet) for facet in left]
+def _across(view: View, size: float, most: int) -> tuple[int, float]:
+    """Panels side by side, and the width of the figure (inches). size: of a panel."""
+    panels = min(len(view.panels), MAX_PANELS)
+    if view.width:
+        return max(1, min(panels, int(view.width / LEAST_PANEL))), view.width
+    across = min(panels, most)
+    return across, max(5.6, 1.4 + size * across)
+
+
+def _above(view: View, without: Sequence[Place], width: float) -> list[str]:
+    """The lines above a figure: its title, what its marks are, and what it leaves out. without: panels."""
+    gone = [view.title(view.facet, facet) for facet in without]
     dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
-    return [row for line in (view.caption, *view.notes, *dropped) for row in textwrap.wrap(line, int(15 * width))]
+    notes = () if view.width else (view.caption, *view.notes)
+    lines = filter(None, (view.heading, *notes, *dropped))
+    return [row for line in lines for row in textwrap.wrap(line, int(15 * width))]
 
 
 def _norm(view: View) -> Normalize:
@@ -84,15 +116,14 @@ def _norm(view: View) -> Normalize:
     return LogNorm(min(means), max(means)) if is_log(view) else Normalize(min(means), max(means) or 1.0)
 
 
-@styled
+@_drawn
 def line_figure(view: View) -> Figure:
     """The figure of a view of kind "lines"."""
-    lines = view.lines()
-    labels = {line: label_of(view, line) for line in lines}
-    found = looks_of(view, lines)
+    lines, look = view.lines(), looks_of(view)
+    labels = {line: label_of(view, line, view.names) for line in lines}
     size = max(3.1, 0.42 * len(view.x.values)) if view.x.kind == "group" else 3.1
     most = max(1, int(12.4 / size))
-    width = max(5.6, 1.4 + size * min(len(view.panels), most))
+    width = _across(view, size, most)[1]
     columns = max(1, min(len(lines), int(13 * width / (max(map(len, labels.values()), default=1) + 6))))
     legend = 0.2 * math.ceil(len(lines) / columns) if len(lines) > 1 else 0
     figure, grid = _panels(view, (size, 3.0), most, legend, sharey=True, sharex=view.x.kind == "group")
@@ -100,51 +131,53 @@ def line_figure(view: View) -> Figure:
     for panel, facet in zip(grid.flat, view.panels, strict=False):
         for k, line in enumerate(lines):
             of_line = {value: view.places.get((*facet, *line, value)) for value in view.x.values}
-            _draw_line(panel, view, of_line, found[labels[line]].points(), labels[line], (k, len(lines)), log)
-        here = [value for value in view.x.values if any((*facet, *line, value) in view.places for line in lines)]
-        set_scale(panel, view.x, here)
+            _draw_line(panel, view, of_line, look[line].points(), labels[line], (k, len(lines)), log)
+        set_scale(panel, view.x, [v for v in view.x.values if any((*facet, *line, v) in view.places for line in lines)])
+    shown = [point for point in view.places.values() if point.is_shown]
+    first = grid[0, 0]
     if log:
-        ends = [v for p in view.places.values() if p.is_shown for v in (p.mean, p.low) if v > 0.1 * p.mean]
-        grid[0, 0].set_yscale("log")
-        grid[0, 0].set_ylim(bottom=0.8 * view.factor * min(ends))
-    elif all(point.mean >= 0 for point in view.places.values() if point.is_shown):
-        largest = max(max(point.mean, max(0, point.high)) for point in view.places.values() if point.is_shown)
-        grid[0, 0].set_ylim(0, 1.08 * view.factor * largest or 1.0)
-    _make_room(grid[0, 0], view, len(lines), log)
+        first.set_yscale("log")
+        first.set_ylim(bottom=0.8 * view.factor * min(v for p in shown for v in (p.mean, p.low) if v > 0.1 * p.mean))
+    elif all(point.mean >= 0 for point in shown):
+        largest = max(max(point.mean, point.high, 0) for point in shown)
+        first.set_ylim(0, 1.08 * view.factor * largest or 1.0)
+    if len(shown) < len(view.places):
+        _make_room(first, len(lines), log)
     if log:
-        plain_log(grid[0, 0].yaxis, minor=True)
+        plain_log(first.yaxis, minor=True)
     elif view.y == SUCCESS:
-        grid[0, 0].set_yticks(range(0, 101, 20))
+        first.set_yticks(range(0, 101, 20))
     for row in grid:
         row[0].set_ylabel(view.y_label)
-    _mark_gone(grid.flat, view, lines)
+    _mark_gone(list(grid.flat), view, look, labels)
     if len(lines) > 1:
         figure.legend(*entries(grid.flat), loc="outside lower center", ncols=columns)
     return figure
 
 
-def label_of(view: View, line: Place) -> str:
-    """The text of a line in the legend, beginning with its controller, which decides its colour. A checkpoint is named
-    where a controller has several."""
+def label_of(view: View, line: Place, names: Mapping[str, str]) -> str:
+    """The text of a line in the legend, beginning with its controller. A checkpoint is named where a controller has
+    several. names: see `View.named`."""
     parts = []
-    for key, value in zip(view.by, line, strict=True):
+    for k, (key, value) in enumerate(zip(view.by, line, strict=True)):
         if key == "model":
-            k = view.by.index("model")
             alike = {other[k] for other in view.lines() if other[:k] + other[k + 1 :] == line[:k] + line[k + 1 :]}
             if len(alike) == 1 and "controller" in view.by:
                 continue
-            parts.append(view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint"))
+            text = view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint")
         else:
-            parts.append(str(value) if key == "controller" else f"{key.rpartition('.')[2]}={value}")
+            text = str(value) if key == "controller" else f"{names.get(key, key.rpartition('.')[2])}={value}"
+        parts.append(names.get(value_text(key, value), text))
     return " ".join(filter(None, parts))
 
 
-def looks_of(view: View, lines: Sequence[Place]) -> dict[str, Look]:
-    """Label of a line -> its look; one that all flights share with a controller has the look of that."""
-    labels = [label_of(view, line) for line in lines]
-    if len(labels) == 1 and not labels[0] and "controller" in view.alone:
-        return {"": looks([view.alone["controller"]])[view.alone["controller"]]}
-    return looks(labels)
+def looks_of(view: View) -> dict[Place, Look]:
+    """Line -> its look, which the controller decides; also one that all flights share."""
+    labels = {line: label_of(view, line, {}) for line in view.lines()}
+    if list(labels.values()) == [""] and "controller" in view.alone:
+        labels = dict.fromkeys(labels, view.alone["controller"])
+    look = looks(list(labels.values()))
+    return {line: look[label] for line, label in labels.items()}
 
 
 def _draw_line(
@@ -223,51 +256,39 @@ def is_log(view: View) -> bool:
     return min(means) > 0 and max(means) > WIDEST_LINEAR * min(means)
 
 
-def _mark_gone(grid: Any, view: View, lines: Sequence[Place]) -> None:
+def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mapping[Place, str]) -> None:
     """A cross above the lines where no flight of a place ended well, or its settings are invalid."""
-    found = looks_of(view, lines)
     start = len(view.facet)
-    for line in lines:
-        own = [point for place, point in view.places.items() if place[start : start + len(line)] == line]
-        if not any(point.is_shown for point in own):
-            what = "invalid" if all(point.invalid for point in own) else "no flight ended well"
-            label = f"{label_of(view, line)} ({what})".strip()
-            colour = found[label_of(view, line)].colour
-            grid[0].plot([], [], marker="x", markersize=5, linestyle="none", color=colour, label=label)
-    for panel, facet in zip(grid, view.panels, strict=False):
-        for k, line in enumerate(lines):
-            colour = found[label_of(view, line)].colour
-            for value in view.x.values:
-                point = view.places.get((*facet, *line, value))
-                if point is None or point.is_shown:
-                    continue
-                text = "invalid" if point.invalid else f"{point.ended}/{point.trials}"
-                at, y, edge = (
-                    place_of(view.x, value, k, len(lines)),
-                    0.97 - 0.055 * (k % 5),
+    for k, (line, label) in enumerate(labels.items()):
+        cross = {"marker": "x", "markersize": 5, "color": look[line].colour, "linestyle": "none"}
+        own = {place: point for place, point in view.places.items() if place[start : start + len(line)] == line}
+        if not any(point.is_shown for point in own.values()):
+            what = "invalid" if all(point.invalid for point in own.values()) else "no flight ended well"
+            grid[0].plot([], [], label=f"{label} ({what})".strip(), **cross)
+        for panel, facet in zip(grid, view.panels, strict=False):
+            gone = [(p[-1], point) for p, point in own.items() if p[:start] == facet and not point.is_shown]
+            for value, point in gone:
+                at, edge = (
+                    (place_of(view.x, value, k, len(labels)), 0.97 - 0.055 * (k % 5)),
                     panel.get_xaxis_transform(),
                 )
-                panel.plot(at, y, marker="x", markersize=5, color=colour, transform=edge, clip_on=False)
-                panel.annotate(
-                    text, (at, y), (5, 0), xycoords=edge, textcoords="offset points", va="center", fontsize=6.5,
-                    color=colour,
-                )  # fmt: skip
+                panel.plot(*at, transform=edge, clip_on=False, **cross)
+                text = "invalid" if point.invalid else f"{point.ended}/{point.trials}"
+                beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 6.5}
+                panel.annotate(text, at, xycoords=edge, color=look[line].colour, **beside)
 
 
-def _make_room(panel: Any, view: View, lines: int, log: bool) -> None:
+def _make_room(panel: Any, lines: int, log: bool) -> None:
     """Leave the upper edge to the crosses of places where no flight ended well."""
-    if all(point.is_shown for point in view.places.values()):
-        return
     low, high = panel.get_ylim()
     share = 1.0 / (0.92 - 0.055 * min(lines, 5))
     panel.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
 
 
-@styled
+@_drawn
 def heat_figure(view: View) -> Figure:
     """The figure of a view of kind "heat"."""
-    (rows,) = view.by
-    down_axis = Axis.of(rows, [line[0] for line in view.lines()])
+    down_axis = replace(Axis.of(view.by[0], [line[0] for line in view.lines()]), names=view.names)
     cell = 0.62 if len(view.x.values) * len(down_axis.values) <= MOST_LETTERS else 0.2
     size = max(2.2, cell * len(view.x.values) + 1.0), max(1.6, 0.42 * len(down_axis.values) + 0.8)
     figure, grid = _panels(view, size, 3)
@@ -282,16 +303,6 @@ def heat_figure(view: View) -> Figure:
     return figure
 
 
-def table_of(view: View, facet: Place, down_axis: Axis) -> np.ndarray:
-    """The means of a panel in the unit shown, (rows, columns), NaN where there is none."""
-    values = np.full((len(down_axis.values), len(view.x.values)), math.nan)
-    for j, row in enumerate(down_axis.values):
-        for i, column in enumerate(view.x.values):
-            point = view.places.get((*facet, row, column))
-            values[j, i] = view.factor * point.mean if point is not None else math.nan
-    return values
-
-
 def readable_on(colour: Sequence[float]) -> str:
     """Black or white, whichever has more contrast on a colour (red, green, blue in [0, 1]), as WCAG defines it."""
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
@@ -300,36 +311,35 @@ def readable_on(colour: Sequence[float]) -> str:
 
 
 def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Normalize) -> None:
-    values = table_of(view, facet, down_axis)
+    points = [[view.places.get((*facet, row, column)) for column in view.x.values] for row in down_axis.values]
+    values = np.array([[view.factor * point.mean if point else math.nan for point in row] for row in points])
     panel.set_facecolor(EMPTY)
     panel.imshow(np.ma.masked_invalid(values), cmap=ERROR_COLOURS, norm=norm, aspect="auto", origin="lower")
     panel.grid(False)
     for axis, place in ((view.x, panel.xaxis), (down_axis, panel.yaxis)):
-        place.set_ticks(
-            range(len(axis.values)), [textwrap.shorten(axis.text(v), 18, placeholder="...") for v in axis.values]
-        )
+        place.set_ticks(range(len(axis.values)), [_shortened(axis.text(v)) for v in axis.values])
     if sum(map(len, map(view.x.text, view.x.values))) > 5 * len(view.x.values):
         panel.tick_params(axis="x", rotation=30)
-    written = values.size <= MOST_LETTERS
-    for j, row in enumerate(down_axis.values):
-        for i, column in enumerate(view.x.values):
-            point = view.places.get((*facet, row, column))
-            if point is None:
-                continue
-            text, colour = significant(values[j, i]) if point.is_shown else "", "#FFFFFF"
-            if point.is_shown:
-                colour = readable_on(ERROR_COLOURS(norm(values[j, i])))
-            if point.ended < point.trials:
-                text += f"\n{point.ended}/{point.trials}" if text else f"{point.ended}/{point.trials}\nflown"
-            if not point.is_shown:
-                text, colour = text or "invalid", "#444444"
-                hatch = Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0)
-                panel.add_patch(hatch)
-            if written:
-                panel.text(i, j, text, ha="center", va="center", fontsize=7, color=colour)
+    for (j, i), value in np.ndenumerate(values):
+        point = points[j][i]
+        if point is None:
+            continue
+        lines, colour = [f"{point.ended}/{point.trials}"] if point.ended < point.trials else [], "#444444"
+        if point.is_shown:
+            lines, colour = [significant(value), *lines], readable_on(ERROR_COLOURS(norm(value)))
+        else:
+            lines = [*lines, "flown"] if lines else ["invalid"]
+            hatch = Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0)
+            panel.add_patch(hatch)
+        if values.size <= MOST_LETTERS:
+            panel.text(i, j, "\n".join(lines), ha="center", va="center", fontsize=7, color=colour)
 
 
-@styled
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_TICK else f"{text[: LONGEST_TICK - 3]}..."
+
+
+@_drawn
 def parallel_figure(view: View) -> Figure:
     """The figure of a view of kind "parallel"."""
     norm = _norm(view)
@@ -337,10 +347,11 @@ def parallel_figure(view: View) -> Figure:
     lines = sorted(view.places.items(), key=lambda one: -one[1].mean if one[1].is_shown else -math.inf)
     if len(lines) > MOST_COMBINATIONS:  # the best and the worst, and as many between them as can be seen
         every = np.linspace(0, len(lines) - 1, MOST_COMBINATIONS).round().astype(int)
-        said = f"{MOST_COMBINATIONS} of {len(lines)} combinations drawn, from the best to the worst"
-        view, lines = replace(view, notes=(*view.notes, said)), [lines[i] for i in every]
-    width = max(5.6, 1.6 * len(view.along) + 2.4)
-    figure = Figure(figsize=(width, 4.2 + 0.17 * len(_notes(view, (), width))), layout="constrained")
+        drawn = f"{MOST_COMBINATIONS} of {len(lines)} combinations drawn, from the best to the worst"
+        view, lines = replace(view, notes=(*view.notes, drawn)), [lines[i] for i in every]
+    width = view.width or max(5.6, 1.6 * n + 2.4)
+    above = _above(view, (), width)
+    figure = Figure(figsize=(width, (0.6 * width if view.width else 4.2) + 0.17 * len(above)), layout="constrained")
     panel = figure.subplots()
     for place, point in lines:
         heights = [height(axis, value) for axis, value in zip(view.along, place, strict=True)]
@@ -373,7 +384,7 @@ def parallel_figure(view: View) -> Figure:
     bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=panel, label=view.y_label)
     if isinstance(norm, LogNorm):
         plain_log(bar.ax.yaxis)
-    figure.suptitle("\n".join(_notes(view, (), width)), fontsize=8)
+    figure.suptitle("\n".join(above), fontsize=8)
     return figure
 
 
@@ -448,5 +459,9 @@ def page_of(view: View, title: str) -> str:
     columns = [Column(name, f"{name} ({view.unit})" if name == view.y and view.unit else name) for name in rows[0]]
     scaled = [{**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}} for row in rows]
     return sortable_page(
-        title or view.y_label, columns, scaled, above=svg[svg.index("<svg") :], notes=(view.caption, *view.notes)
+        view.heading or title or view.y_label,
+        columns,
+        scaled,
+        above=svg[svg.index("<svg") :],
+        notes=(view.caption, *view.notes),
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import math
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
@@ -134,6 +134,7 @@ MORE_LOOKS: dict[str, tuple[str, str, Any]] = {  # which share a hue with one ab
     "dfbc": ("sky", "p", "-"),
     "neural_mpc": ("pink", "h", "-"),
 }
+ALL_LOOKS = LOOKS | MORE_LOOKS
 SELDOM = ("green", "sky", "pink", "brown", "vermillion")  # hues that controllers without a look of their own get first
 KNOWN = {name: (HUES[hue][0], marker, dash) for name, (hue, marker, dash) in LOOKS.items()}  # with the colour on paper
 BLUE, ORANGE, GREY = KNOWN["gp_mpc"][0], KNOWN["linear drag"][0], "#777777"
@@ -195,65 +196,60 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     variants: dict[str, list[str]] = {}
     for label in sorted(labels, key=lambda label: -usual[label]):
         variants.setdefault(name_of(label), []).append(label)
-    fixed = {name: known for name in variants if (known := LOOKS.get(name) or MORE_LOOKS.get(name))}
-    taken = {fixed[name][:2] for name, own in variants.items() if name in fixed and len(own) <= MOST_VARIANTS}
-    spare = _spare(taken)
-    found: dict[str, Look] = {}
-    for name, own in sorted(
-        variants.items(), key=lambda one: ("+" in one[0], one[0] not in LOOKS, one[0] not in fixed)
-    ):
-        if len(own) > MOST_VARIANTS:
-            for i, label in enumerate(own):
-                hue, marker = next(spare)
-                found[label] = Look(hue, marker, DASHES[i // len(HUES) % len(DASHES)])
+    many = {name for name, own in variants.items() if len(own) > MOST_VARIANTS}
+    taken = [ALL_LOOKS[name][:2] for name in variants if name in ALL_LOOKS and name not in many]
+    chosen: dict[str, Look] = {}
+    for name in sorted(variants, key=lambda name: ("+" in name, name not in LOOKS, name not in ALL_LOOKS)):
+        if name in many:
+            free = [[x for x in every if all(x not in pair for pair in taken)] or every for every in (HUES, MARKERS)]
+            for i, (label, hue, marker) in enumerate(zip(variants[name], *map(cycle, free), strict=False)):
+                chosen[label] = Look(hue, marker, DASHES[i // len(HUES) % len(DASHES)])
             continue
         controller, plus, remedies = name.partition("+")
-        if name not in fixed:
-            family = LOOKS.get(controller) or MORE_LOOKS.get(controller)
-            plain = found.get(controller)
-            pair = (plain.hue, plain.marker) if plain else family[:2] if family else _by_name(controller, taken)
-            fixed[name] = (*pair, "-")
-            taken.add(pair)
-        hue, marker, dash = fixed[name]
-        others = [other for other in DASHES if other != dash]
-        for i, label in enumerate(own):
-            look = Look(hue, marker, dash if i == 0 else others[i - 1], i, i == 0)
-            found[label] = _with_remedies(look, f"{remedies} {i}", found.values()) if plus else _apart(look, found)
-    return {label: found[label] for label in labels}
+        hue, marker, dash = ALL_LOOKS.get(name) or (*_pair_of(controller, chosen, taken), "-")
+        taken.append((hue, marker))
+        dashes = [dash, *(other for other in DASHES if other != dash)]
+        for i, label in enumerate(variants[name]):
+            look = Look(hue, marker, dashes[i], i, i == 0)
+            others = list(chosen.values())
+            chosen[label] = _with_remedies(look, f"{remedies} {i}", others) if plus else _apart(look, others)
+    return {label: chosen[label] for label in labels}
 
 
-def _number(text: str) -> int:
-    """A number of a text, the same in every process."""
-    return zlib.crc32(text.encode())
+def _pair_of(name: str, chosen: Mapping[str, Look], taken: Sequence[tuple[str, str]]) -> tuple[str, str]:
+    """Hue and marker of a controller without a look of its own: with remedies that of the plain one, otherwise by its
+    name, as far as nobody else has them."""
+    if name in chosen:
+        return chosen[name].hue, chosen[name].marker
+    if name in ALL_LOOKS:
+        return ALL_LOOKS[name][:2]
+    at = zlib.crc32(name.encode())
+    hues = [*_turned(SELDOM, at), *(hue for hue in HUES if hue not in SELDOM)]
+    markers = _turned([m for m in MARKERS if m not in "os^v"], at // len(SELDOM))  # which the usual controllers have
+    worn = {word for pair in taken for word in pair}
+    pairs = [(hue, marker) for hue in hues for marker in markers]
+    return min(pairs, key=lambda pair: (pair[0] in worn, pair[1] in worn, pair in taken))
 
 
-def _by_name(name: str, taken: Set[tuple[str, str]]) -> tuple[str, str]:
-    """Hue and marker of a controller without a look of its own: by its name, as far as nobody else has them."""
-    at = _number(name)
-    turned = [SELDOM[(at + i) % len(SELDOM)] for i in range(len(SELDOM))]
-    hues = [*turned, *(hue for hue in HUES if hue not in turned)]
-    own = [marker for marker in MARKERS if marker not in "os^v"]  # which the usual controllers have
-    markers = [own[(at // len(SELDOM) + i) % len(own)] for i in range(len(own))]
-    worn_hues, worn_markers = ({pair[i] for pair in taken} for i in (0, 1))
-    hue = next((hue for hue in hues if hue not in worn_hues), hues[0])
-    free = [m for m in markers if m not in worn_markers] or [m for m in markers if (hue, m) not in taken]
-    return hue, (free or markers)[0]
+def _turned(values: Sequence[Any], by: int) -> list[Any]:
+    return [values[(by + i) % len(values)] for i in range(len(values))]
 
 
-def _with_remedies(look: Look, remedies: str, others: Collection[Look]) -> Look:
+def _with_remedies(look: Look, remedies: str, others: Sequence[Look]) -> Look:
     """The look of a controller with remedies: a shade, marker and dash of these, as far as nobody else has them."""
-    at, worn = _number(remedies), {(one.hue, one.shade, one.marker, one.filled) for one in others}
-    for i in range(len(MARKERS) * (MOST_VARIANTS - 1)):
-        shade = 1 + (at + i) % (MOST_VARIANTS - 1)
-        marker = MARKERS[(at // 7 + i // (MOST_VARIANTS - 1)) % len(MARKERS)]
-        if (look.hue, shade, marker, False) not in worn:
-            return replace(look, marker=marker, dash=DASHES[1 + at % (len(DASHES) - 1)], shade=shade, filled=False)
+    at, worn = zlib.crc32(remedies.encode()), {(other.hue, other.shade, other.marker, other.filled) for other in others}
+    look = replace(look, dash=DASHES[1 + at % (len(DASHES) - 1)], filled=False)
+    shades = range(1, MOST_VARIANTS)
+    for k, marker in enumerate(_turned(MARKERS, at // 7)):
+        for shade in _turned(shades, at + k * len(shades)):
+            if (look.hue, shade, marker, False) not in worn:
+                return replace(look, marker=marker, shade=shade)
     return look
 
 
-def _apart(look: Look, found: Mapping[str, Look]) -> Look:
+def _apart(look: Look, others: Sequence[Look]) -> Look:
     """A look in a shade that no other label of the same hue has; the first one of a hue is unchanged."""
-    worn = {one.shade for one in found.values() if one.hue == look.hue}
+    worn = {other.shade for other in others if other.hue == look.hue}
     free = [shade for shade in range(MOST_VARIANTS) if shade not in worn]
     return replace(look, shade=free[0]) if look.shade in worn and free else look
 
@@ -261,13 +257,6 @@ def _apart(look: Look, found: Mapping[str, Look]) -> Look:
 def name_of(label: str) -> str:
     """The controller of a label such as "gp_mpc per_axis @ideal"; a model of the air is its whole label."""
     return label if label in LOOKS else label.split(" ", maxsplit=1)[0]
-
-
-def _spare(used: set[tuple[str, str]]) -> Iterator[tuple[str, str]]:
-    """Endless pairs of unused hue and unused marker, as far as there are any."""
-    hues = [hue for hue in HUES if hue not in {hue for hue, _ in used}] or list(HUES)
-    markers = [m for m in MARKERS if m not in {m for _, m in used}] or list(MARKERS)
-    return zip(cycle(hues), cycle(markers), strict=True)
 
 
 def entries(panels: Iterable[Any]) -> tuple[list[Any], list[str]]:

@@ -270,7 +270,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         for name, std in zip(model.outputs, model.residual_std, strict=True):
             lines.append(f"{name:<12}error on the rows of the fit {std:.3g} {describe(name, 'residuals').unit}")
     if isinstance(model, VehicleModel):
-        from quadexp.report.identify_lines import model_lines, selection_lines
+        from quadexp.report.model_lines import model_lines, selection_lines
 
         summary |= {"thrust": str(model.thrust), "best": model.best}
         summary["models"] = {kind: one.records() for kind, one in model.models.items()}

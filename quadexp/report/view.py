@@ -10,8 +10,8 @@ A figure shows every panel, or says which it leaves out.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from quadexp.errors import UsageError
@@ -31,11 +31,13 @@ MOST_VALUES = 6  # of a key that is averaged, named in a note
 
 @dataclass(frozen=True)
 class Axis:
-    """A key as an axis. values: in their order. kind: "number" where values are numbers, otherwise "group"."""
+    """A key as an axis. values: in their order. kind: "number" where values are numbers, otherwise "group". names: see
+    `View.named`."""
 
     key: str
     values: tuple[Any, ...]
     kind: Literal["number", "group"]
+    names: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, key: str, values: Sequence[Any]) -> Axis:
@@ -58,17 +60,19 @@ class Axis:
 
     @property
     def label(self) -> str:
-        return with_unit(self.key, self.key)
+        return self.names.get(self.key) or with_unit(self.key, self.key)
 
     def text(self, value: Any) -> str:
-        return value_text(self.key, value)
+        text = value_text(self.key, value)
+        return self.names.get(text, text)
 
 
 @dataclass(frozen=True)
 class View:
     """A figure to be drawn. y: a column of numbers, or "success". by: keys of the lines (of a heat map its rows).
     facet: keys of the panels. others: keys that vary and are averaged. notes: what a reader has to know. alone: who
-    flew and what, as far as all flights share it: values of the controller, its model, the trajectory and the speed."""
+    flew and what, as far as all flights share it: values of the controller, its model, the trajectory and the speed.
+    heading: the title. width: of a figure for a paper (inches)."""
 
     kind: Kind
     y: str
@@ -81,6 +85,21 @@ class View:
     notes: tuple[str, ...] = ()
     places: dict[Place, Point] = field(default_factory=dict)
     alone: dict[str, Any] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
+    heading: str = ""
+    width: float | None = None
+
+    def named(self, names: Mapping[str, str]) -> View:
+        """The same with texts of one's own for the metric, keys, and values of keys, such as {"gp_mpc": "GP"}.
+
+        Raises UsageError for a name of none of these."""
+        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
+        known = {self.y, *self.keys, *values, *map(str, self.alone.values())}
+        for name in names:
+            if name not in known:
+                raise UsageError(f"--label {name}: no key or value of this figure{suggestion(name, sorted(known))}")
+        along = tuple(replace(axis, names=names) for axis in self.along)
+        return replace(self, names=names, x=replace(self.x, names=names), along=along)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -121,6 +140,8 @@ class View:
 
     @property
     def y_label(self) -> str:
+        if self.y in self.names:
+            return self.names[self.y]
         title = NUMBERS[self.y].title if self.y in NUMBERS else self.y.replace("_", " ")
         return f"{title} ({self.unit})" if self.unit else title
 
@@ -144,11 +165,14 @@ class View:
 
     def title(self, keys: Sequence[str], values: Place) -> str:
         """Such as "circle, 8 m/s, payload 0.1 kg"."""
-        texts = []
-        for key, value in zip(keys, values, strict=True):
-            text = value_text(key, value) + (" m/s" if key == "trajectory.speed" else "")
-            texts.append(text if key in (*FLOWN, "trajectory.speed") else setting_text(key, value))
-        return ", ".join(texts)
+        return ", ".join(self._text(key, value) for key, value in zip(keys, values, strict=True))
+
+    def _text(self, key: str, value: Any) -> str:
+        """A value in words with its unit."""
+        text = value_text(key, value)
+        if text in self.names or key in FLOWN:
+            return self.names.get(text, text)
+        return f"{text} m/s" if key == "trajectory.speed" else setting_text(key, value)
 
 
 def view(

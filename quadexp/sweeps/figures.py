@@ -1,15 +1,164 @@
-"""The figures of a sweep, drawn in its processes while tables are made; only those whose inputs have changed."""
+"""The figures of a sweep, drawn in its processes while tables are made; only those whose inputs have changed.
+
+The SVG of a figure holds a digest of all that decided it. Nothing here imports matplotlib before a figure is drawn.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from quadexp.report.drawing import Drawing, FigureFolder, draw, drawings
+import numpy as np
+
+from quadexp import report
+from quadexp.errors import UsageError
+from quadexp.files.names import file_name
+from quadexp.files.writer import clean, remove
+from quadexp.log.cell_store import CellStore
+from quadexp.provenance import source_hash
+from quadexp.report.frame import SweepFrame
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.result_rows import to_columns
+from quadexp.report.tables import course_labels
+from quadexp.report.text import speed_text
+from quadexp.report.view import automatic
 from quadexp.sweeps.engine import Workers, cause
 
+FOLDER = "figures"
 LONGEST = 600.0  # s that one figure may take
+HEAD = 4096  # bytes of an SVG within which its digest stands
+MAX_CONDITIONS = 3  # of tracked paths side by side
+
+Row = Mapping[str, Any]
+
+
+class Drawing(NamedTuple):
+    """A figure to be drawn. make: makes it from the inputs. digest: of all that decides it."""
+
+    name: str
+    make: Callable[..., Any]
+    inputs: tuple[Any, ...]
+    digest: str
+
+
+def draw(drawing: Drawing, path: Path) -> None:
+    """Draw a figure as SVG and PNG, each whole or not at all. path: of the SVG."""
+    from quadexp.report.figures import save
+
+    save(drawing.make(*drawing.inputs), path, path.parent.parent, drawing.digest)
+
+
+def drawings(
+    rows: Sequence[Row], out: str | Path, metric: str, confidence: float, record: Row | None = None
+) -> list[Drawing]:
+    """The figures of these rows, the one that takes longest first. out: folder of the results. record: of the results,
+    which says what was swept; without it the rows do, as far as they can."""
+    rows, store = [dict(row) for row in rows], CellStore(out)
+    swept = {name: (record or {})[name] for name in ("grids", "without_flight") if name in (record or {})}
+    asked, of_rows, figures = (metric, confidence, swept), _columns(rows), list[Drawing]()
+    with contextlib.suppress(UsageError):  # no flight ended well
+        for which, view in enumerate(automatic(SweepFrame(rows, str(out), swept), metric, confidence)):
+            name = f"{metric.removesuffix('_error')}_error_{view.file_name}"
+            figures.append(_drawing(name, _swept, (rows, str(out), *asked, which), (of_rows, *asked, which)))
+    for trajectory, grid in path_grids(rows).items():
+        flights = {place: str(store.path(row["key"])) for place, row in grid.cells.items() if is_flown(row)}
+        missing = {place: row["outcome"] for place, row in grid.cells.items() if not is_flown(row)}
+        inputs = flights, trajectory, missing, grid.left_out
+        about = [*grid.cells], _columns(list(grid.cells.values())), grid.left_out
+        figures.append(_drawing(f"path_{trajectory}", _paths, inputs, about))
+    if any(map(is_flown, rows)):
+        figures.append(_drawing("solve_time", _times, (rows,), of_rows))
+    return figures
+
+
+class PathGrid(NamedTuple):
+    """Flights of one trajectory. cells: (controller, condition) -> row of the first seed that ended well, otherwise of
+    the first seed; one condition after the other. left_out: conditions beyond MAX_CONDITIONS."""
+
+    cells: dict[tuple[str, str], Row]
+    left_out: list[str]
+
+
+def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
+    """By trajectory, as far as a flight of it ended well. Of many speeds the slowest, the fastest, one between; where
+    worlds and other settings differ too, the fastest of each."""
+    names = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
+    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
+    several = [key for key in ("plant", "vehicle") if len({row[key] for row in rows}) > 1]
+    cells: dict[str, dict[tuple[str, str, float], Row]] = {}
+    for row in rows:
+        *_, speed, setting = condition_of(row)
+        worlds = [str(row[key]).partition("/")[2] or row[key] for key in several]
+        settings = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
+        words = ", ".join(filter(None, [*worlds, settings])).replace("=", " ")
+        place = names[contestant_of(row)], words, speed or 0.0
+        of_course = cells.setdefault(row["trajectory"], {})
+        if place not in of_course or (is_flown(row) and not is_flown(of_course[place])):
+            of_course[place] = row
+    grids: dict[str, PathGrid] = {}
+    for trajectory, of_course in cells.items():
+        flown = sorted({place[1:] for place, row in of_course.items() if is_flown(row)}, key=lambda place: place[::-1])
+        speeds = {words: [speed for other, speed in flown if other == words] for words, _ in flown}
+        each = max(1, MAX_CONDITIONS // max(len(speeds), 1))
+        kept = [
+            (words, speed)
+            for words, of_words in list(speeds.items())[:MAX_CONDITIONS]
+            for speed in sorted({of_words[round(k)] for k in np.linspace(len(of_words) - 1, 0, each)})
+        ]
+        texts = {(words, v): ", ".join(filter(None, (speed_text(v or None), words))) for words, v in flown}
+        chosen = {
+            (name, texts[condition]): row
+            for condition in kept
+            for (name, *other), row in of_course.items()
+            if tuple(other) == condition
+        }
+        if kept:
+            left_out = [text for place, text in texts.items() if place not in kept]
+            grids[trajectory] = PathGrid(chosen, left_out)
+    return grids
+
+
+def _swept(rows: Sequence[Row], out: str, metric: str, confidence: float, record: Row, which: int) -> Any:
+    """One of the figures that were chosen by what was swept."""
+    from quadexp.report.draw import figure_of
+
+    return figure_of(automatic(SweepFrame(rows, out, record), metric, confidence)[which])
+
+
+def _paths(paths: Mapping[tuple[str, str], str], *about: Any) -> Any:
+    from quadexp.log.store import read_flight
+    from quadexp.report.figures import tracked_paths
+
+    return tracked_paths({place: read_flight(path) for place, path in paths.items()}, *about)
+
+
+def _times(rows: Sequence[Row]) -> Any:
+    from quadexp.report.figures import solve_times
+
+    return solve_times(rows)
+
+
+def _columns(rows: Sequence[Row]) -> dict[str, Any]:
+    """The same for rows that were just flown, and as they come from a file."""
+    return {name: column.tolist() for name, column in to_columns(rows).items()}
+
+
+def _drawing(name: str, make: Callable[..., Any], inputs: tuple[Any, ...], decided_by: Any) -> Drawing:
+    """decided_by: what the figure shows, wherever the folder lies."""
+    text = json.dumps([make.__name__, decided_by, _look()], default=str)
+    return Drawing(name, make, inputs, hashlib.sha256(text.encode()).hexdigest())
+
+
+@cache
+def _look() -> list[str]:
+    """What decides the look of every figure: the sources of quadexp.report, and matplotlib."""
+    return [source_hash([Path(str(report.__file__)).parent]), version("matplotlib")]
 
 
 class SweepFigures:
@@ -21,9 +170,8 @@ class SweepFigures:
 
     def __init__(self, out: str | Path, processes: Workers | None, metric: str, confidence: float) -> None:
         self._out, self._processes, self._options = Path(out), processes, (metric, confidence)
-        self._folder = FigureFolder(out)
-        self._asked: dict[str, Drawing] = {}
-        self._running: dict[str, Callable[[], bool]] = {}
+        self._asked: list[str] = []
+        self._running: dict[str, Callable[[], None]] = {}
         self.failed: dict[str, str] = {}
 
     def __enter__(self) -> SweepFigures:
@@ -32,37 +180,56 @@ class SweepFigures:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None and self._processes is not None:
             self._processes.stop()  # what they have begun stays unfinished
-        if self._asked:
-            self._folder.clean()
+        folder = self._out / FOLDER
+        if self._asked and not folder.is_symlink():
+            clean(folder)
 
-    def begin(self, rows: Sequence[Mapping[str, Any]], record: Mapping[str, Any] | None = None) -> None:
+    def path(self, name: str) -> Path:
+        """The SVG; the PNG lies beside it."""
+        return self._out / FOLDER / f"{file_name(name)}.svg"
+
+    def begin(self, rows: Sequence[Row], record: Row | None = None) -> None:
         """Begin to draw the figures of the rows that are not there yet. The flights must be on disk. record: of the
         results, which says what was swept."""
         try:
-            self._asked = {one.name: one for one in drawings(rows, self._out, *self._options, record)}
-            todo = [one for one in self._asked.values() if not self._folder.shows(one)]
-            self._folder.begin(todo)
-            for one in todo:
-                self._running[one.name] = self._begun(one, len(todo))
+            asked = drawings(rows, self._out, *self._options, record)
+            self._asked = [drawing.name for drawing in asked]
+            todo = [drawing for drawing in asked if not self.shows(drawing)]
+            for drawing in todo:
+                self._running[drawing.name] = self._begun(drawing, len(todo))
         except Exception as error:  # the tables are made all the same
             self.failed["all figures"] = cause(error, LONGEST)
 
-    def _begun(self, one: Drawing, all_of_them: int) -> Callable[[], bool]:
+    def shows(self, drawing: Drawing) -> bool:
+        """Whether the figure is there as it would be drawn."""
+        path = self.path(drawing.name)
+        try:
+            with path.open("rb") as file:
+                return drawing.digest.encode() in file.read(HEAD) and path.with_suffix(".png").is_file()
+        except OSError:
+            return False
+
+    def _begun(self, drawing: Drawing, all_of_them: int) -> Callable[[], None]:
         """What waits for a figure, and draws it where there are no other processes for that."""
-        arguments = one.kind, one.inputs, self._folder.path(one.name)
+        path = self.path(drawing.name)
         if self._processes is None:
-            return lambda: draw(*arguments)
-        return self._processes.call(draw, *arguments, timeout=LONGEST, calls=all_of_them).result
+            return lambda: draw(drawing, path)
+        return self._processes.call(draw, drawing, path, timeout=LONGEST, calls=all_of_them).result
 
     def end(self) -> dict[str, str]:
         """Wait for the figures; returns figure_NAME -> path of those that are there (the SVG; a PNG lies beside it).
 
         What cannot be drawn is in `failed`; an earlier figure of that name is removed, for it shows other rows.
         """
-        for name, drawn in self._running.items():
+        for name, wait in self._running.items():
             try:
-                self._folder.done(self._asked[name], drawn())
+                wait()
             except Exception as error:
-                self._folder.remove(name)
+                self._remove(name)
                 self.failed[name] = cause(error, LONGEST)
-        return {f"figure_{name}": str(self._folder.path(name)) for name in self._asked if self._folder.is_there(name)}
+        return {f"figure_{name}": str(self.path(name)) for name in self._asked if self.path(name).is_file()}
+
+    def _remove(self, name: str) -> None:
+        for form in report.FORMATS:
+            with contextlib.suppress(OSError):  # a folder that takes no files has none either
+                remove(self.path(name).with_suffix(f".{form}"), self._out)

@@ -95,9 +95,10 @@ def tune(
         about = _about(request, search, trials, best)
         choice, option = write_preset(out, composer, options, tuned, about, asked.name)
     if figure:
-        from quadexp.tune.figure import draw_history
+        from quadexp.report.figures import save
+        from quadexp.tune.figure import history_figure
 
-        draw_history(trials, request, each, out / "history")
+        save(history_figure(trials, request, each), out / "history")
     before, after = (settings_of(axes, trial.numbers) for trial in (trials[0], trials[best]))
     settings = {key: (before[key], after[key]) for key in before}
     record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}

@@ -173,7 +173,7 @@ class TestEvaluate:
         assert set(columns["outcome"]) == {"ok"} and len(columns["key"]) == 4
         # Paired: the two controllers met the same noise; without drag to know, hovering is nearly the same flight.
         assert columns["seed"].tolist() == [0, 1, 0, 1]
-        assert {p.name for p in Path("r/figures").iterdir() if p.name != ".drawn"} == {
+        assert {p.name for p in Path("r/figures").iterdir()} == {
             f"{name}.{form}"
             for name in ("path_hover", "solve_time", "mean_error_against_controller")
             for form in ("svg", "png")

@@ -63,6 +63,23 @@ class TestPlot:
             at = point["controller"], point["controller.nodes"], point["trajectory.speed"]
             assert point["mean_error"] == pytest.approx(means[at], rel=1e-12)
 
+    def test_for_a_paper(self, results):
+        """As wide as asked for, with texts of one's own as they were given, and the notes beside it."""
+        from matplotlib.image import imread
+
+        labels = ("--label", "perfect_mpc=<b>$ours$", "--label", "mean_error=error (mm)", "--title", "<i>$Fig$")
+        asked = ("plot", "lossy", "--x", "trajectory.speed", *labels, "--force")
+        for width, inches in (("column", 3.5), ("page", 7.16)):
+            code, _, err = run(*asked, "--width", width, "--out", "a.png")
+            assert code == 0 and "did not end well" in err and abs(imread("a.png").shape[1] - 150 * inches) <= 1
+        assert run(*asked, "--out", "a.html")[0] == 0
+        page = Path("a.html").read_text()
+        assert "<h1>&lt;i&gt;$Fig$</h1>" in page and "<b>" not in page
+        for wrong, said in (("gp_mpc=GP", "--label gp_mpc: no key or value of this figure"), ("seed", "give KEY=TEXT")):
+            code, _, err = run("plot", "r", "--label", wrong)
+            assert code == 2 and said in err
+        assert "must be one of column, page" in run("plot", "r", "--width", "3")[2]
+
     def test_where_takes_only_these_flights(self, results):
         code, out, _ = run("plot", "r", "--where", "controller == perfect_mpc and seed < 2", "--out", "a.svg", "--json")
         assert code == 0 and {point["seeds"] for point in json.loads(out)["points"]} == {2}

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from quadexp.parts.compose import expand
-from quadexp.report.drawing import draw, drawings
 from quadexp.report.frame import SweepFrame
+from quadexp.sweeps.figures import draw, drawings
 from tests.docs.commands import ROOT, Step, steps
 from tests.docs.test_commands import alike, run
 from tests.report.sweeps import noise, swept
@@ -82,7 +82,8 @@ def test_what_a_question_sweeps_can_be_flown_and_chooses_its_picture(number, tmp
     made = {one.name: one for one in drawings(frame.rows, out, "mean_error", 0.95, frame.record)}
     picture = Path(question.picture)
     assert picture.parent == Path(words[words.index("--out") + 1]) / "figures" and picture.stem in made
-    assert number in PATHS or draw(made[picture.stem].kind, made[picture.stem].inputs, tmp_path / "a.svg")
+    if number not in PATHS:
+        draw(made[picture.stem], tmp_path / "a.svg")
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.parts.compose import compose, expand
 from quadexp.reference.hover import Hover
-from quadexp.report.drawing import FigureFolder
+from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import run_sweep
 from quadexp.tune.preset import check_name
@@ -45,7 +45,7 @@ def test_a_file_name_is_one_component(text):
     made = file_name(text)
     assert Path(made).parts == (made,) and made.isprintable() and len(made.encode()) <= 140
     assert made == made.strip(" .") and not made.startswith("-") and made.upper() not in ("NUL", "CON", "COM1.TXT")
-    assert lies_in(FigureFolder("out").path(f"path_{text}"), Path("out/figures"))
+    assert lies_in(SweepFigures("out", None, "mean_error", 0.95).path(f"path_{text}"), Path("out/figures"))
     assert file_name(made) == made or made != text
 
 

@@ -10,7 +10,7 @@ from quadexp.errors import DataError
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.evaluation import drag_baseline, evaluate, fit_with_report, score, split_by_flight
 from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
-from quadexp.report.fit_figures import calibration_figure, curve, fit_figure, moved
+from quadexp.report.model_figures import calibration_figure, curve, fit_figure, moved
 from tests.models.synthetic import synthetic_dataset
 
 QUICK = GPSettings(inducing=10, max_iterations=15)

@@ -10,7 +10,6 @@ import pytest
 from quadexp.log.store import write_table
 from quadexp.parts.compose import expand
 from quadexp.report.compare import compare
-from quadexp.report.drawing import fastest
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
@@ -20,7 +19,7 @@ from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import error_table
 from quadexp.report.winner import verdicts
-from quadexp.sweeps.figures import SweepFigures
+from quadexp.sweeps.figures import SweepFigures, path_grids
 from quadexp.sweeps.sweep import run_sweep
 from tests.report.results import speed_figure
 from tests.report.test_tables import row
@@ -201,6 +200,23 @@ def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(tmp_path):
         figures.begin(result.rows)
         files = figures.end()
     assert any("path_circle" in name for name in files)
-    chosen, missing = fastest([r for r in result.rows if r["speed"] == 10.0])["circle"]
-    assert [label for label, _ in chosen] == ["perfect_mpc nodes=8", "perfect_mpc nodes=12"]
-    assert missing == ["nominal_mpc nodes=8 (lost)", "nominal_mpc nodes=12 (lost)"]
+
+
+def test_paths_of_a_real_sweep_say_who_is_missing(real):
+    grid = path_grids(real[1].rows)["circle"]
+    assert list(dict.fromkeys(condition for _, condition in grid.cells)) == ["4 m/s", "10 m/s"] and not grid.left_out
+    names = {f"{name}_mpc nodes={n}" for name in ("nominal", "perfect") for n in (8, 12)}
+    assert {name for name, _ in grid.cells} == names
+    outcomes = {place: row["outcome"] for place, row in grid.cells.items()}
+    lost = {place for place in outcomes if place[0].startswith("nominal") and place[1] == "10 m/s"}
+    assert len(outcomes) == 8 and lost == {place for place, outcome in outcomes.items() if outcome == "lost"}
+
+
+def test_paths_of_worlds_are_columns_and_the_fastest_of_each_is_drawn():
+    asked = [(plant, speed) for plant in ("simplified", "simplified/wind=constant") for speed in (4.0, 8.0)]
+    rows = [row("gp_mpc", plant=plant, speed=speed) for plant, speed in asked]
+    grid = path_grids(rows)["circle"]
+    assert [condition for _, condition in grid.cells] == ["8 m/s, simplified", "8 m/s, wind constant"]
+    assert grid.left_out == ["4 m/s, simplified", "4 m/s, wind constant"]
+    many = path_grids([row("gp_mpc", speed=speed) for speed in (2.0, 4.0, 6.0, 8.0)])["circle"]
+    assert len(many.cells) == 3 and many.left_out == ["4 m/s"]

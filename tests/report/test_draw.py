@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,6 +106,16 @@ def test_parallel_coordinates_have_a_line_a_combination(frame):
     assert any("10 without a flight that ended well" in text for text in texts(panel))
 
 
+def test_names_of_ones_own_stand_at_axes_lines_panels_and_leave_the_colours(frame):
+    names = {"controller.nodes": "N", "perfect_mpc": "ours", "mean_error": "error (mm)", "1": "one second"}
+    figure = figure_of(replace(automatic(frame)[0].named(names), heading="Title", width=3.5))
+    panel = figure.axes[1]
+    assert (panel.get_xlabel(), figure.axes[0].get_ylabel(), panel.get_title()) == ("N", "error (mm)", "one second")
+    assert figure.get_suptitle() == "Title" and figure.get_figwidth() == 3.5
+    drawn = {line.get_label(): to_hex(line.lines[0].get_color()) for line in panel.containers}
+    assert drawn == {"nominal_mpc": KNOWN["nominal_mpc"][0].lower(), "ours": KNOWN["perfect_mpc"][0].lower()}
+
+
 def test_heights_follow_the_scale_of_an_axis():
     assert height(Axis.of("a", (1, 10, 100)), 10) == pytest.approx(0.5)
     assert height(Axis.of("a", (0, 1, 4)), 1) == pytest.approx(0.25)
@@ -133,26 +144,23 @@ def test_groups_stand_side_by_side_without_lines(tmp_path):
     )
 
 
-@pytest.mark.parametrize("form", ["png", "pdf", "svg", "html"])
-@pytest.mark.parametrize("kind", ["lines", "heat", "parallel"])
+@pytest.mark.parametrize(
+    ("form", "kind"), [("png", "lines"), ("pdf", "heat"), ("svg", "parallel"), ("html", "lines"), ("svg", "heat")]
+)
 def test_every_format_and_twice_the_same(frame, tmp_path, form, kind):
     made = view(frame, x="controller.nodes", by=["controller.horizon"], kind=kind)
     first = save_view(made, check_path(tmp_path / f"a.{form}", False)).read_bytes()
     begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml", "html": b"<!doctype"}[form]
     assert first.startswith(begin) and save_view(made, tmp_path / f"b.{form}").read_bytes() == first
-    with pytest.raises(UsageError, match="exists already"):
-        check_path(tmp_path / f"a.{form}", False)
+    for name, wrong in ((f"a.{form}", "exists already"), ("a.jpg", "a figure is a file .png, .pdf, .svg, .html")):
+        with pytest.raises(UsageError, match=wrong):
+            check_path(tmp_path / name, False)
 
 
 def test_a_page_holds_the_numbers_and_needs_no_network(frame):
     page = page_of(view(frame, x="controller.nodes", by=["controller.horizon"]), "a <b>")
     assert "a &lt;b&gt;" in page and page.count("<tr>") == 1 + 27
     assert not re.search(r"(?:src|href)=[\"']?(?:https?:)?//", page) and "@import" not in page
-
-
-def test_a_wrong_suffix_is_one_line(tmp_path):
-    with pytest.raises(UsageError, match="a figure is a file .png, .pdf, .svg, .html"):
-        check_path(tmp_path / "a.jpg", False)
 
 
 def test_nothing_that_ended_well_is_one_line_and_success_is_drawn(tmp_path):

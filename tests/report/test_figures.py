@@ -25,16 +25,6 @@ def rows():
     ]
 
 
-def test_a_panel_per_trajectory_and_a_line_per_controller(rows):
-    figure = speed_figure(rows)
-    assert [panel.get_title() for panel in figure.axes] == ["circle", "lemniscate"]
-    panel = figure.axes[0]
-    assert panel.get_yscale() == "log" and panel.get_xlabel() == "trajectory.speed (m/s)"
-    assert [one.get_label() for one in panel.containers] == ["nominal_mpc", "gp_mpc"]
-    np.testing.assert_allclose(panel.containers[0].lines[0].get_xdata(), [4, 8])
-    np.testing.assert_allclose(panel.containers[0].lines[0].get_ydata(), [200 * 4 * 1.1, 200 * 8 * 1.1])
-
-
 def test_a_checkpoint_is_named_only_where_a_controller_has_several(rows):
     def labels(named):
         figure = speed_figure([made | {"model": named(made)} for made in rows])
@@ -53,12 +43,9 @@ def test_the_bar_is_the_interval_of_the_mean_and_says_so(rows):
     half = 2.92 * 0.1 / np.sqrt(3)
     np.testing.assert_allclose(bars.get_segments()[1][:, 1], [1600 * (1.1 - half), 1600 * (1.1 + half)], rtol=1e-3)
     assert figure.get_suptitle() == "mean over 3 seeds; bars: its 90 % interval (Student's t)"
-
-
-def test_one_seed_has_no_bar_and_none_is_claimed(rows):
     figure = speed_figure([made for made in rows if made["seed"] == 0])
     assert figure.get_suptitle() == "one flight each"
-    assert not any(one.lines[2] for panel in figure.axes for one in panel.containers)
+    assert not any(container.lines[2] for panel in figure.axes for container in panel.containers)
 
 
 def test_a_wide_interval_does_not_squash_the_means(rows):
@@ -72,20 +59,25 @@ def test_what_was_not_flown_is_not_drawn(rows):
     lost = [made | {"outcome": "lost"} for made in rows]
     with pytest.raises(UsageError, match="none of the 24 flights ended well"):
         speed_figure(lost)
-    assert solve_times(lost) is None
 
 
-def test_paths_share_one_colour_scale():
-    flights = [("a", straight_flight(20, (0.0, 0.2, 0.0))), ("b", straight_flight(20, (0.0, 0.01, 0.0)))]
-    figure = tracked_paths(flights, "circle, 8 m/s")
-    drawn = [panel.collections[0] for panel in figure.axes[:2]]
-    assert drawn[0].norm is drawn[1].norm
+def test_paths_have_a_row_a_controller_and_a_column_a_condition():
+    """One colour scale; the place of a flight that did not end well says so; a single condition is in the title."""
+    far, near, perfect = (straight_flight(20, (0.0, offset, 0.0)) for offset in (0.2, 0.01, 0.0))
+    flights = {("a", "4 m/s"): far, ("a", "8 m/s"): far, ("b", "4 m/s"): near}
+    figure = tracked_paths(flights, "circle", {("b", "8 m/s"): "lost"}, ["6 m/s"])
+    panels = figure.axes[:4]
+    drawn = [panel.collections[0] for panel in panels[:3]]
+    assert drawn[0].norm is drawn[1].norm is drawn[2].norm
     np.testing.assert_allclose(drawn[0].get_array(), 200.0)
-    assert "mean 10 mm" in figure.axes[1].get_title()
-
-
-def test_a_perfect_flight_can_be_drawn(tmp_path):
-    assert save(tracked_paths([("perfect", straight_flight(20))]), tmp_path / "p").exists()
+    titles = ["4 m/s\nmean 200 mm", "8 m/s\nmean 200 mm", "mean 10 mm", ""]
+    assert [panel.get_title() for panel in panels] == titles
+    assert [panel.get_ylabel() for panel in panels] == ["a\ny (m)", "", "b\ny (m)", ""]
+    assert [text.get_text() for text in panels[3].texts] == ["lost"]
+    assert figure.get_suptitle() == "circle\nnot drawn: 6 m/s"
+    single = tracked_paths({("a", "4 m/s"): perfect, ("b", "4 m/s"): perfect}, "circle")
+    assert [panel.get_title() for panel in single.axes[:2]] == ["a\nmean 0 mm", "b\nmean 0 mm"]
+    assert single.get_suptitle() == "circle, 4 m/s"
 
 
 def test_an_hour_of_flight_is_a_small_file(tmp_path):
@@ -95,7 +87,7 @@ def test_an_hour_of_flight_is_a_small_file(tmp_path):
     for kind, off in (("", noise), ("ref_", 0 * noise)):
         circle = {f"{kind}p_x": np.cos(flight.t) + off[0], f"{kind}p_y": np.sin(flight.t) + off[1]}
         flight.columns.update(circle)
-    path = save(tracked_paths([("an hour", flight)]), tmp_path / "hour")
+    path = save(tracked_paths({("an hour", ""): flight}), tmp_path / "hour")
     assert path.stat().st_size < 200_000 and path.read_bytes().count(b"<image") >= 2  # one is the scale
 
 

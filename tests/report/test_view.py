@@ -16,6 +16,7 @@ from quadexp.report.frame import SweepFrame, read_value, setting_text, unit_of
 from quadexp.report.points import points
 from quadexp.report.statistics import compute_statistics
 from quadexp.report.view import Axis, automatic, view
+from quadexp.sweeps.figures import draw, drawings
 from tests.report.sweeps import noise, swept
 
 NODES = [
@@ -185,8 +186,29 @@ class TestChoice:
         ],
     )
     def test_of_other_sweeps(self, tmp_path, overrides, expected):
-        made = automatic(SweepFrame.read(swept(tmp_path / "r", overrides, lambda config: 0.01)))
-        assert [one.file_name for one in made] == [expected]
+        made = automatic(SweepFrame.read(swept(tmp_path / "r", overrides, lambda config: 0.01)))[0]
+        assert made.kind == expected[0]
+        assert expected[1] == (len(made.along) if made.kind == "parallel" else made.x.key)
+
+    @pytest.mark.parametrize(
+        ("overrides", "names"),
+        [
+            (["trajectory.speed=4,8"], ["mean_error_against_speed"]),
+            (["plant=simplified,ideal", "trajectory.speed=4,8"], ["mean_error_against_speed"]),
+            (["plant=simplified,ideal"], ["mean_error_against_plant"]),
+            (["controller.nodes=5,10", "trajectory.speed=4,6,8"], ["mean_error_against_speed"]),
+            (["controller.nodes=5,10,20"], ["mean_error_against_nodes"]),
+            (["vehicle.mass=1,2", "controller.nodes=5,10", "plant.payload=0,0.1"], ["mean_error_over_all_keys"]),
+        ],
+    )
+    def test_the_figures_of_a_sweep(self, tmp_path, overrides, names):
+        out = swept(tmp_path / "r", overrides, lambda config: 0.01)
+        made = drawings(SweepFrame.read(out).rows, out, "mean_error", 0.95)
+        over_keys = [drawing for drawing in made if "_error_" in drawing.name]
+        assert [drawing.name for drawing in over_keys] == names
+        for drawing in over_keys:
+            draw(drawing, path := tmp_path / "figures" / f"{drawing.name}.svg")
+            assert path.stat().st_size > 5000
 
     def test_without_the_grids_the_rows_tell_what_was_swept(self, nodes):
         frame = SweepFrame.read(nodes)

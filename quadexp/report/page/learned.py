@@ -18,7 +18,7 @@ from quadexp.log.schema import ESTIMATE_COLUMNS, Flight, describe
 from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report
 from quadexp.models.dataset import ResidualDataset, read_dataset
 from quadexp.models.gaussian_process import GPModel, OutputPosterior
-from quadexp.report.fit_figures import axis_label, curve, moved, symbol, unit
+from quadexp.report.model_figures import axis_label, curve, moved, symbol, unit
 from quadexp.report.page.palette import Palette, dress
 from quadexp.report.page.sheet import Sheet, sheet_name
 from quadexp.report.page.source import Comparison, spoken
@@ -115,7 +115,7 @@ def _data(model: GPModel, report: Mapping[str, Any]) -> ResidualDataset | None:
 
 
 def fit_panel(panel: Any, checkpoint: Checkpoint, output: OutputPosterior, palette: Palette) -> None:
-    """Mean and 2-sigma band of one output over its first feature, linear drag, and data; see `fit_figures.curve`."""
+    """Mean and 2-sigma band of one output over its first feature, linear drag, and data; see `model_figures.curve`."""
     model = checkpoint.model
     assert model is not None
     data = checkpoint.data
