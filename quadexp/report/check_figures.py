@@ -1,7 +1,7 @@
 """Figures of a quality check: each sensor against its value computed from the others, over time, faults marked.
 
 Three columns, three axes: velocity against dp/dt, specific force against R^T (dv/dt + g), body rate against the
-derivative of the attitude, all as means over windows of 0.1 s (quadexp/log/hypotheses/windows.py).
+derivative of the attitude, all as means over windows of 0.1 s (quadexp/log/signal/windows.py).
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.log.finding import Finding
-from quadexp.log.hypotheses.windows import STREAMS, Pair, cut, pairs, window_starts
+from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
+from quadexp.log.signal.windows import STREAMS, Pair, cut, pairs
 from quadexp.report.style import COLOURS, Figure, styled
 
 COLUMNS = (
@@ -77,11 +77,8 @@ def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
     streams = {name: values for name, values in streams.items() if np.isfinite(values).all(axis=1).mean() > 0.5}
     for values in streams.values():
         good &= np.isfinite(values).all(axis=1)
-    starts, half = window_starts(t, good, flight.columns.get("segment"))
-    if not len(starts):
-        return t[:0], {}
-    windows = cut(t, streams, starts, half)
-    return windows.t, {pair.relation: pair for pair in pairs(windows)}
+    windows = cut(t, streams, good, flight.columns.get("segment"))
+    return windows.t, {pair.relation: pair for pair in pairs(windows)} if len(windows.t) else {}
 
 
 def _draw(panel: Any, t: np.ndarray, pair: Pair, row: int, found: str, expected: str) -> None:

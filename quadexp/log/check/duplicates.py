@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.finding import Finding
-from quadexp.log.hypotheses.windows import STREAMS
+from quadexp.log.check.finding import Finding
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream, increasing, resample
+from quadexp.log.signal.windows import STREAMS
 
 RATE = 20.0  # Hz: what two ways of resampling leave alike, noise of the sensors included
 LEAST = 2.0  # s in common

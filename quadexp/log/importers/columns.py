@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.log.hypotheses.windows import Windows, changes, means, pairs, window_starts
 from quadexp.log.importers.names import NOT_MEASURED, groups, hint
+from quadexp.log.signal.windows import Windows, changes, means, pairs, window_samples
 from quadexp.physics.vehicle import GRAVITY
 
 RATE, FORCE, MOTION = 0.5, 0.6, 0.85  # correlations from which columns are taken for a sensor's
@@ -50,8 +50,7 @@ class Table:
             good = np.isfinite(column)
             if good.sum() > 1:
                 self.x[:, i] = np.interp(self.t, t[good], column[good])
-        starts, half = window_starts(self.t, np.ones(len(self.t), bool))
-        rows = starts[:, None] + np.arange(2 * half + 1)
+        rows = window_samples(self.t, np.ones(len(self.t), bool))
         self.times, self.windows = self.t[rows], self.x[rows]
         self.means, self.slopes = means(self.times, self.windows), changes(self.times, self.windows)
         usable = {i for i in range(len(names)) if i != clock and np.isfinite(self.x[:, i]).all()}

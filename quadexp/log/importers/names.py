@@ -1,4 +1,4 @@
-"""What the name of a column says: quantity, axis, unit. It only proposes; the data decide (quadexp/log/hypotheses)."""
+"""What the name of a column says: quantity, axis, unit. It only proposes; the data decide (columns.py)."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.experiment.import_flights import import_files
 from quadexp.log.check import check_flight
-from quadexp.log.check.dead import check_dead
+from quadexp.log.check.samples import check_dead
 from quadexp.log.importers.importing import Options
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table

@@ -10,7 +10,7 @@ import pytest
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.importers import Options, import_log
-from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.importers.mapping import load_mapping
 from tests.log.importers import logs
 
 HEADER = "t,px,py,pz,qx,qy,qz,qw,vx,vy,vz,imu_acc_x,imu_acc_y,imu_acc_z,imu_gyro_x,imu_gyro_y,imu_gyro_z,"

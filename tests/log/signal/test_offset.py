@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.log.signal import Stream, estimate_offset
+from quadexp.log.signal import Stream
+from quadexp.log.signal.offset import estimate_offset
 
 
 def motion(t):

@@ -20,12 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, QuadexpError
+from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.declared import allowed_bytes
-from quadexp.log.extras import missing_package
-from quadexp.log.importers.mapped import with_attitude
-from quadexp.log.importers.raw import RawLog, clean_stream
-from quadexp.log.signal import Stream, increasing
+from quadexp.log.importers.raw import RawLog, sorted_stream, with_attitude
+from quadexp.log.signal import Stream
 from quadexp.log.store import first_line
 from quadexp.log.units import UNITS
 
@@ -197,11 +195,7 @@ def _choose(path: Path, log: RawLog, found: _Found) -> None:
         raise DataError(f"{path}: no topic has {LEAST_MESSAGES} messages of use")
     for quantity, rows in chosen.items():
         t, values = np.array(rows.t), np.array(rows.values)
-        order = np.argsort(t, kind="stable")
-        later = increasing(t[order])
-        log.streams[quantity] = clean_stream(
-            path, f"{quantity} ({rows.topic})", t[order][later], values[order][later], log.notes
-        )
+        log.streams[quantity] = sorted_stream(path, f"{quantity} ({rows.topic})", t, values, log.notes)
     if "velocity" in chosen and chosen["velocity"].in_body and "attitude" in log.streams:
         stream, R = with_attitude(log.streams, "velocity")
         log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))

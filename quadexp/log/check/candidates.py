@@ -1,13 +1,13 @@
 """What may be wrong with a log, as a table: the fault, what the data are, and the lines of the mapping that mend it.
 
-What a line does to the streams is what the import does with it (quadexp/log/importers/mapped.py), so that a candidate
+What a line does to the streams is what the import does with it (quadexp/log/importers/raw.py), so that a candidate
 that explains a flight is its correction too. Frames: world ENU from NED is (y, x, -z), body FLU from FRD (x, -y, -z);
 both are their own inverse.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations, product
@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.log.hypotheses.windows import STREAMS, Windows
-from quadexp.log.importers.mapped import corrected
-from quadexp.log.importers.mapping_reader import correction
+from quadexp.log.importers.mapping import correction
+from quadexp.log.importers.raw import corrected
 from quadexp.log.signal import Stream
+from quadexp.log.signal.windows import STREAMS, Windows
 from quadexp.log.units import axes_matrix, axes_words
 from quadexp.messages import yaml
 
@@ -73,14 +73,6 @@ class Candidate:
         if "q" in streams and "q" not in self.streams:
             changed.__dict__["rotation"] = windows.rotation  # it costs as much as all else
         return changed
-
-
-def merged(mapping: Mapping[str, Any], lines: Correction) -> dict[str, Any]:
-    """A mapping (values of its YAML) with the lines of a correction added."""
-    made = dict(mapping)
-    for key, value in lines.items():
-        made[key] = {**made.get(key, {}), **value} if isinstance(value, dict) else value
-    return made
 
 
 def flow(value: Any) -> str:

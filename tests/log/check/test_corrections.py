@@ -15,17 +15,16 @@ import yaml
 
 from quadexp.errors import UsageError
 from quadexp.experiment.import_flights import import_files
-from quadexp.log.hypotheses.candidates import (
+from quadexp.log.check.candidates import (
     Candidate,
     candidates,
     clock_candidate,
     flow,
-    merged,
     scale_candidates,
 )
-from quadexp.log.hypotheses.windows import STREAMS, Windows
+from quadexp.log.signal.windows import STREAMS, Windows
 from quadexp.log.importers import Options
-from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.importers.mapping import load_mapping
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
 from tests.log.check.faults import FRD, NED, P, V, W, inject, put, take
@@ -145,8 +144,8 @@ def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
     def in_place(mapping: str, findings: list) -> str:
         made = yaml.safe_load(mapping)
         for one in findings:
-            for lines in printed(one.message):
-                made = merged(made, lines)
+            for key, value in ((key, value) for lines in printed(one.message) for key, value in lines.items()):
+                made[key] = {**made.get(key, {}), **value} if isinstance(value, dict) else value
         return flow(made)
 
     for one in OTHERS[::6]:

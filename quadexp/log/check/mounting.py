@@ -14,8 +14,8 @@ import warnings
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.log.hypotheses.candidates import KEYS, Candidate
-from quadexp.log.hypotheses.windows import UP, Pair, Windows, pairs
+from quadexp.log.check.candidates import KEYS, Candidate
+from quadexp.log.signal.windows import UP, Pair, Windows, pairs
 
 LEAST = 2.0  # deg: smaller turns are not reported
 WARNS, MOST = 4.0, 20.0  # deg: more than the offsets of a fit absorb; the most of a mount that was never calibrated
