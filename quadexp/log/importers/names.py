@@ -107,36 +107,29 @@ def hint(name: str) -> Hint | None:
 
 def groups(names: Sequence[str]) -> dict[str, list[list[int]]]:
     """Quantity -> groups of columns (in the order x, y, z, or of their numbers), best name first."""
-    found: dict[tuple[str, str], dict[str, int]] = defaultdict(dict)
+    axes: dict[tuple[str, str], dict[str, int]] = defaultdict(dict)
     ranks: dict[tuple[str, str], int] = {}
     for i, name in enumerate(names):
-        one = hint(name)
-        if one is not None:
-            found[one.quantity, one.group].setdefault(one.axis, i)
-            ranks.setdefault((one.quantity, one.group), one.rank)
-    made: dict[str, list[tuple[int, list[int]]]] = defaultdict(list)
-    for (quantity, group), axes in found.items():
-        rank, columns = ranks[quantity, group], None
+        if (said := hint(name)) is not None:
+            axes[said.quantity, said.group].setdefault(said.axis, i)
+            ranks.setdefault((said.quantity, said.group), said.rank)
+    ranked: dict[str, list[tuple[int, list[int]]]] = defaultdict(list)
+    for (quantity, group), places in axes.items():
+        orders: Sequence[Sequence[str]] = ("xyz", "012")
         if quantity in ("time", "battery_voltage"):
-            columns = list(axes.values())[:1]
+            orders = [list(places)[:1]]
         elif quantity == "attitude":
-            columns = next(([axes[a] for a in order] for order in ("wxyz", "0123") if set(order) <= set(axes)), None)
+            orders = ("wxyz", "0123")
         elif quantity in ("motor", "rotor_speed"):
-            numbers = sorted(axes, key=int)
-            if len(numbers) >= 3 and [int(a) for a in numbers] == list(
-                range(int(numbers[0]), int(numbers[0]) + len(numbers))
-            ):
-                columns = [axes[a] for a in numbers[:8]]
-        else:
-            columns = next(([axes[a] for a in order] for order in ("xyz", "012") if set(order) <= set(axes)), None)
-        if columns is not None:
-            made[quantity].append((rank, columns))
-    return {
-        quantity: [columns for _, columns in sorted(items, key=lambda x: (x[0], x[1]))]
-        for quantity, items in made.items()
-    }
+            numbers = sorted(places, key=int)
+            in_a_row = int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
+            orders = [numbers[:8]] if len(numbers) >= 3 and in_a_row else []
+        order = next((order for order in orders if set(order) <= set(places)), None)
+        if order is not None:
+            ranked[quantity].append((ranks[quantity, group], [places[axis] for axis in order]))
+    return {quantity: [columns for _, columns in sorted(items)] for quantity, items in ranked.items()}
 
 
 def numbered_quaternion(names: Sequence[str], columns: Sequence[int]) -> bool:
     """Whether the four columns are told apart by numbers, which say nothing of where w is."""
-    return any((one := hint(names[i])) is not None and one.axis.isdigit() for i in columns)
+    return any((said := hint(names[i])) is not None and said.axis.isdigit() for i in columns)

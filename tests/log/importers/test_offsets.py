@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.log.signal.offset import find_offsets
 from quadexp.log.signal import Stream
+from quadexp.log.signal.offset import find_offsets
 from tests.log.importers import logs
 
 
