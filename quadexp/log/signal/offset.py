@@ -1,17 +1,12 @@
 """Time offsets between what moves alike: gyro against the attitude's turning, accelerometer against velocity.
-Cross-correlation, then a fit with a standard error:
+By cross-correlation, with a standard error:
 
     tau = argmax_tau  sum_j <a_j(t), b_j(t + tau)> / sqrt(sum_j |a_j|^2 sum_j |b_j|^2)
 
 A positive offset: what `a` shows at t, `b` shows at t + tau, so b's clock is to be moved back by tau. Both streams are
 brought to one clock and to one band (Gaussian low- and high-pass, without phase): above it noise dominates, below it
-drift and drag shift the phase of a slow signal without any delay. The peak of the correlation is refined by
-
-    b(t + tau) = g a(t) + k a'(t),      tau <- tau - k / g   until k = 0,
-
-with (g a' + b') / 2 as instrument of a' and sum a' b' as its curvature, so that noise in neither shortens k. The
-standard error is the larger one of a sandwich over blocks of half a second (the residual is not white) and of a
-jackknife over stretches of the log. Offsets are reported only; moving a stream is asked for (`--align`).
+drift and drag shift the phase of a slow signal without any delay. The standard error is that of a jackknife over
+stretches of the log. Offsets are reported only; moving a stream is asked for (`--align`).
 """
 
 from __future__ import annotations
@@ -30,9 +25,8 @@ from quadexp.physics.vehicle import GRAVITY
 LARGEST = 0.5  # s
 BAND = 4.0  # Hz, -3 dB: vehicles turn slower, motion capture shakes faster
 SLOWEST = 0.25  # Hz, -3 dB
-BLOCK = 0.5  # s
+BLOCK = 0.5  # s: the shortest stretch that tells
 STRETCHES = 6
-ROUNDS = 8
 LEAST_CORRELATION = 0.5
 AMBIGUOUS = 0.97  # another peak as high as this share of the highest one
 LARGEST_ERROR = 0.02  # s
@@ -78,11 +72,21 @@ def estimate_offset(
     ]
     if not pieces:
         raise DataError(f"less than {4 * LARGEST:g} s of common data: no offset can be estimated")
-    peak, height, rival, at_edge = _peak(pieces, reach, rate)
-    fit = _refined(pieces, peak, reach, rate)
+    sums, shortest = _sums(pieces, reach)
+    total = sums.sum(axis=0)
+    if not (total[1].max() > 0 and total[2].max() > 0):
+        raise DataError("one of the streams does not move: no offset can be estimated")
+    seconds, height, rival, at_edge = _peak(total, rate)
+    gain = height * float(np.sqrt(total[2].max() / total[1].max()))
+    error, agrees = np.inf, False
+    if shortest >= BLOCK * rate:  # else all of it is in a moment or two
+        rest = [_peak(total - stretch, rate)[0] for stretch in sums]
+        alone = np.array([_peak(stretch, rate)[0] for stretch in sums])
+        error = float(np.sqrt((len(rest) - 1) * np.var(rest)))
+        agrees = np.mean(np.abs(alone - seconds) < 4 * np.sqrt(len(rest)) * error + 0.002) > 0.7
     clear = height > LEAST_CORRELATION and rival < AMBIGUOUS and not at_edge
-    certain = clear and fit.agrees and fit.error < LARGEST_ERROR and abs(fit.seconds) <= LARGEST
-    return Offset(fit.seconds, fit.error, height, fit.gain, rival, bool(certain))
+    certain = clear and agrees and error < LARGEST_ERROR and abs(seconds) <= LARGEST
+    return Offset(seconds, error, height, gain, rival, bool(certain))
 
 
 def _in_band(values: np.ndarray, rate: float) -> np.ndarray:
@@ -99,111 +103,46 @@ def _in_band(values: np.ndarray, rate: float) -> np.ndarray:
     return np.where(np.abs(values) > rounding, values, 0.0)
 
 
-def _peak(pieces: list[tuple[np.ndarray, ...]], reach: int, rate: float) -> tuple[float, float, float, bool]:
-    """Of the correlation: place (s), height, share of the next highest peak, whether it lies at the edge."""
-    from scipy.interpolate import CubicSpline
+def _sums(pieces: list[tuple[np.ndarray, ...]], reach: int) -> tuple[np.ndarray, int]:
+    """sum <a, b>, sum |a|^2 and sum |b|^2 by lag, (STRETCHES, 3, lags), of stretches that tell alike much; and the
+    number of samples in the shortest stretch."""
     from scipy.signal import correlate
 
-    lags = np.arange(-reach, reach + 1)
-    dot, aa, bb = np.zeros((3, len(lags)))
+    slopes = [np.sum(np.gradient(x, axis=0)[reach:-reach] ** 2, axis=1) for x, _ in pieces]
+    telling = np.cumsum(np.concatenate(slopes))
+    number = np.minimum((telling / max(telling[-1], 1e-300) * STRETCHES * 0.999999).astype(int), STRETCHES - 1)
+    sums, first = np.zeros((STRETCHES, 3, 2 * reach + 1)), 0
     for x, y in pieces:
-        core = slice(reach, len(x) - reach)
-        dot += sum(correlate(y[:, j], x[core, j], mode="valid", method="fft") for j in range(x.shape[1]))
         energy = np.concatenate([[0.0], np.cumsum(np.sum(y * y, axis=1))])
-        bb += energy[len(x) - 2 * reach :] - energy[: 2 * reach + 1]
-        aa += np.sum(x[core] ** 2)
-    if not (aa[0] > 0 and bb.max() > 0):
-        raise DataError("one of the streams does not move: no offset can be estimated")
-    correlation = dot / np.sqrt(aa * np.maximum(bb, 1e-12 * bb.max()))
-    curve = CubicSpline(lags / rate, correlation)
+        inside = number[first : first + len(x) - 2 * reach]
+        first += len(inside)
+        for k in np.unique(inside):
+            start, stop = np.searchsorted(inside, [k, k + 1])
+            chosen, around = x[start + reach : stop + reach], y[start : stop + 2 * reach]
+            sums[k, 0] += sum(
+                correlate(b, a, mode="valid", method="fft") for a, b in zip(chosen.T, around.T, strict=True)
+            )
+            sums[k, 1] += np.sum(chosen**2)
+            sums[k, 2] += (energy[stop - start :] - energy[: start - stop])[start : start + 2 * reach + 1]
+    return sums, int(np.bincount(number, minlength=STRETCHES).min())
+
+
+def _peak(sums: np.ndarray, rate: float) -> tuple[float, float, float, bool]:
+    """Of the correlation: place (s), height, share of the next highest peak, whether it lies at the edge."""
+    from scipy.interpolate import CubicSpline
+
+    dot, aa, bb = sums
+    correlation = dot / np.sqrt(np.maximum(aa * np.maximum(bb, 1e-12 * bb.max()), 1e-300))
+    lags = (np.arange(len(dot)) - len(dot) // 2) / rate
+    curve = CubicSpline(lags, correlation)
     slopes = curve.derivative()
     roots = [root for root in slopes.roots(extrapolate=False) if np.isfinite(root)]
-    peaks = [r for r in roots if slopes(r, 1) < 0] or [float(lags[np.argmax(correlation)] / rate)]
+    peaks = [r for r in roots if slopes(r, 1) < 0] or [float(lags[np.argmax(correlation)])]
     heights = np.array([float(curve(r)) for r in peaks])
     best = int(np.argmax(heights))
     others = np.delete(heights, best)
     rival = float(max(0.0, others.max() / heights[best])) if len(others) and heights[best] > 0 else 0.0
     return float(peaks[best]), float(heights[best]), rival, bool(correlation.max() > heights[best] + 1e-6)
-
-
-class _Fit(NamedTuple):
-    seconds: float
-    error: float
-    gain: float
-    agrees: bool
-
-
-def _refined(pieces: list[tuple[np.ndarray, ...]], tau: float, reach: int, rate: float) -> _Fit:
-    """The offset at which b no longer correlates with the derivative of `a`, from the peak of the correlation on."""
-    start, gain = tau, 1.0
-    for _ in range(ROUNDS):
-        tau = float(np.clip(tau, start - 0.5 * reach / rate, start + 0.5 * reach / rate))
-        tau = float(np.clip(tau, -(reach - 1) / rate, (reach - 1) / rate))
-        bread, meat = _normal_equations(pieces, tau, reach, rate, gain)
-        beta = _solve(bread.sum(axis=0), meat.sum(axis=0))
-        if beta is None or not beta[0]:
-            return _Fit(start, np.inf, 0.0, False)
-        gain, step = float(beta[0]), float(beta[1] / beta[0])
-        tau -= step
-        if abs(step) < 1e-6:
-            break
-    total = bread.sum(axis=0)
-    scores = meat - bread @ beta
-    covariance = np.linalg.solve(total, np.linalg.solve(total, scores.T @ scores).T)
-    sandwich = float(np.sqrt(max(covariance[1, 1], 0.0)) / abs(gain))
-    jackknife, agrees = _jackknife(bread, meat, sandwich)
-    return _Fit(tau, max(sandwich, jackknife), gain, agrees)
-
-
-def _normal_equations(
-    pieces: list[tuple[np.ndarray, ...]], tau: float, reach: int, rate: float, gain: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Instruments times regressors (blocks, n, n), and times b (blocks, n), summed over blocks."""
-    from scipy.interpolate import CubicSpline
-
-    length = max(1, int(BLOCK * rate))
-    breads, meats = [], []
-    for x, y in pieces:
-        n = np.arange(reach, len(x) - reach)
-        x_slope = CubicSpline(np.arange(len(x)), x)(n, 1) * rate
-        y_spline = CubicSpline(np.arange(len(y)), y)
-        ys, y_slope = y_spline(n + tau * rate), y_spline(n + tau * rate, 1) * rate
-        regressors = np.stack([x[n], x_slope], axis=-1)
-        instruments = regressors.copy()
-        instruments[..., 1] = (x_slope + y_slope / (gain or 1.0)) / 2
-        edges = np.arange(0, len(n), length)
-        products = np.einsum("kmi,kmj->kij", instruments, regressors)
-        products[:, 1, 1] = np.sum(x_slope * y_slope, axis=1) / (gain or 1.0)
-        breads.append(np.add.reduceat(products, edges))
-        meats.append(np.add.reduceat(np.einsum("kmi,km->ki", instruments, ys), edges))
-    return np.concatenate(breads), np.concatenate(meats)
-
-
-def _solve(bread: np.ndarray, meat: np.ndarray) -> np.ndarray | None:
-    scale = np.sqrt(np.abs(np.diag(bread)))
-    if not (scale > 0).all() or np.linalg.cond(bread / np.outer(scale, scale)) > 1e8:
-        return None
-    return np.linalg.solve(bread, meat)
-
-
-def _jackknife(bread: np.ndarray, meat: np.ndarray, error: float) -> tuple[float, bool]:
-    """Error (s) from leaving out one stretch after the other, each with its share of what tells the offset; and
-    whether what every one of them says by itself is the same."""
-    telling = np.cumsum(np.maximum(bread[:, 1, 1], 0))
-    number = np.minimum((telling / telling[-1] * STRETCHES * 0.999999).astype(int), STRETCHES - 1)
-    stretches = np.unique(number)
-    count = len(stretches)
-
-    def offsets(chosen: list[np.ndarray]) -> list[float]:
-        fits = [_solve(bread[blocks].sum(axis=0), meat[blocks].sum(axis=0)) for blocks in chosen]
-        return [float(beta[1] / beta[0]) for beta in fits if beta is not None and beta[0]]
-
-    rest, alone = offsets([number != k for k in stretches]), offsets([number == k for k in stretches])
-    if min(len(rest), len(alone)) < max(3, count - 1):  # all of it in a moment or two
-        return np.inf, False
-    spread = float(np.sqrt((count - 1) / count * np.var(rest) * len(rest)))
-    limit = 4 * np.sqrt(count) * max(error, spread) + 0.002
-    return spread, bool(np.mean(np.abs(alone) < limit) > 0.7)
 
 
 # ----------------------------------------------------------------------------------------------- streams of a flight
