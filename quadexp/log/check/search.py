@@ -19,9 +19,15 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.check.candidates import COLUMNS, Candidate, candidates, clock_candidate, scale_candidates
+from quadexp.log.check.candidates import (
+    COLUMNS,
+    Candidate,
+    candidates,
+    clock_candidate,
+    mounting_candidates,
+    scale_candidates,
+)
 from quadexp.log.check.finding import LEAVE_OUT, Finding
-from quadexp.log.check.mounting import mounting_candidates
 from quadexp.log.signal.windows import SIDES, Pair, Windows, pairs
 
 INDEPENDENT = 60

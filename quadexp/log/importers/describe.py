@@ -1,6 +1,6 @@
 """A mapping proposed for a table of unknown origin: from the names of its columns, and from what the data obeys.
 
-Names only propose (names.py), the data decide which columns are what (columns.py). Then every order and direction of
+Names only propose, the data decide which columns are what (columns.py). Then every order and direction of
 the quaternion with every world and body frame is a candidate of the search that `quadexp check` has too, by the same
 evidence; what that search finds besides stands under `corrections`. Where the next best candidate is less than
 search.MARGIN log units behind, the line is a guess that asks which of both it is.
@@ -22,9 +22,8 @@ from quadexp.log.check.candidates import READINGS, Candidate, flow
 from quadexp.log.check.finding import longest
 from quadexp.log.check.rotors import Fit, stretch
 from quadexp.log.check.search import MARGIN, PER_COST, agreement, explain
-from quadexp.log.importers.columns import Match, Table
+from quadexp.log.importers.columns import Match, Table, groups, numbered_quaternion, unit_of
 from quadexp.log.importers.mapping import PLACES, QUANTITIES
-from quadexp.log.importers.names import groups, numbered_quaternion, unit_of
 from quadexp.log.importers.readers import reader_of
 from quadexp.log.importers.table import numbers, open_table
 from quadexp.log.signal import continuous
