@@ -100,7 +100,7 @@ def _with_import(findings: list[Any], flight: Any) -> list[Any]:
     names = {one.name for one in findings}
     earlier = []
     for record in flight.metadata.get("findings") or []:
-        if record["name"] not in names:
+        if {"name", "severity", "where"} <= set(record) and record["name"] not in names:
             severity = record["severity"].replace("blocking", "warning")  # it was mended or accepted at the import
             texts = {key: record.get(key, "") for key in ("measured", "allowed", "advice")}
             earlier.append(Finding(record["name"], severity, f"the log, {record['where']}", **texts))
