@@ -60,3 +60,8 @@ def write_error(path: Path, error: OSError) -> WriteError:
 def stops_all(error: BaseException) -> bool:
     """Whether an error of one flight will occur in all others too, because no file can be written."""
     return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in DEVICE)
+
+
+def missing_package(what: str | Path, package: str, extra: str) -> UsageError:
+    """The error for a log or a format whose package is in an extra that is not installed."""
+    return UsageError(f"{what}: needs the package {package}; install it with: pip install 'quadexp[{extra}]'")

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from quadexp import messages
 from quadexp.cli.terminal import print_lines
-from quadexp.log.hypotheses.candidates import flow
+from quadexp.log.check.candidates import flow
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.table import _MARKS, Table

@@ -37,54 +37,48 @@ def check(
     quadexp check flights/nanobench/*.parquet
     quadexp check flights/a.parquet --figures figures/check --strict
     """
+    import numpy as np
+
     from quadexp.log.check import check_flights
 
     form = format_of(format, json)
     loaded = _load(flights)
-    known = {str(path): _vehicle(flight, vehicle, conf) for path, flight in loaded.items()}
-    found = check_flights({str(path): flight for path, flight in loaded.items()}, known)
-    found = {path: _with_import(findings, loaded[Path(path)]) for path, findings in found.items()}
+    known = {path: _vehicle(flight, vehicle, conf) for path, flight in loaded.items()}
+    found = {path: _with_import(own, loaded[path]) for path, own in check_flights(loaded, known).items()}
     stops = ("blocking", "warning") if strict else ("blocking",)
     blocked = [path for path, findings in found.items() if any(one.severity in stops for one in findings)]
     drawn = _draw(figures, loaded, found) if figures is not None else {}
-    if form != "text":
+    records = [
+        {"path": path, "rows": len(flight), "duration": float(np.ptp(flight.t)) if len(flight) else 0.0,
+         "vehicle": getattr(known[path], "name", None), "blocked": path in blocked,
+         "findings": [one.record() for one in found[path]], "figure": drawn.get(path)}
+        for path, flight in loaded.items()
+    ]  # fmt: skip
+
+    def rows() -> list[Any]:
         from quadexp.report.table import Table
 
-        records = [
-            {
-                "path": path,
-                "rows": len(flight),
-                "duration": float(flight.t[-1] - flight.t[0]) if len(flight) else 0.0,
-                "vehicle": getattr(known[str(path)], "name", None),
-                "blocked": str(path) in blocked,
-                "findings": [one.record() for one in found[str(path)]],
-                "figure": drawn.get(str(path)),
-            }
-            for path, flight in loaded.items()
-        ]
         names = ("severity", "name", "where", "measured", "allowed", "advice")
-        pairs = [(path, one) for path, own in found.items() for one in own]
-        rows = [[path, *(str(getattr(one, name) or "") for name in names)] for path, one in pairs]
-        record = {"flights": records, "blocked": len(blocked), "strict": strict}
-        answered(form, record, lambda: [Table(("flight", *names), rows, left=frozenset(range(7)))], "check")
-    else:
-        _print(loaded, found, drawn)
+        cells = [[path, *(getattr(one, name) for name in names)] for path, own in found.items() for one in own]
+        return [Table(("flight", *names), cells, left=frozenset(range(7)))]
+
+    if not answered(form, {"flights": records, "blocked": len(blocked), "strict": strict}, rows, "check"):
+        _print(records, found)
     if blocked:
-        raise QuadexpError(
-            f"{len(blocked)} of {len(found)} flights have findings that block{' (--strict)' if strict else ''}"
-        )
+        by = " (--strict)" if strict else ""
+        raise QuadexpError(f"{len(blocked)} of {len(found)} flights have findings that block{by}")
 
 
-def _load(paths: list[Path]) -> dict[Path, Any]:
+def _load(paths: list[Path]) -> dict[str, Any]:
     from quadexp.log.schema import Flight
     from quadexp.log.store import check_whole, read_table
 
-    loaded: dict[Path, Any] = {}
-    for path in paths:
+    loaded: dict[str, Any] = {}
+    for path in map(str, paths):
         if path in loaded:
             raise UsageError(f"{path}: given twice")
         loaded[path] = Flight(*read_table(path, "flight", required=("t",)))
-        check_whole(loaded[path].metadata, str(path))
+        check_whole(loaded[path].metadata, path)
     return loaded
 
 
@@ -101,30 +95,26 @@ def _vehicle(flight: Any, name: str | None, conf: Path | None) -> Any:
 
 def _with_import(findings: list[Any], flight: Any) -> list[Any]:
     """Findings now, and those that the import made on the log itself, which the flight no longer shows."""
-    from quadexp.log.finding import Finding, worst_first
+    from quadexp.log.check.finding import Finding, worst_first
 
     names = {one.name for one in findings}
-    known = Finding.__dataclass_fields__
-    added = []
+    earlier = []
     for record in flight.metadata.get("findings") or []:
-        if record.get("name") in names or not set(known) - {"advice", "span", "correction"} <= set(record):
-            continue
-        values = {key: record[key] for key in known if key in record and key != "span"}
-        # what blocked in the log was mended or accepted when the flight was made
-        values["severity"] = "warning" if values["severity"] == "blocking" else values["severity"]
-        added.append(Finding(**{**values, "where": f"the log, {values['where']}"}))
-    return worst_first(findings + added)
+        if {"name", "severity", "where"} <= set(record) and record["name"] not in names:
+            severity = record["severity"].replace("blocking", "warning")  # it was mended or accepted at the import
+            texts = {key: record.get(key, "") for key in ("measured", "allowed", "advice")}
+            earlier.append(Finding(record["name"], severity, f"the log, {record['where']}", **texts))
+    return worst_first(findings + earlier)
 
 
-def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str, Path]) -> None:
+def _print(records: list[dict[str, Any]], found: dict[str, list[Any]]) -> None:
     from rich.table import Table
     from rich.text import Text
 
     out = console()
-    for path, flight in loaded.items():
-        findings = found[str(path)]
-        length = float(flight.t[-1] - flight.t[0]) if len(flight) else 0.0
-        out.print(Text(printable(f"{path}: {len(flight)} rows, {length:.1f} s")), soft_wrap=True)
+    for record in records:
+        findings, length = found[record["path"]], f"{record['rows']} rows, {record['duration']:.1f} s"
+        out.print(Text(printable(f"{record['path']}: {length}")), soft_wrap=True)
         if findings:
             table = Table(show_edge=False, pad_edge=False, box=None, header_style="bold")
             for title in ("", "fault", "where", "measured", "allowed"):
@@ -136,25 +126,24 @@ def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str
             out.print(table)
         else:
             out.print("  nothing found")
-        if str(path) in drawn:
-            out.print(Text(printable(f"  {drawn[str(path)]}")), soft_wrap=True)
+        if record["figure"]:
+            out.print(Text(printable(f"  {record['figure']}")), soft_wrap=True)
         out.print()
-    counts = dict.fromkeys(COLOURS, 0)
-    for findings in found.values():
-        for severity in {one.severity for one in findings}:
-            counts[severity] += 1
-    clean = sum(1 for findings in found.values() if all(one.severity == "info" for one in findings))
+    severities = [{one.severity for one in findings} for findings in found.values()]
+    warned, blocked = (sum(severity in own for own in severities) for severity in ("warning", "blocking"))
+    clean = sum(own <= {"info"} for own in severities)
     flights = "1 flight" if len(found) == 1 else f"{len(found)} flights"
-    out.print(f"{flights}: {clean} clean, {counts['warning']} with warnings, {counts['blocking']} blocked")
+    out.print(f"{flights}: {clean} clean, {warned} with warnings, {blocked} blocked")
 
 
-def _draw(folder: Path, loaded: dict[Path, Any], found: dict[str, list[Any]]) -> dict[str, Path]:
+def _draw(folder: Path, loaded: dict[str, Any], found: dict[str, list[Any]]) -> dict[str, Path]:
     from quadexp.report.figures import save
     from quadexp.report.log_figures import consistency_figure
 
     drawn: dict[str, Path] = {}
-    for path, flight in loaded.items():
+    for name, flight in loaded.items():
+        path = Path(name)
         names = (path.stem, f"{path.parent.name}_{path.stem}", *(f"{path.stem}_{k}" for k in range(2, len(loaded) + 2)))
-        name = next(name for name in names if (folder / f"{name}.svg") not in drawn.values())
-        drawn[str(path)] = save(consistency_figure(path.stem, flight, found[str(path)]), folder / f"{name}.png")
+        file = next(folder / f"{stem}.png" for stem in names if folder / f"{stem}.svg" not in drawn.values())
+        drawn[name] = save(consistency_figure(path.stem, flight, found[name]), file)
     return drawn

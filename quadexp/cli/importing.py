@@ -19,7 +19,7 @@ _FORMATS = f"Of the log: {', '.join(LOG_FORMATS[:-1])} or {LOG_FORMATS[-1]}."
 
 @guarded
 def import_flights(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Log files (or folders of px4csv, ROS 2).")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Log files (or folders of ROS 2).")],
     form: Annotated[str, typer.Option("--log-format", metavar="FORMAT", help=_FORMATS)] = "auto",
     vehicle: Annotated[
         str | None, typer.Option("--vehicle", metavar="NAME", help="Which vehicle of the configuration flew.")
@@ -69,7 +69,17 @@ def import_flights(
         raise UsageError(f"import --format {format}: is how the answer is printed; that of the log is --log-format")
     shown = format_of(format, json)
     if describe:
-        _describe(logs, json)
+        from quadexp.log.importers.describe import describe_log
+
+        if len(logs) != 1:
+            raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
+        proposed = describe_log(logs[0])
+        if json:
+            emit(proposed.record())
+            return
+        for line in proposed.warnings:
+            say(f"note: {line}")
+        print(proposed.yaml(), end="")
         return
     from quadexp.experiment.import_flights import import_files
     from quadexp.log.importers.importing import Options
@@ -107,17 +117,3 @@ def _angles(option: str, text: str | None) -> tuple[float, float, float] | None:
     if not all(math.isfinite(x) and abs(x) <= 360 for x in (roll, pitch, yaw)):
         raise UsageError(f"{option}: '{text}' must be in [-360, 360] deg")
     return roll, pitch, yaw
-
-
-def _describe(logs: list[Path], json: bool) -> None:
-    from quadexp.log.importers.describe import describe_log
-
-    if len(logs) != 1:
-        raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
-    found = describe_log(logs[0])
-    if json:
-        emit(found.record())
-        return
-    for line in found.warnings:
-        say(f"note: {line}")
-    print(found.yaml(), end="")

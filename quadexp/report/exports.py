@@ -14,9 +14,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from quadexp.errors import UsageError
+from quadexp.errors import UsageError, missing_package
 from quadexp.files.writer import check_output
-from quadexp.log.extras import missing_package
 from quadexp.log.store import example_in
 from quadexp.messages import tracker_name, tracker_text
 from quadexp.report.frame import SweepFrame, is_metric, is_number

@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.log.finding import Finding
-from quadexp.log.hypotheses.windows import STREAMS, Pair, cut, pairs, window_starts
+from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
+from quadexp.log.signal.windows import STREAMS, Pair, cut, pairs
 from quadexp.physics.state import POSITION, STATE_COLUMNS
 from quadexp.report.panels import Mark, Panel, mark, panel_figure
 from quadexp.report.style import COLOURS, HUES, Figure
 
 MS = 1e3
-COMPARED = (  # relations, title, a sensor, what the others say it should be; see quadexp/log/hypotheses/windows.py
+COMPARED = (  # relations, title, a sensor, what the others say it should be; see quadexp/log/signal/windows.py
     (("velocity",), "velocity, world (m/s)", "v", "dp/dt"),
     (("force", "force (p)", "thrust", "thrust (p)"), "specific force, body (m/s²)", "acc", "Rᵀ(dv/dt + g)"),
     (("rate",), "body rate (rad/s)", "w", "from the attitude"),
@@ -78,11 +78,8 @@ def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
     streams = {name: flight.stack(columns).astype(float) for name, columns in there.items()}
     streams = {name: values for name, values in streams.items() if np.isfinite(values).all(axis=1).mean() > 0.5}
     good = np.isfinite(t) & np.all([np.isfinite(values).all(axis=1) for values in streams.values()], axis=0)
-    starts, half = window_starts(t, good, flight.columns.get("segment"))
-    if not len(starts):
-        return t[:0], {}
-    windows = cut(t, streams, starts, half)
-    return windows.t, {pair.relation: pair for pair in pairs(windows)}
+    windows = cut(t, streams, good, flight.columns.get("segment"))
+    return windows.t, {pair.relation: pair for pair in pairs(windows)} if len(windows.t) else {}
 
 
 def _overlay(t: np.ndarray, pair: Pair, row: int, sensor: str, computed: str) -> tuple[list[Mark], tuple[float, float]]:

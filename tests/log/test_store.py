@@ -9,7 +9,7 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.files.writer import check_output, written
-from quadexp.log.schema import FLIGHT_COLUMNS, describe
+from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
 from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
 from tests.log.flights import straight_flight
 
@@ -64,60 +64,53 @@ def test_numpy_values_are_plain_json_in_the_record(tmp_path):
     assert read_metadata(path)["a"] == 1.5 and read_metadata(path)["b"] == [0, 1, 2]
 
 
-class TestBadFiles:
-    def test_missing(self, tmp_path):
-        with pytest.raises(UsageError, match=r"no such file \(made by `quadexp collect`\)"):
-            read_table(tmp_path / "x.parquet", "residuals")
+def cut_short(path):
+    path.write_bytes(path.read_bytes()[:-100])
 
-    def test_not_parquet(self, tmp_path):
-        (tmp_path / "x.parquet").write_text("a,b\n1,2\n")
-        with pytest.raises(DataError, match="not a Parquet file, or damaged"):
-            read_flight(tmp_path / "x.parquet")
 
-    def test_cut_short(self, tmp_path):
-        path = write_flight(tmp_path / "a.parquet", straight_flight(200))
-        path.write_bytes(path.read_bytes()[:-100])
-        with pytest.raises(DataError, match="damaged"):
-            read_flight(path)
+def damage_pages(path):
+    data = bytearray(path.read_bytes())
+    data[200:1200] = b"\xff" * 1000
+    path.write_bytes(data)
 
-    def test_pages_damaged(self, tmp_path):
-        path = write_flight(tmp_path / "a.parquet", straight_flight(2000))
-        data = bytearray(path.read_bytes())
-        data[200:1200] = b"\xff" * 1000
-        path.write_bytes(data)
-        with pytest.raises(DataError, match="damaged"):
-            read_flight(path)
 
-    def test_somebody_elses(self, tmp_path):
-        pq.write_table(pa.table({"t": [1.0]}), tmp_path / "x.parquet")
-        with pytest.raises(DataError, match="not one that quadexp wrote"):
-            read_flight(tmp_path / "x.parquet")
+def with_columns(**changes):
+    """The flight with other columns; None: without that one."""
 
-    def test_another_kind(self, tmp_path):
-        path = write_flight(tmp_path / "a.parquet", straight_flight())
-        with pytest.raises(DataError, match="is a flight, a data set is needed"):
-            read_table(path, "residuals")
+    def write(path):
+        columns = {**straight_flight().columns, **changes}
+        write_flight(path, Flight({name: x for name, x in columns.items() if x is not None}, {}))
 
-    def test_another_schema(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.log.store.SCHEMA", 7)
-        path = write_flight(tmp_path / "a.parquet", straight_flight())
-        monkeypatch.undo()
-        with pytest.raises(DataError, match="written with schema 7, this program reads schema 2"):
-            read_flight(path)
+    return write
 
-    def test_missing_column(self, tmp_path):
-        flight = straight_flight()
-        del flight.columns["q_y"]
-        path = write_flight(tmp_path / "a.parquet", flight)
-        with pytest.raises(DataError, match="column 'q_y' is missing"):
-            read_flight(path)
 
-    def test_nan_is_named_by_column_and_row(self, tmp_path):
-        flight = straight_flight()
-        flight.columns["v_z"][3] = np.nan
-        path = write_flight(tmp_path / "a.parquet", flight)
-        with pytest.raises(DataError, match=r"column 'v_z' is nan at row 3 \(1 such rows of 5\)"):
-            read_flight(path)
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda path: path.unlink(), r"no such file \(made by `quadexp simulate`\)"),
+        (lambda path: path.write_text("a,b\n1,2\n"), "not a Parquet file, or damaged"),
+        (cut_short, "damaged"),
+        (damage_pages, "damaged"),
+        (lambda path: pq.write_table(pa.table({"t": [1.0]}), path), "not one that quadexp wrote"),
+        (lambda path: write_table(path, {"t": np.zeros(2)}, {}, "residuals"), "is a data set, a flight is needed"),
+        (with_columns(q_y=None), "column 'q_y' is missing"),
+        (with_columns(v_z=np.array([0, 0, 0, np.nan, 0.0])), r"column 'v_z' is nan at row 3 \(1 such rows of 5\)"),
+    ],
+)
+def test_a_bad_file_is_one_line_that_says_what_is_wrong(tmp_path, spoil, said):
+    path = write_flight(tmp_path / "a.parquet", straight_flight(2000))
+    spoil(path)
+    with pytest.raises((DataError, UsageError), match=said) as error:
+        read_flight(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_another_schema(tmp_path, monkeypatch):
+    monkeypatch.setattr("quadexp.log.store.SCHEMA", 7)
+    path = write_flight(tmp_path / "a.parquet", straight_flight())
+    monkeypatch.undo()
+    with pytest.raises(DataError, match="written with schema 7, this program reads schema 2"):
+        read_flight(path)
 
 
 class TestOutputs:

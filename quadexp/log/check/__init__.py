@@ -11,29 +11,25 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from quadexp.log.check import rotors, samples
-from quadexp.log.check.clock import check_clock
-from quadexp.log.check.commands import check_commands, check_flown, check_voltage, command_columns
-from quadexp.log.check.dead import check_dead
+from quadexp.log.check import rotors, samples, search
+from quadexp.log.check.candidates import KEYS, Candidate
+from quadexp.log.check.commands import check_commands, check_flown, check_voltage
 from quadexp.log.check.duplicates import check_duplicates
-from quadexp.log.finding import Finding, worst_first
-from quadexp.log.hypotheses import search
-from quadexp.log.hypotheses.candidates import KEYS, Candidate
-from quadexp.log.hypotheses.windows import STREAMS, Windows, cut, window_starts
-from quadexp.log.offsets import ALLOWED, find_offsets, offset_findings, turning_offset
+from quadexp.log.check.finding import Finding, worst_first
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream, increasing
+from quadexp.log.signal.offset import find_offsets, turning_offset
+from quadexp.log.signal.windows import STREAMS, Windows, cut
 from quadexp.physics.vehicle import Vehicle
 
 __all__ = ["Finding", "check_flight", "check_flights", "inspect_flight"]
 
-LEAST_WINDOWS = 10
 SHORT = 2.0  # s
 MOST_ROWS = 50_000  # that a median is taken over
 THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
-TOLD = (("rate", "attitude"), *(("acceleration", name) for name in ("motor_command", "rotor_thrust", "rotor_speed")))
-SIGNALS = {"motor_command": "motor_command", "u": "rotor_thrust", "rotor_speed": "rotor_speed"}
+ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
+OFFSET_BLOCKS = 0.1  # s
 # Faults of samples, of which the finding `inconsistent` is a symptom.
 BROKEN = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",
           "dead_logger"}  # fmt: skip
@@ -85,12 +81,12 @@ def inspect_flight(
         text = f"{len(t)} samples"
         return [Finding("no_flight", "blocking", "all samples", text, f"{SHORT:g} s of flight")], bad_rows, None
     streams = _streams(flight)
-    found = check_clock(t, streams, flight.columns.get("segment"))
+    found = samples.check_clock(t, streams, flight.columns.get("segment"))
     found += samples.check_finite(flight.columns, t)
     repeated, first = samples.check_repeats(flight.columns, t)
     if repeated:  # the clock's complaints about those samples are its symptom
         found = [one for one in found if one.name not in ("clock_repeated", "clock_jump")] + repeated
-        found += [one for one in check_clock(t[first]) if one.name == "clock_jump"]
+        found += [one for one in samples.check_clock(t[first]) if one.name == "clock_jump"]
         bad_rows["duplicated_rows"] = ~first
     if "q" in streams:
         found += samples.check_quaternion(streams["q"], t)
@@ -112,24 +108,19 @@ def inspect_flight(
     if any(one.name == "no_flight" and one.blocks for one in found):
         return worst_first(found), bad_rows, None
 
-    dead, lost = check_dead(streams, t)
-    frozen, masks = samples.check_frozen(streams, t)
-    explained_by_it = dead and masks and all(not (mask & ~lost).any() for mask in masks.values())
-    found += dead + ([] if explained_by_it else frozen)
+    dead, lost = samples.check_dead(streams, t)
+    frozen, stuck = samples.check_frozen(streams, t)
+    found += dead + ([] if dead and stuck.any() and not (stuck & ~lost).any() else frozen)
     mark("dead_logger", lost)
-    bad = _spiky(streams) | lost
-    for mask in masks.values():
-        bad |= mask
-        mark("frozen_sensor", mask)
-    for values in streams.values():
-        bad |= ~np.isfinite(values).all(axis=1)
+    mark("frozen_sensor", stuck)
+    bad = _spiky(streams, len(t)) | lost | stuck | ~_finite(streams)
     repaired, explained = _consistency(t, streams, bad, segment)
-    found += explained + offset_findings(find_offsets(_by_quantity(kept, t, repaired, ~bad), TOLD))
+    found += explained + _check_offset(repaired, t, ~bad)
     spikes, spiky = samples.check_spikes(repaired, t, _limits(vehicle))
     for name, mask in spiky.items():
         mark(f"{KEYS[name]}_outlier", mask)
     wrong = np.logical_or.reduce([lost, *(spiky[name] for name in "pv" if name in spiky)])
-    for one, when in _stray(t, repaired, segment, wrong):
+    for one, when in search.stray(cut(t, repaired, _finite(repaired) & ~wrong, segment)):
         found.append(one)
         spike = spiky.get("w" if one.name == "rate_outlier" else "f", np.zeros(len(t), bool))
         mark(one.name, _within(t, when[~_holds(t, when, spike)]))  # a spike is bad, not the windows around it
@@ -159,6 +150,11 @@ def _within(t: np.ndarray, when: np.ndarray) -> np.ndarray:
     return np.cumsum(edges)[:-1] > 0
 
 
+def _finite(streams: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Samples at which every stream has numbers, (k,)."""
+    return np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in streams.values()])
+
+
 def _streams(flight: Flight) -> dict[str, np.ndarray]:
     """The motion's streams that the flight has, those without a single finite sample left out."""
     found = {}
@@ -170,26 +166,8 @@ def _streams(flight: Flight) -> dict[str, np.ndarray]:
     return found
 
 
-def _by_quantity(
-    flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarray], good: np.ndarray
-) -> dict[str, Stream]:
-    """The good samples of the motion and of the rotor signals, as the import calls them."""
-    values = {KEYS[name]: x for name, x in streams.items()}
-    signals = list(command_columns(flight).items())[:1]
-    values |= {SIGNALS[kind]: flight.stack(names).astype(float) for kind, names in signals}
-    wind = flight.wind
-    if wind is not None and "velocity" in values:  # drag follows the air
-        values["velocity"] = values["velocity"] - wind
-    made = {}
-    for name, x in values.items():
-        usable = good & np.isfinite(x).all(axis=1)
-        made[name] = Stream(t[usable], x[usable])
-    return made
-
-
-def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
+def _spiky(streams: Mapping[str, np.ndarray], length: int) -> np.ndarray:
     """Mask (k,) of samples far from the stream's median, whatever its unit."""
-    length = len(next(iter(streams.values()))) if streams else 0
     bad = np.zeros(length, bool)
     for name, values in streams.items():
         if name == "q":
@@ -206,8 +184,7 @@ def _consistency(
     t: np.ndarray, streams: dict[str, np.ndarray], bad: np.ndarray, segment: np.ndarray | None
 ) -> tuple[dict[str, np.ndarray], list[Finding]]:
     """The streams after the corrections that were found, and the findings."""
-    starts, half = window_starts(t, ~bad, segment)
-    if len(starts) < LEAST_WINDOWS:
+    if len(cut(t, {}, ~bad, segment).t) < search.LEAST_WINDOWS:
         return streams, []
     shifted = dict(streams)
     if {"q", "w"} <= streams.keys() and (~bad).sum() >= 50:
@@ -216,7 +193,7 @@ def _consistency(
             for name in set("wf") & streams.keys():
                 columns = np.nan_to_num(streams[name]).T
                 shifted[name] = np.stack([np.interp(t + late.seconds, t, column) for column in columns], axis=-1)
-    taken, windows, found = search.explain(cut(t, shifted, starts, half))
+    taken, windows, found = search.explain(cut(t, shifted, ~bad, segment))
     return _repaired(t, streams, taken), found + search.disagreements(windows)
 
 
@@ -234,15 +211,19 @@ def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candida
     return made | ({"q": np.where(none, q, made["q"])} if "q" in made else {})
 
 
-def _stray(
-    t: np.ndarray, streams: dict[str, np.ndarray], segment: np.ndarray | None, wrong: np.ndarray
-) -> list[tuple[Finding, np.ndarray]]:
-    """Stretches where a sensor contradicts the others, and their times. wrong: samples of a wrong motion, (k,)."""
-    good = ~wrong
-    for values in streams.values():
-        good &= np.isfinite(values).all(axis=1)
-    starts, half = window_starts(t, good, segment)
-    return search.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
+def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.ndarray) -> list[Finding]:
+    """A gyro that is late or early beyond what clean logs are. good: samples to be used, (k,)."""
+    if not {"q", "w"} <= streams.keys():
+        return []
+    good = good & _finite(streams)
+    offset = find_offsets({KEYS[name]: Stream(t[good], streams[name][good]) for name in "qw"}).get(("rate", "attitude"))
+    if offset is None or not offset.certain or abs(offset.seconds) <= (limit := max(ALLOWED, 3 * offset.error)):
+        return []
+    side = "behind" if offset.seconds > 0 else "ahead of"
+    text = f"rates are {abs(offset.seconds) * 1e3:.1f} ms (standard error {offset.error * 1e3:.1f}) {side} the attitude"
+    text += f", correlation {offset.correlation:.2f}"
+    severity, where = "blocking" if abs(offset.seconds) > OFFSET_BLOCKS else "warning", "w_*, acc_* against q_*, p_*"
+    return [Finding("time_offset", severity, where, text, f"{limit * 1e3:.0f} ms", "`import --align` corrects it")]
 
 
 def _limits(vehicle: Vehicle | None) -> dict[str, float]:

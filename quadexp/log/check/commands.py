@@ -6,9 +6,8 @@ import re
 
 import numpy as np
 
-from quadexp.log.finding import LEAVE_OUT, Finding, place, span
+from quadexp.log.check.finding import Finding, longest, of_rows
 from quadexp.log.schema import Flight
-from quadexp.log.signal.crop import runs
 from quadexp.physics.vehicle import Vehicle
 
 ROUNDING = 0.005  # of the range: what quantisation and resampling may add
@@ -22,12 +21,12 @@ FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
 
 def command_columns(flight: Flight) -> dict[str, list[str]]:
     """Columns of rotor signals by kind, in rotor order."""
-    found: dict[str, list[str]] = {}
+    signals: dict[str, list[str]] = {}
     for kind in ("motor_command", "u", "rotor_speed"):
-        names = [name for name in flight.columns if re.fullmatch(rf"{kind}_\d+", name)]
-        if names:
-            found[kind] = sorted(names, key=lambda name: int(name.rpartition("_")[2]))
-    return found
+        numbers = sorted(int(found[1]) for name in flight.columns if (found := re.fullmatch(rf"{kind}_(\d+)", name)))
+        if numbers:
+            signals[kind] = [f"{kind}_{number}" for number in numbers]
+    return signals
 
 
 def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | None:
@@ -57,12 +56,10 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Findin
         if outside.any():
             mask, of_rotor = np.asarray(outside.any(axis=1)), np.asarray(outside.any(axis=0))
             impossible |= mask
-            start, stop = max(runs(mask), key=lambda run: run[1] - run[0])
             columns = " ".join(name for name, bad in zip(names, of_rotor, strict=True) if bad)
             text = f"{finite[outside].min():.4g} to {finite[outside].max():.4g}{unit} in {mask.sum()} samples"
-            where, when = f"{columns}, {place(start, stop, flight.t)} longest", span(flight.t, start, stop)
-            text_allowed = f"{low:g}..{high:.4g}{unit}"
-            found.append(Finding("impossible_command", "blocking", where, text, text_allowed, LEAVE_OUT, when))
+            between = f"{low:g}..{high:.4g}{unit}"
+            found.append(of_rows("impossible_command", "blocking", columns, longest(mask), flight.t, text, between))
         share = (finite >= high - 2e-3 * (high - low)).mean(axis=0)
         if kind != "rotor_speed" and share.max() > 0:
             k = int(np.argmax(share))
@@ -74,10 +71,9 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Findin
 
 def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     """Whether the voltage is that of a lithium battery, and of one for a vehicle of this mass."""
-    values = np.asarray(flight.columns.get("battery_voltage", ()), float)
-    values = values[np.isfinite(values)]
     if "battery_voltage" not in flight.columns:
         return []
+    values = flight["battery_voltage"][np.isfinite(flight["battery_voltage"])]
     middle = float(np.median(values)) if len(values) else 0.0
     allowed = f"{CELL[0]:g} to {CELL[1]:g} V a cell, 1 to {MOST_CELLS} cells"
     light = vehicle is None or vehicle.mass < ONE_CELL_MASS
@@ -88,17 +84,12 @@ def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
         return [Finding("implausible_voltage", "warning", "battery_voltage", f"{text}: not measured", allowed)]
     if vehicle is not None and CELL[0] <= middle < 2 * CELL[0]:
         text += f" for {vehicle.mass:g} kg, which takes two cells or more"
-    likely = []
-    for factor in (10.0, 100.0, 0.1, 0.01, 1e-3):
-        cells = round(factor * middle / 3.8)
-        if (1 if light else 2) <= cells <= MOST_CELLS and 3.2 <= factor * middle / cells <= 4.4:
-            likely.append(
-                (
-                    cells > USUAL_CELLS,
-                    f"; {factor:g} times as much would be {cells} {'cell' if cells == 1 else 'cells'}",
-                )
-            )
-    text += min(likely, key=lambda one: one[0], default=(False, ""))[1]
+    likely = [(factor, cells) for factor in (10.0, 100.0, 0.1, 0.01, 1e-3)
+              if (1 if light else 2) <= (cells := round(factor * middle / 3.8)) <= MOST_CELLS
+              and 3.2 <= factor * middle / cells <= 4.4]  # fmt: skip
+    if likely:
+        factor, cells = min(likely, key=lambda pair: pair[1] > USUAL_CELLS)
+        text += f"; {factor:g} times as much would be {cells} {'cell' if cells == 1 else 'cells'}"
     advice = "state the unit of battery_voltage (V, dV, cV, mV) in the mapping"
     return [Finding("implausible_voltage", "blocking", "battery_voltage", text, allowed, advice)]
 

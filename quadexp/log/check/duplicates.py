@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.finding import Finding
-from quadexp.log.hypotheses.windows import STREAMS
+from quadexp.log.check.finding import Finding
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream, increasing, resample
+from quadexp.log.signal.windows import STREAMS
 
 RATE = 20.0  # Hz: what two ways of resampling leave alike, noise of the sensors included
 LEAST = 2.0  # s in common
@@ -71,10 +71,9 @@ def _trace(flight: Flight) -> _Trace | None:
     if samples.sum() < LEAST * RATE:
         return None
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(values[name]).tobytes() for name in sorted(values)))
-    source = str((flight.metadata.get("source") or {}).get("sha256", ""))
-    config = (
-        "" if flight.metadata.get("recorded") else str(flight.metadata.get("provenance", {}).get("config_hash", ""))
-    )
+    record = flight.metadata
+    source = str((record.get("source") or {}).get("sha256", ""))
+    config = "" if record.get("recorded") else str(record.get("provenance", {}).get("config_hash", ""))
     data = np.concatenate([x / max(float(np.sqrt(np.mean(x * x))), 1e-9) for x in centred], axis=1)
     return _Trace(common.t[samples], data, chosen, digest.hexdigest(), source, config)
 

@@ -17,9 +17,9 @@ from itertools import permutations
 import numpy as np
 
 from quadexp.log.check.commands import command_columns
-from quadexp.log.finding import Finding
+from quadexp.log.check.finding import Finding
 from quadexp.log.schema import Flight
-from quadexp.log.signal.crop import runs
+from quadexp.log.signal import runs
 from quadexp.physics.vehicle import Vehicle
 
 RATE = 50.0  # Hz: of the fit

@@ -1,13 +1,15 @@
-"""Bad samples: not finite, repeated, frozen, spikes, quaternions not of norm one."""
+"""Bad samples: not finite, repeated, frozen, spikes, filled in by a dead logger, and a clock that goes wrong."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from quadexp.log.finding import LEAVE_OUT, Finding, place, span
-from quadexp.log.hypotheses.candidates import COLUMNS, KEYS
-from quadexp.log.hypotheses.windows import STREAMS, attitude_rate
-from quadexp.log.signal.crop import runs
+from quadexp.log.check.candidates import COLUMNS, KEYS
+from quadexp.log.check.finding import Finding, longest, of_rows
+from quadexp.log.signal import runs
+from quadexp.log.signal.windows import STREAMS, attitude_rate
 
 NORM, NORM_BLOCKS = 0.01, 0.1  # of a quaternion: what rounding to two digits leaves
 FROZEN = 0.2  # s
@@ -18,6 +20,18 @@ MANY_OUTLIERS, LEAST_OUTLIERS = 0.005, 8  # share of the samples, and samples, b
 SPIKE = 12.0  # robust standard deviations
 # The least that counts as a spike: beyond what flying does within a few samples.
 SPIKE_FLOOR = {"p": 0.05, "v": 0.5, "w": 8.0, "f": 30.0}
+# Of a logger that died:
+BEND_STEP = 0.05  # s
+LEAST_LINE = 0.4  # s: shorter ones are lost samples that were bridged
+STRAIGHT = 2e-3  # of the usual bend
+KINK = 3.0  # usual bends, at one end at least
+ROUNDED = 0.1  # of the usual bend: coarser digits cannot tell a line
+LINE_BLOCKS = 0.005  # share of the samples
+CUT = "`import --bad-rows gap` (or drop) cuts it out"
+# Of the clock:
+GAP = 5.0  # periods
+MISSING = 1.5  # periods: a step longer than that lacks samples
+MANY_MISSING = 0.02  # share of the samples
 
 
 def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]:
@@ -29,11 +43,9 @@ def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]
             alike.setdefault(bad.tobytes(), (bad, []))[1].append(name)
     found = []
     for bad, names in alike.values():
-        bursts = runs(bad)
-        start, stop = max(bursts, key=lambda run: run[1] - run[0])
-        text = f"{bad.sum()} values in {len(bursts)} {'run' if len(bursts) == 1 else 'runs'}"
-        where = f"{' '.join(names)}, {place(start, stop, t)}"
-        found.append(Finding("not_finite", "blocking", where, text, "none", span=span(t, start, stop)))
+        count = len(runs(bad))
+        text = f"{bad.sum()} values in {count} {'run' if count == 1 else 'runs'}"
+        found.append(of_rows("not_finite", "blocking", " ".join(names), longest(bad), t, text, "none", ""))
     return found
 
 
@@ -42,11 +54,9 @@ def check_quaternion(q: np.ndarray, t: np.ndarray) -> list[Finding]:
     off = np.abs(np.nan_to_num(np.linalg.norm(q, axis=1), nan=1.0, posinf=1.0) - 1)
     if off.max(initial=0) <= NORM:
         return []
-    start, stop = max(runs(off > NORM), key=lambda run: run[1] - run[0])
     text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the samples by more than allowed"
     severity = "blocking" if off.max() > NORM_BLOCKS else "warning"
-    where = f"q_*, {place(start, stop, t)}"
-    return [Finding("quaternion_norm", severity, where, text, f"{NORM:g}", span=span(t, start, stop))]
+    return [of_rows("quaternion_norm", severity, "q_*", longest(off > NORM), t, text, f"{NORM:g}", "")]
 
 
 def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
@@ -62,12 +72,11 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
         again[start:stop] &= stop - start < LEAST_ROWS  # else all sensors froze, or nothing moves: see check_frozen
     if again.sum() < 2:
         return [], kept
-    start, stop = max(runs(again), key=lambda run: run[1] - run[0])
-    source = int(first[inverse.ravel()[start]])
+    rows = longest(again)
+    source = int(first[inverse.ravel()[rows[0]]])
     text = f"{again.sum()} samples ({again.mean():.2%}) repeat earlier ones to the last digit, these {source} and on"
     severity = "blocking" if again.mean() > 0.001 else "warning"
-    finding = Finding("duplicated_rows", severity, place(start, stop, t), text, "none", LEAVE_OUT, span(t, start, stop))
-    return [finding], kept & ~again
+    return [of_rows("duplicated_rows", severity, "", rows, t, text, "none")], kept & ~again
 
 
 def _row_numbers(columns: list[np.ndarray]) -> np.ndarray:
@@ -81,9 +90,9 @@ def _row_numbers(columns: list[np.ndarray]) -> np.ndarray:
     return total
 
 
-def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], dict[str, np.ndarray]]:
-    """Sensors that repeat one value while the vehicle moves; masks of those samples by stream."""
-    found, masks = [], {}
+def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
+    """Sensors that repeat one value while the vehicle moves; and the mask of those samples, (k,)."""
+    found, frozen = [], np.zeros(len(t), bool)
     step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
     least = max(LEAST_ROWS, int(np.ceil(FROZEN / step))) if step > 0 else len(t) + 1
     moving = _moving(streams, t)
@@ -94,22 +103,22 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
             if stop - start + 1 >= least and np.mean(moving[name][start - 1 : stop]) > MOVES
         ]  # fmt: skip
         if stuck:
-            mask = masks[name] = np.zeros(len(t), bool)
+            mask = np.zeros(len(t), bool)
             for start, stop in stuck:
                 mask[start:stop] = True
+            frozen |= mask
             worst = max(stuck, key=lambda run: run[1] - run[0])
             text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {len(stuck)} times"
             text += f" ({mask.mean():.1%} of the samples)"
             severity = "blocking" if mask.mean() > 0.02 else "warning"
-            where, when = f"{COLUMNS[name]}, {place(*worst, t)}", span(t, *worst)
-            found.append(Finding("frozen_sensor", severity, where, text, f"{FROZEN:g} s", LEAVE_OUT, when))
+            found.append(of_rows("frozen_sensor", severity, COLUMNS[name], worst, t, text, f"{FROZEN:g} s"))
             continue
         axes, proved = _still_axes(name, values, streams, t)
         if axes:
             columns = " ".join(STREAMS[name][i] for i in axes)
             text = "one value throughout while " + ("the vehicle moves along it" if proved else "the others change")
             found.append(Finding("frozen_sensor", "blocking" if proved else "warning", columns, text, f"{FROZEN:g} s"))
-    return found, masks
+    return found, frozen
 
 
 def _still_axes(name: str, values: np.ndarray, streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[int], bool]:
@@ -139,24 +148,17 @@ def _moving(streams: dict[str, np.ndarray], t: np.ndarray) -> dict[str, np.ndarr
     zero = np.zeros(len(t))
 
     def change(x: np.ndarray, sign: float = 1.0) -> np.ndarray:
-        """Length of x_k+1 - sign x_k over the step, column by column: a long flight is not copied."""
-        total = np.zeros(len(t))
-        for column in x.T:
-            total[:-1] += (column[1:] - sign * column[:-1]) ** 2
-        total[:-1] /= np.maximum(np.diff(t), 1e-9) ** 2
-        return np.nan_to_num(np.sqrt(total))
+        """Length of x_k+1 - sign x_k over the step."""
+        length = np.linalg.norm(x[1:] - sign * x[:-1], axis=1) / np.maximum(np.diff(t), 1e-9)
+        return np.nan_to_num(np.append(length, 0.0))
 
-    motion = {name: np.nan_to_num(_length(streams[name])) for name in "vw" if name in streams}
+    motion = {name: np.nan_to_num(np.linalg.norm(streams[name], axis=1)) for name in "vw" if name in streams}
     if "p" in streams:
         motion["p"] = change(streams["p"])
     if "q" in streams:  # twice the chord of half the angle
         motion["q"] = 2 * np.minimum(change(streams["q"]), change(streams["q"], -1.0))
     twins = {name: motion.get(twin, zero) for name, twin in zip("pvqw", "vpwq", strict=True)}
     return {**twins, "f": sum(motion.values(), zero)}
-
-
-def _length(x: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.einsum("ki,ki->k", x, x))
 
 
 def check_spikes(
@@ -172,36 +174,168 @@ def check_spikes(
     for name, values in streams.items():
         if name == "q" or len(t) < 9:
             continue
-        size = _length(np.where(np.isfinite(values), values, 0))
+        finite = np.where(np.isfinite(values), values, 0)
+        size = np.linalg.norm(finite, axis=1)
         beyond = size > limit.get(name, np.inf)
-        away, worst = (
-            np.where(beyond, size, 0.0),
-            (0.0, 0, 0.0, 0.0),
-        )  # in thresholds; of one axis: that, axis, size, limit
-        bad, row = beyond.copy(), 0
-        for axis, column in enumerate(values.T):
-            filled = np.where(np.isfinite(column), column, 0)
-            apart = np.abs(filled - median_filter(filled, size=7, mode="nearest"))
-            threshold = max(SPIKE * 1.4826 * float(np.median(apart)), SPIKE_FLOOR[name])
-            bad |= apart > threshold
-            k = int(np.argmax(away + apart / threshold))
-            if (value := float(away[k] + apart[k] / threshold)) > worst[0]:
-                worst, row = (value, axis, float(apart[k]), threshold), k
+        apart = np.abs(finite - np.stack([median_filter(column, 7, mode="nearest") for column in finite.T], axis=1))
+        threshold = np.maximum(SPIKE * 1.4826 * np.median(apart, axis=0), SPIKE_FLOOR[name])
+        bad = beyond | (apart > threshold).any(axis=1)
         if not bad.any():
             continue
         masks[name] = bad
-        start, stop = next(run for run in runs(bad) if run[0] <= row < run[1])
-        _, axis, apart_by, threshold = worst
+        row, axis = divmod(int(np.argmax(np.where(beyond, size, 0.0)[:, None] + apart / threshold)), 3)
+        text = f"{values[row, axis]:.4g}, {apart[row, axis]:.3g} from its neighbours"
+        allowed = f"{threshold[axis]:.3g} from the neighbours"
         if beyond[row]:
-            axis = int(np.argmax(np.abs(np.nan_to_num(values[row]))))
-            text, allowed = f"magnitude {size[row]:.4g}, {STREAMS[name][axis]}", f"magnitude {limit[name]:.3g}"
-            text += f" {values[row, axis]:.4g}"
-        else:
-            text = f"{values[row, axis]:.4g}, {apart_by:.3g} from its neighbours"
-            allowed = f"{threshold:.3g} from the neighbours"
+            axis = int(np.argmax(np.abs(finite[row])))
+            text = f"magnitude {size[row]:.4g}, {STREAMS[name][axis]} {values[row, axis]:.4g}"
+            allowed = f"magnitude {limit[name]:.3g}"
         many = max(LEAST_OUTLIERS, MANY_OUTLIERS * len(t))
         severity = "blocking" if bad.sum() > many or beyond.sum() > max(2, 0.0005 * len(t)) else "warning"
-        where, when = f"{STREAMS[name][axis]}, {place(start, stop, t)}", span(t, start, stop)
         text += f"; {bad.sum()} samples ({bad.mean():.2%})"
-        found.append(Finding(f"{KEYS[name]}_outlier", severity, where, text, allowed, LEAVE_OUT, when))
+        rows = next(run for run in runs(bad) if run[0] <= row < run[1])
+        found.append(of_rows(f"{KEYS[name]}_outlier", severity, STREAMS[name][axis], rows, t, text, allowed))
     return found, masks
+
+
+def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
+    """Where a logger died, the state stands still or runs along a straight line to the last digit: one finding, and the
+    mask of those samples, (k,).
+
+        |x(t + h) - 2 x(t) + x(t - h)| ~ 0      for position and velocity at once, h = 50 ms
+
+    Noise, or flying, bends every signal within 50 ms. A smooth start or end is no loss: there must be a kink.
+    """
+    dead = np.zeros(len(t), bool)
+    step = float(np.median(np.diff(t)))
+    m = max(1, round(BEND_STEP / step)) if step > 0 else 0
+    names = [name for name in "pv" if name in streams]
+    if not m or len(t) < 20 * m or not names:
+        return [], dead
+    x = np.concatenate([streams[name] for name in names], axis=1)
+    bend, usual, limit = _bend(x, t, m)
+    if not bend.shape[1]:
+        return [], dead
+    lines = []
+    for start, stop in runs(np.asarray((bend <= limit).all(axis=1))):
+        low, high = max(0, start - m), min(len(t), stop + m)  # the line goes on to where its ends are
+        kink = max(float((bend[part] / usual).max(initial=0.0)) for part in (slice(low, start), slice(stop, stop + m)))
+        if t[high - 1] - t[low] >= LEAST_LINE and kink > KINK:
+            dead[low:high] = True
+            lines.append((low, high))
+    if not lines:
+        return [], dead
+    start, stop = max(lines, key=lambda run: run[1] - run[0])
+    what = "stands still" if np.ptp(x[start:stop], axis=0).max() == 0 else "is a straight line"
+    several = f", {len(lines)} such stretches" if len(lines) > 1 else ""
+    text = f"the state {what} for {t[stop - 1] - t[start]:.2f} s ({dead.mean():.1%} of the samples{several})"
+    text += ": nothing was logged, values were filled in"
+    severity = "blocking" if dead.mean() > LINE_BLOCKS else "warning"
+    columns = ", ".join(COLUMNS[name] for name in names)
+    return [of_rows("dead_logger", severity, columns, (start, stop), t, text, f"{LEAST_LINE:g} s", CUT)], dead
+
+
+def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Second differences over m samples, (k, columns); the usual one, and up to which one counts as zero, (columns,).
+
+    A line may have been drawn over the times or over the samples. Columns that cannot tell are left out: those that
+    never bend, and those whose last digit is too coarse.
+    """
+    bend = np.full(x.shape, np.inf)
+    first, middle, last = x[: -2 * m], x[m:-m], x[2 * m :]
+    share = ((t[m:-m] - t[: -2 * m]) / np.maximum(t[2 * m :] - t[: -2 * m], 1e-9))[:, None]
+    bend[m:-m] = 2 * np.minimum(*(np.abs(first + s * (last - first) - middle) for s in (share, 0.5)))
+    bend[~np.isfinite(bend)] = np.inf
+    kept, usual, limit = [], [], []
+    for i, column in enumerate(x.T):
+        inner = bend[m:-m, i]
+        inner = inner[np.isfinite(inner) & (inner > 1e-12 * max(1e-12, np.nanmax(np.abs(column))))]
+        if len(inner) < 10:
+            continue
+        size, digit = float(np.median(inner)), _digit(column)
+        if 4.2 * digit <= ROUNDED * size:
+            kept.append(i)
+            usual.append(size)
+            limit.append(max(STRAIGHT * size, 4.2 * digit))
+    return bend[:, kept], np.array(usual), np.array(limit)
+
+
+def _digit(column: np.ndarray) -> float:
+    """The last digit of rounded values; 0 where they are not rounded."""
+    part = column[np.isfinite(column)][:2000]
+    for places in range(8):
+        if np.abs(part * 10**places - np.round(part * 10**places)).max(initial=1.0) < 1e-6 * 10**places * 1e-3:
+            return 10.0**-places
+    return 0.0
+
+
+def check_clock(
+    t: np.ndarray, streams: Mapping[str, np.ndarray] | None = None, segment: np.ndarray | None = None
+) -> list[Finding]:
+    """Findings about a clock t (k,) (s): backwards, repeated, leaping, with samples missing.
+
+    A step longer than GAP periods is a gap if the flight went on meanwhile, and a leap of the clock if position did not
+    move as far as the velocity times the step says. streams: p and v, (k, 3). segment (k,): gaps already marked.
+    """
+    found: list[Finding] = []
+
+    def add(name: str, severity: str, k: int, text: str, allowed: str, advice: str = "", last: int = -1) -> None:
+        span = (float(t[k]), float(t[last])) if last >= 0 else None
+        found.append(Finding(name, severity, f"t, sample {k + 1}", text, allowed, advice, span))
+
+    bad = np.flatnonzero(~np.isfinite(t))
+    if len(bad):
+        add("not_finite", "blocking", int(bad[0]) - 1, f"{len(bad)} times", "none")
+        return found
+    steps = np.diff(t)
+    back, same, positive = np.flatnonzero(steps < 0), np.flatnonzero(steps == 0), steps[steps > 0]
+    if len(back):
+        k = int(back[np.argmin(steps[back])])
+        text = f"{steps[k]:+.4g} s, {len(back)} times: from {t[k]:.4f} to {t[k + 1]:.4f} s"
+        add("clock_jump", "blocking", k, text, "t increases", "cut the log there", k)
+    if len(same):
+        text = f"{len(same)} samples have the time of the sample before"
+        add("clock_repeated", "blocking", int(same[0]), text, "t increases")
+    if not len(positive):
+        return found
+    period = float(np.median(positive))
+    allowed = f"{GAP:g} periods of {period:.4g} s"
+    marked = np.zeros(len(steps), bool) if segment is None else np.diff(segment) != 0
+    long = steps > GAP * period
+    leaps = np.array([k for k in np.flatnonzero(long) if _leaps(int(k), t, period, streams or {})], int)
+    gaps = np.setdiff1d(np.flatnonzero(long), leaps)
+    if len(leaps):
+        k = int(leaps[np.argmax(steps[leaps])])
+        text = f"the clock leaps by {steps[k]:.3g} s at {t[k]:.2f} s, {len(leaps)} times; position does not"
+        add("clock_jump", "warning" if marked[leaps].all() else "blocking", k, text, allowed)
+    if len(gaps):
+        k = int(gaps[np.argmax(steps[gaps])])
+        text = f"{len(gaps)} {'gap' if len(gaps) == 1 else 'gaps'}, the longest {steps[k]:.3g} s at {t[k]:.2f} s"
+        severity, advice = ("info", "") if marked[gaps].all() else ("warning", "import starts a new segment at a gap")
+        add("gap", severity, k, text, allowed, advice, k + 1)
+    few = np.flatnonzero((steps > MISSING * period) & ~long & ~marked)
+    if len(few):
+        lost = int(np.sum(np.round(steps[few] / period) - 1))
+        share = lost / (len(t) + lost)
+        text = f"{lost} samples missing at {len(few)} places ({share:.2%})"
+        severity = "warning" if share > MANY_MISSING else "info"
+        add("dropped_samples", severity, int(few[0]), text, f"{MANY_MISSING:.0%} of the samples")
+    return found
+
+
+def _leaps(k: int, t: np.ndarray, period: float, streams: Mapping[str, np.ndarray]) -> bool:
+    """Whether between samples k and k + 1 the clock moved and the vehicle did not."""
+    if "p" not in streams or k < 2 or k + 3 > len(t):
+        return False
+    p = streams["p"]
+    if "v" in streams:
+        before, after = streams["v"][k], streams["v"][k + 1]
+    else:
+        before = (p[k] - p[k - 2]) / max(t[k] - t[k - 2], period)
+        after = (p[k + 2] - p[k + 1]) / max(t[k + 2] - t[k + 1], period)
+    if not np.isfinite([before, after, p[k], p[k + 1]]).all():
+        return False
+    speed, gone = np.linalg.norm((before + after) / 2), np.linalg.norm(p[k + 1] - p[k])
+    turned = np.linalg.norm(after - before)
+    # a vehicle that flew on for the whole step would be far away, or would have changed its velocity
+    return bool(speed * (t[k + 1] - t[k]) > 0.05 and gone < 3 * speed * period + 0.01 and turned < 0.2 * speed + 0.05)

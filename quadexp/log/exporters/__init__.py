@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
@@ -11,22 +10,11 @@ from quadexp.errors import UsageError
 from quadexp.files.writer import check_output
 from quadexp.log.store import read_flight
 
-
-@dataclass(frozen=True)
-class Format:
-    """module and function: write(flight, path) -> files. suffix: of the file. about: for help."""
-
-    module: str
-    suffix: str
-    about: str
-    function: str = "write"
-
-
-FORMATS = {
-    "csv": Format("text", ".csv", "every column, with units and the record beside it as JSON", "write_columns"),
-    "tum": Format("text", ".tum", "poses flown and wanted, for evo and other trajectory tools", "write_poses"),
-    "mcap": Format("mcap_file", ".mcap", "poses, transforms and every column, for Foxglove; needs [viz]"),
-    "rerun": Format("rerun_file", ".rrd", "a recording for the Rerun viewer; needs [viz]"),
+FORMATS = {  # suffix of the file, module and function that write it
+    "csv": (".csv", "text", "write_columns"),  # every column, with units and the record beside it as JSON
+    "tum": (".tum", "text", "write_poses"),  # poses flown and wanted, for evo and other trajectory tools
+    "mcap": (".mcap", "mcap_file", "write"),  # poses, transforms and every column, for Foxglove
+    "rerun": (".rrd", "rerun_file", "write"),  # a recording for the Rerun viewer
 }
 GONE = {"px4csv": "went: --to csv has every column with unit and frame; NED and FRD are (y, x, -z) and (x, -y, -z)"}
 
@@ -43,12 +31,12 @@ def export_flight(
         raise UsageError(f"--to {form}: {GONE[form]}")
     if form not in FORMATS:
         raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
-    chosen = FORMATS[form]
+    suffix, module, function = FORMATS[form]
     source = Path(flight)
-    target = Path(out) if out is not None else source.with_suffix(chosen.suffix)
+    target = Path(out) if out is not None else source.with_suffix(suffix)
     loaded = read_flight(source)
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
     check_output(target, force=force)
-    write: Callable[..., dict[str, Path]] = getattr(import_module(f"{__name__}.{chosen.module}"), chosen.function)
+    write: Callable[..., dict[str, Path]] = getattr(import_module(f"{__name__}.{module}"), function)
     return write(loaded, target, force=force)

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from quadexp import __version__
+from quadexp.errors import missing_package
 from quadexp.files.writer import written
-from quadexp.log.extras import missing_package
 from quadexp.log.schema import Flight, describe
 
 PATH_POINTS = 2000

@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, missing_package
 from quadexp.files.writer import written
-from quadexp.log.extras import missing_package
 from quadexp.log.schema import Flight
 
 TIMELINE = "t"

@@ -6,14 +6,13 @@ A log whose streams share one uniform clock keeps its numbers to the last bit.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.log.importers.mapping_reader import PLACES
-from quadexp.log.importers.raw import ROTORS, Crop, RawLog, columns_of
-from quadexp.log.signal import Stream, continuous, crop, derivative, resample
+from quadexp.log.importers.mapping import PLACES, ROTORS, Crop, columns_of
+from quadexp.log.importers.raw import RawLog
+from quadexp.log.signal import Stream, continuous, derivative, resample, runs
 from quadexp.log.signal.stream import GAP_PERIODS
 from quadexp.physics.vehicle import Vehicle
 
@@ -26,6 +25,7 @@ UNIFORM = 1e-3  # of a period: how far the steps of a clock may differ for it to
 LEAST_ROWS = 10
 REST_HEIGHT, REST_DISTANCE, REST_TIME = 0.05, 0.1, 0.5  # m, m, s: what counts as standing on the ground
 CLEARANCE, AUTO_MARGIN = 0.5, 1.5  # m above the ground; s cut off after take-off and before landing
+DIP = 0.2  # s: shorter losses of height or of its measurement do not end a stretch in the air
 MOST_ROWS = 8_000_000
 MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
 LONGEST = 7 * 86400.0  # s
@@ -47,17 +47,17 @@ def assemble(
     core = [name for name in CORE if name in streams]
     if not core:
         raise DataError(f"{path}: has neither {', '.join(CORE[:-1])} nor {CORE[-1]} in two rows or more")
-    streams = _rotors(path, streams, log.layout, vehicle, notes)
+    _sort_rotors(path, streams, log.layout, vehicle, notes)
     rates = {name: float(1 / np.median(np.diff(s.t))) for name, s in streams.items()}
     start = min(streams[name].t[0] for name in core)
     _check_clock(path, {name: streams[name] for name in core})
     given = rate is not None
-    own = _own_clock(streams)
-    if own is not None and (rate is None or abs(rate * own - 1) < UNIFORM):
+    period = _shared_period(streams)
+    if period is not None and (rate is None or abs(rate * period - 1) < UNIFORM):
         t = streams[core[0]].t
         values = {name: s.values for name, s in streams.items()}
         segment = np.zeros(len(t), np.int32)
-        rate = 1 / own
+        rate = 1 / period
     else:
         rate = rate or _common_rate({name: rates[name] for name in core})
         t, values, segment = _one_clock(path, streams, core, rate, notes)
@@ -66,22 +66,21 @@ def assemble(
     columns = {"t": t}
     for name in [*CORE[::-1], *(n for n in values if n not in CORE)]:
         if name in values:
-            made = values[name]
-            columns |= {c: made[:, i] for i, c in enumerate(columns_of(name, made.shape[1]))}
+            columns |= dict(zip(columns_of(name, values[name].shape[1]), values[name].T, strict=True))
     derived = "velocity" not in streams and "position" in streams
     if derived:
-        found = derivative(t, values["position"], segment=segment, window=max(0.1, 5 / rate))
-        columns |= dict(zip(("v_x", "v_y", "v_z"), found.values.T, strict=True))
-        notes.append(f"velocity: derivative of the position, to {found.bandwidth:.3g} Hz")
+        velocity = derivative(t, values["position"], segment=segment, window=max(0.1, 5 / rate))
+        columns |= dict(zip(columns_of("velocity", 3), velocity.values.T, strict=True))
+        notes.append(f"velocity: derivative of the position, to {velocity.bandwidth:.3g} Hz")
     columns["segment"] = segment
     kept = _cropped(t, values, log.crop if cropping else Crop("none"), notes)
     t0, t1 = float(t[kept][0] - start), float(t[kept][-1] - start)
     if not kept.all():
         columns = {name: column[kept] for name, column in columns.items()}
     columns["t"] = columns["t"] - columns["t"][0]
-    _, columns["segment"] = np.unique(columns["segment"] + _breaks(kept), return_inverse=True)
-    columns["segment"] = columns["segment"].astype(np.int32)
-    log.about |= {"rate": float(rate), "rates": rates, "resampled": own is None or given, "cropped": [t0, t1]}
+    stretches = np.concatenate([[0], np.cumsum(np.diff(np.flatnonzero(kept)) > 1)]) * 1_000_000
+    columns["segment"] = np.unique(columns["segment"] + stretches, return_inverse=True)[1].astype(np.int32)
+    log.about |= {"rate": float(rate), "rates": rates, "resampled": period is None or given, "cropped": [t0, t1]}
     return columns, derived
 
 
@@ -104,12 +103,6 @@ def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
             del streams[name]
 
 
-def _breaks(kept: np.ndarray) -> np.ndarray:
-    """Number of the kept run every kept row belongs to."""
-    rows = np.flatnonzero(kept)
-    return np.concatenate([[0], np.cumsum(np.diff(rows) > 1)]) * 1_000_000
-
-
 def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
     for name, stream in streams.items():
         length = stream.t[-1] - stream.t[0]
@@ -127,7 +120,7 @@ def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
             )
 
 
-def _own_clock(streams: dict[str, Stream]) -> float | None:
+def _shared_period(streams: dict[str, Stream]) -> float | None:
     """The period, where all streams share one uniform clock."""
     first, *rest = streams.values()
     if any(len(s.t) != len(first.t) or not (s.t is first.t or (s.t == first.t).all()) for s in rest):
@@ -158,10 +151,12 @@ def _one_clock(
     if (end - begin) * rate > MOST_ROWS:
         raise DataError(f"{path}: {end - begin:.4g} s at {rate:.4g} Hz are more than {MOST_ROWS} rows: lower --rate")
     for name in [n for n in streams if n not in core]:
-        s = streams[name]
-        if name in SLOW:
-            streams[name] = _extended(s, begin, end)
-        elif s.t[0] > end or s.t[-1] < begin:
+        t, values = streams[name]
+        if name in SLOW:  # its first and last value are held to both ends
+            rows = np.concatenate([[t[0] > begin], np.ones(len(t), bool), [t[-1] < end]])
+            padded = np.pad(values, ((1, 1), (0, 0)), mode="edge")
+            streams[name] = Stream(np.concatenate([[begin], t, [end]])[rows], padded[rows])
+        elif t[0] > end or t[-1] < begin:
             notes.append(f"{name}: has no time in common with {core[0]}: left out")
             del streams[name]
     for name in QUATERNIONS:
@@ -182,31 +177,47 @@ def _one_clock(
     return made.t, made.values, made.segment
 
 
-def _extended(stream: Stream, begin: float, end: float) -> Stream:
-    """A slow stream, its first and last value held to both ends."""
-    t, values = stream
-    head, tail = t[0] > begin, t[-1] < end
-    t = np.concatenate([[begin] if head else [], t, [end] if tail else []])
-    return Stream(t, np.concatenate([values[:1] if head else values[:0], values, values[-1:] if tail else values[:0]]))
-
-
 def _cropped(t: np.ndarray, values: dict[str, np.ndarray], how: Crop, notes: list[str]) -> np.ndarray:
     """Mask of the rows kept; all where there is no flight (the quality check says that)."""
     every = np.ones(len(t), bool)
     if how.mode == "none":
         return every
-    height = values["position"][:, 2] if "position" in values else None
-    options: dict[str, Any] = {"margin": how.margin}
-    if how.mode == "height":
-        options["clearance"] = how.height
-    elif height is not None:
-        return _without_rest(t, values["position"], notes)
-    elif signals := [values[n] for n in (*ROTORS, "thrust_acceleration") if n in values]:
-        options["thrust"] = signals[0].sum(axis=1)
-    kept = crop(t, height, **options)
+    position = values.get("position")
+    if how.mode == "auto" and position is not None:
+        return _without_rest(t, position, notes)
+    thrust = next((values[n].sum(axis=1) for n in (*ROTORS, "thrust_acceleration") if n in values), None)
+    height = None if position is None else position[:, 2]
+    thrust = thrust if how.mode == "auto" else None
+    kept = crop(t, height, thrust=thrust, clearance=how.height or 0.0, margin=how.margin)
     if kept.sum() < LEAST_ROWS:
         notes.append("never in the air: nothing is cropped")
         return every
+    return kept
+
+
+def crop(
+    t: np.ndarray, height: np.ndarray | None, *, thrust: np.ndarray | None = None, clearance: float, margin: float
+) -> np.ndarray:
+    """Mask (k,) of the samples in the air and `margin` (s) away from the ground phases: ground effect and transients.
+
+    In the air is where the height (k,) (m) exceeds the clearance; without height, where the thrust (k,) (any unit that
+    is 0 at rest) exceeds half its median of the samples above a tenth of its peak; without either, everywhere.
+    A log that starts or ends in the air loses nothing at that end. All False: no flight.
+    """
+    up = np.ones(len(t), bool)
+    if height is not None:
+        up = height > clearance
+    elif thrust is not None:
+        peak = np.nanmax(thrust)
+        up = (thrust > 0.5 * np.median(thrust[thrust > 0.1 * peak])) if peak > 0 else ~up
+    for start, stop in runs(~up):
+        if start > 0 and stop < len(t) and t[stop] - t[start - 1] < DIP:
+            up[start:stop] = True
+    kept = np.zeros(len(t), bool)
+    for start, stop in runs(up):
+        low = t[start] + margin if start > 0 else -np.inf
+        high = t[stop - 1] - margin if stop < len(t) else np.inf
+        kept[start:stop] = (t[start:stop] >= low) & (t[start:stop] <= high)
     return kept
 
 
@@ -216,47 +227,40 @@ def _without_rest(t: np.ndarray, position: np.ndarray, notes: list[str]) -> np.n
     Take-off and landing go with what is cut off; a log that begins and ends in motion is left whole.
     """
     height = position[:, 2]
-    ground = height < height.min() + REST_HEIGHT
-    slow = np.linalg.norm(position - position[0], axis=1) < REST_DISTANCE
-    slow_end = np.linalg.norm(position - position[-1], axis=1) < REST_DISTANCE
-    head = int(np.argmin(ground & slow)) if not (ground & slow).all() else len(t)
-    tail = int(np.argmin((ground & slow_end)[::-1])) if not (ground & slow_end).all() else len(t)
+    rests = []
+    for end in (position[0], position[-1]):
+        still = np.linalg.norm(position - end, axis=1) < REST_DISTANCE
+        rests.append((height < height.min() + REST_HEIGHT) & still)
     kept = np.ones(len(t), bool)
-    if head == len(t) or tail == len(t):
+    if rests[0].all() or rests[1].all():
         notes.append("never moves: nothing is cropped")
         return kept
-    margin = {}
-    for name, count in (("start", head), ("end", tail)):
-        seconds = t[min(count, len(t) - 1)] - t[0] if name == "start" else t[-1] - t[-1 - min(count, len(t) - 1)]
-        margin[name] = seconds > REST_TIME
-    flying = height > height.min() + CLEARANCE
-    if not any(margin.values()) or flying.sum() < LEAST_ROWS:
+    head, tail = int(np.argmin(rests[0])), int(np.argmin(rests[1][::-1]))  # rows at rest
+    flying = np.flatnonzero(height > height.min() + CLEARANCE)
+    if len(flying) < LEAST_ROWS:
         return kept
-    rows = np.flatnonzero(flying)
-    if margin["start"]:
-        kept &= t >= t[rows[0]] + AUTO_MARGIN
-    if margin["end"]:
-        kept &= t <= t[rows[-1]] - AUTO_MARGIN
+    if t[head] - t[0] > REST_TIME:
+        kept &= t >= t[flying[0]] + AUTO_MARGIN
+    if t[-1] - t[-1 - tail] > REST_TIME:
+        kept &= t <= t[flying[-1]] - AUTO_MARGIN
     return kept if kept.sum() >= LEAST_ROWS else np.ones(len(t), bool)
 
 
-def _rotors(
+def _sort_rotors(
     path: Path, streams: dict[str, Stream], layout: tuple[str, ...] | None, vehicle: Vehicle | None, notes: list[str]
-) -> dict[str, Stream]:
-    """The streams of the rotors in the vehicle's order."""
-    made = dict(streams)
-    for name in ROTORS:
-        if name not in streams or vehicle is None:
-            continue
-        count = streams[name].values.shape[1]
-        if count != vehicle.n_rotors:
-            raise DataError(f"{path}: {name} of {count} rotors, but {vehicle.name} has {vehicle.n_rotors}")
+) -> None:
+    """Bring the streams of the rotors into the vehicle's order."""
+    signals = [name for name in ROTORS if name in streams]
+    if vehicle is None:
+        if signals:
+            notes.append("rotors stand in the log's order: no --vehicle says which is where")
+        return
+    for name in signals:
+        t, values = streams[name]
+        if values.shape[1] != vehicle.n_rotors:
+            raise DataError(f"{path}: {name} of {values.shape[1]} rotors, but {vehicle.name} has {vehicle.n_rotors}")
         if layout:
-            order = rotor_order(layout, vehicle)
-            made[name] = Stream(streams[name].t, streams[name].values[:, order])
-    if vehicle is None and any(name in streams for name in ROTORS):
-        notes.append("rotors stand in the log's order: no --vehicle says which is where")
-    return made
+            streams[name] = Stream(t, values[:, rotor_order(layout, vehicle)])
 
 
 def rotor_order(layout: tuple[str, ...], vehicle: Vehicle) -> list[int]:

@@ -10,8 +10,7 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
-from quadexp.log.signal import derivative
-from quadexp.log.signal.crop import runs
+from quadexp.log.signal import derivative, runs
 from quadexp.log.signal.resample import interpolate
 from quadexp.log.signal.stream import GAP_PERIODS
 from quadexp.physics.vehicle import Vehicle
@@ -58,10 +57,9 @@ def without_bad_rows(
 
 def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Flight:
     gap = bad.copy()
-    if mode == "drop":
-        for start, stop in runs(bad):
-            if stop - start < GAP_PERIODS and start > 0 and stop < len(bad):
-                gap[start:stop] = False
+    for start, stop in runs(bad) if mode == "drop" else ():
+        if stop - start < GAP_PERIODS and start > 0 and stop < len(bad):
+            gap[start:stop] = False
     columns = _bridged(flight, bad, bad & ~gap)
     segment = np.asarray(columns.get("segment", np.zeros(len(flight), np.int32)))
     breaks = np.concatenate([[False], (np.diff(segment) != 0) | (gap[1:] & ~gap[:-1])])
@@ -74,12 +72,12 @@ def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Fligh
     _, columns["segment"] = np.unique(number[kept], return_inverse=True)
     columns["segment"] = columns["segment"].astype(np.int32)
     columns["t"] = columns["t"] - columns["t"][0]
+    left = Flight(columns, flight.metadata)
     if derived:
-        position = np.stack([columns[f"p_{axis}"] for axis in "xyz"], axis=1)
-        window = max(0.1, 5 * float(np.median(np.diff(columns["t"]))))
-        made = derivative(columns["t"], position, segment=columns["segment"], window=window).values
-        columns |= {f"v_{axis}": made[:, i] for i, axis in enumerate("xyz")}
-    return Flight(columns, flight.metadata)
+        window = max(0.1, 5 * float(np.median(np.diff(left.t))))
+        velocity = derivative(left.t, left.stack(["p_x", "p_y", "p_z"]), segment=left["segment"], window=window).values
+        columns |= dict(zip(("v_x", "v_y", "v_z"), velocity.T, strict=True))
+    return left
 
 
 def _bridged(flight: Flight, bad: np.ndarray, filled: np.ndarray) -> dict[str, np.ndarray]:
@@ -88,21 +86,13 @@ def _bridged(flight: Flight, bad: np.ndarray, filled: np.ndarray) -> dict[str, n
     if not filled.any():
         return columns
     t, good = flight.t, ~bad
-    for names in ATTITUDES:
-        if set(names) <= set(columns):
-            q = interpolate(t[good], flight.stack(names)[good], t[filled], sphere=True)
-            columns |= {name: _put(columns[name], filled, q[:, i]) for i, name in enumerate(names)}
-    done = {"t", *ATTITUDES[0], *ATTITUDES[1]}
-    for name, values in columns.items():
-        if name in done or values.dtype.kind not in "fiu":
+    attitudes = [names for names in ATTITUDES if set(names) <= set(columns)]
+    for names in (*attitudes, *((name,) for name in columns if name != "t" and name not in sum(attitudes, ()))):
+        values = flight.stack(names)
+        if values.dtype.kind not in "fiu":
             continue
-        held = name.startswith(HELD) or values.dtype.kind != "f"
-        made = interpolate(t[good], values[good][:, None].astype(float), t[filled], held=held)[:, 0]
-        columns[name] = _put(values, filled, made)
+        sphere, held = len(names) == 4, names[0].startswith(HELD) or values.dtype.kind != "f"
+        bridge = interpolate(t[good], values[good].astype(float), t[filled], sphere=sphere, held=held)
+        values[filled] = bridge
+        columns |= dict(zip(names, values.T, strict=True))
     return columns
-
-
-def _put(values: np.ndarray, rows: np.ndarray, made: np.ndarray) -> np.ndarray:
-    changed = values.copy()
-    changed[rows] = made
-    return changed

@@ -1,6 +1,6 @@
 """A mapping proposed for a table of unknown origin: from the names of its columns, and from what the data obeys.
 
-Names only propose (names.py), the data decide which columns are what (columns.py). Then every order and direction of
+Names only propose, the data decide which columns are what (columns.py). Then every order and direction of
 the quaternion with every world and body frame is a candidate of the search that `quadexp check` has too, by the same
 evidence; what that search finds besides stands under `corrections`. Where the next best candidate is less than
 search.MARGIN log units behind, the line is a guess that asks which of both it is.
@@ -8,27 +8,26 @@ search.MARGIN log units behind, the line is a guess that asks which of both it i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
+from quadexp.log.check.candidates import READINGS, Candidate, flow
+from quadexp.log.check.finding import longest
 from quadexp.log.check.rotors import Fit, stretch
-from quadexp.log.hypotheses.candidates import READINGS, Candidate, flow
-from quadexp.log.hypotheses.search import MARGIN, PER_COST, agreement, explain
-from quadexp.log.hypotheses.windows import FLOOR, Windows, changes, pairs
-from quadexp.log.importers.columns import Match, Table
-from quadexp.log.importers.mapping_reader import PLACES
-from quadexp.log.importers.names import groups, numbered_quaternion, unit_of
+from quadexp.log.check.search import MARGIN, PER_COST, agreement, explain
+from quadexp.log.importers.columns import Match, Table, groups, numbered_quaternion, unit_of
+from quadexp.log.importers.mapping import PLACES, QUANTITIES
 from quadexp.log.importers.readers import reader_of
 from quadexp.log.importers.table import numbers, open_table
 from quadexp.log.signal import continuous
-from quadexp.log.signal.crop import runs
+from quadexp.log.signal.windows import FLOOR, Windows, changes, pairs
 from quadexp.log.units import UNITS
 from quadexp.messages import printable
 
@@ -45,14 +44,20 @@ WORLDS = {  # frame of the log's world: what it is, cost
 }  # fmt: skip
 PLAIN = {"order": "wxyz", "direction": "body_to_world"}
 BODIES = ("FLU", "FRD", "z x y", "x z -y", "y z x", "z -y x")
+# Units of position and velocity: gain of the velocity over the derivative.
+GAINS = {("m", "m/s"): 1.0, ("m", "mm/s"): 1e3, ("mm", "m/s"): 1e-3, ("m", "cm/s"): 100.0, ("cm", "m/s"): 0.01}
 COUNTS_PER_G = (2048.0, 4096.0, 512.0, 8192.0)
-# Largest value of a motor's command, values of command 0 and 1, what they are.
-RANGES = ((1.5, 0, 1, ""), (110, 0, 100, ""), (260, 0, 255, ""), (2200, 0, 2000, ": DShot or Betaflight counts"))
+# Largest value of a motor's command, what else must hold, how sure, values of command 0 and 1, what they are.
+RANGES = (
+    (1.5, "", LIKELY, 0, 1, ""), (110, "", LIKELY, 0, 100, ""), (260, "", LIKELY, 0, 255, ""),
+    (np.inf, "betaflight", LIKELY, 48, 2047, ": Betaflight counts"),
+    (2200, "pulses", 0.8, 1000, 2000, ": pulse widths in us"),
+    (2200, "", LIKELY, 0, 2000, ": DShot or Betaflight counts"), (np.inf, "bits", 0.8, 0, 65535, ": 16 bits"),
+)  # fmt: skip
 BY_SIGNS = {signs: place for place, signs in PLACES.items()}  # of x and y, FLU
 
 
-@dataclass
-class Proposal:
+class Proposal(NamedTuple):
     """One line of a mapping. value: as it stands there. confidence: 0 to 1. why: the evidence."""
 
     value: Any
@@ -84,21 +89,17 @@ class Description:
 
     def yaml(self) -> str:
         """The mapping, as `--mapping` takes it, with the confidence behind every line."""
-        lines = [
-            f"# {printable(self.path.name)}: proposed by `quadexp import --describe`; check what is not sure.",
-            f"format: {self.format}",
-        ]
-        for key, made in self.fields.items():
-            why = f"{made.sureness} ({made.confidence:.0%}): {made.why}"
-            lines += [f"# {key}: {printable(why)}", f"{key}: {flow(made.value)}"]
+        title = f"# {printable(self.path.name)}: proposed by `quadexp import --describe`; check what is not sure."
+        lines = [title, f"format: {self.format}"]
+        for key, (value, confidence, why) in self.fields.items():
+            sureness = f"{self.fields[key].sureness} ({confidence:.0%})"
+            lines += [f"# {key}: {sureness}: {printable(why)}", f"{key}: {flow(value)}"]
         return "\n".join([*lines, *(f"# note: {printable(text)}" for text in self.warnings), ""])
 
     def record(self) -> dict[str, Any]:
-        fields = {
-            key: {"confidence": made.confidence, "sureness": made.sureness, "why": made.why}
-            for key, made in self.fields.items()
-        }
-        mapping = {"format": self.format, **{key: made.value for key, made in self.fields.items()}}
+        fields = {key: {"confidence": one.confidence, "sureness": one.sureness, "why": one.why}
+                  for key, one in self.fields.items()}  # fmt: skip
+        mapping = {"format": self.format, **{key: one.value for key, one in self.fields.items()}}
         return {"path": self.path, "mapping": mapping, "fields": fields, "warnings": self.warnings}
 
 
@@ -107,7 +108,7 @@ def describe_log(path: Path) -> Description:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         if (reader := reader_of(path)) not in ("csv", "quadexp"):
             raise DataError(
-                f"{path}: {reader} says itself what its fields are and needs no mapping: import it as it is"
+                f"{path}: {reader} says itself what its fields are, so it needs no mapping: import it as it is"
             )
         names, data = numbers(opened := open_table(path))
         clock, time = _clock(path, names, data)
@@ -116,14 +117,11 @@ def describe_log(path: Path) -> Description:
         if good.sum() < LEAST_SAMPLES:
             raise DataError(f"{path}: {int(good.sum())} rows with a time: too few to propose a mapping from")
         table = Table(names, t[good] - t[good][0], data[good], clock)
-        made = _Proposals(names, table)
-        made.motion()
-        made.sensors()
-        made.frames()
-        made.rotors()
-        made.others()
-    frames = [key for key in ("world", "body") if key in made.fields]
-    fields = {"time": time} | {key: made.fields[key] for key in frames} | made.fields
+        proposals = _Proposals(names, table)
+        for look in (proposals.motion, proposals.sensors, proposals.frames, proposals.rotors, proposals.others):
+            look()
+    fields = proposals.fields
+    fields = {"time": time} | {key: fields[key] for key in ("world", "body") if key in fields} | fields
     fields["crop"] = Proposal("auto", 0.9, "ground phases at the ends are cut off where there are any")
     return Description(path, opened.format, fields)
 
@@ -156,6 +154,11 @@ def _clock(path: Path, names: list[str], data: np.ndarray) -> tuple[int, Proposa
     return -place, Proposal({"column": column, "unit": unit}, sure, why)
 
 
+def _nearest(value: float, sizes: Mapping[Any, float]) -> Any:
+    """Whose size is nearest by ratio."""
+    return min(sizes, key=lambda name: abs(np.log(max(value, 1e-12) / sizes[name])))
+
+
 class _Proposals:
     """The lines of the mapping of one table, by quantity, and the streams that they give. streams: letter -> (n, l, m)
     in SI, in the log's own frames."""
@@ -171,49 +174,41 @@ class _Proposals:
     def taken(self) -> list[int]:
         return [i for columns in self.places.values() for i in columns]
 
-    def written(self, columns: list[int]) -> str | None:
-        """The unit that the first column's name says."""
-        return unit_of(self.names[columns[0]])[1]
+    def written(self, columns: list[int], dimension: str) -> str | None:
+        """The unit that the first column's name says, if it is one of the dimension."""
+        unit = unit_of(self.names[columns[0]])[1]
+        return unit if unit in UNITS[dimension] else None
 
-    def propose(self, quantity: str, columns: list[int], sure: float, why: str, **more: Any) -> None:
+    def propose(self, quantity: str, columns: list[int], sure: float, why: str, letter: str = "", **more: Any) -> None:
+        """letter: of the stream that is read with the unit and the scale proposed."""
         self.fields[quantity] = Proposal({"columns": [self.names[i] for i in columns], **more}, sure, why)
         self.places[quantity] = columns
-
-    def read(self, letter: str, columns: list[int], factor: float) -> None:
-        self.streams[letter] = self.table.windows[..., columns] * factor
+        if letter:
+            factor = UNITS[QUANTITIES[quantity].dimension][more["unit"]] * more.get("scale", 1.0)
+            self.streams[letter] = self.table.windows[..., columns] * factor
 
     # ---------------------------------------------------------------------------------------------------- columns
     def motion(self) -> None:
         """Position and velocity: as each other's derivative, or by their names."""
         pair = self.table.derivative()
-        if pair is not None:
-            p, v = pair[0], pair[1]
-            length, speed = self._lengths(p, v)
-            factors = UNITS["length"][length], UNITS["velocity"][speed]
-            clear = abs(v.gain * factors[1] / factors[0] - 1) < 0.1
-            sure = (SURE if v.correlation > 0.95 else 0.75) if clear else GUESS
-            why = f"the velocity is {v.gain:.3g} times its derivative, correlation {v.correlation:.3f}"
-            why += "" if clear else "; that factor fits no unit: look at the time's unit too"
-            self.propose("position", p, sure, why, unit=length)
-            self.propose("velocity", v.columns, sure, why, unit=speed)
-        for letter, name, dimension in (("p", "position", "length"), ("v", "velocity", "velocity")):
-            for columns in self.table.named.get(name, [])[:1] if pair is None else ():
-                written = self.written(columns)
-                unit = written if written in UNITS[dimension] else next(iter(UNITS[dimension]))
-                self.propose(name, columns, LIKELY, "by its name alone", unit=unit)
-            if name in self.fields:
-                self.read(letter, self.places[name], UNITS[dimension][self.fields[name].value["unit"]])
-
-    def _lengths(self, p: list[int], v: Match) -> tuple[str, str]:
-        """The units that the gain of velocity over derivative, names and sizes say."""
-        units = {1.0: ("m", "m/s"), 1e3: ("m", "mm/s"), 1e-3: ("mm", "m/s"), 100.0: ("m", "cm/s"), 0.01: ("cm", "m/s")}
-        near = min(units, key=lambda gain: abs(np.log(max(v.gain, 1e-12) / gain)))
-        written, x = self.written(p), self.table.x
-        if near == 1.0 and written in ("mm", "cm"):
-            return str(written), f"{written}/s"
-        if near == 1.0 and np.ptp(x[:, p], axis=0).max() > 500 and np.abs(x[:, v.columns]).max() > 80:
-            return "mm", "mm/s"
-        return units[near]
+        if pair is None:
+            for letter, name, dimension in (("p", "position", "length"), ("v", "velocity", "velocity")):
+                for columns in self.table.named.get(name, [])[:1]:
+                    unit = self.written(columns, dimension) or next(iter(UNITS[dimension]))
+                    self.propose(name, columns, LIKELY, "by its name alone", letter, unit=unit)
+            return
+        p, v = pair
+        units, length, x = _nearest(v.gain, GAINS), self.written(p, "length"), self.table.x
+        if GAINS[units] == 1.0 and length in ("mm", "cm"):
+            units = (length, f"{length}/s")
+        elif GAINS[units] == 1.0 and np.ptp(x[:, p], axis=0).max() > 500 and np.abs(x[:, v.columns]).max() > 80:
+            units = ("mm", "mm/s")
+        clear = abs(v.gain * UNITS["velocity"][units[1]] / UNITS["length"][units[0]] - 1) < 0.1
+        sure = (SURE if v.correlation > 0.95 else 0.75) if clear else GUESS
+        why = f"the velocity is {v.gain:.3g} times its derivative, correlation {v.correlation:.3f}"
+        why += "" if clear else "; that factor fits no unit: look at the time's unit too"
+        self.propose("position", p, sure, why, "p", unit=units[0])
+        self.propose("velocity", v.columns, sure, why, "v", unit=units[1])
 
     def sensors(self) -> None:
         """Attitude, gyro and accelerometer, in the log's own frames."""
@@ -225,21 +220,18 @@ class _Proposals:
             self.propose("attitude", attitude, GUESS, "norm 1", **PLAIN)
         for columns in table.named.get("euler", [])[:1] if attitude is None else ():
             largest = float(np.abs(table.x[:, columns]).max())
-            written = self.written(columns)
-            unit = str(written) if written in ("rad", "deg") else "deg" if largest > 6.4 else "rad"
-            angles = table.windows[..., columns[::-1]] * UNITS["angle"][unit]
+            unit = self.written(columns, "angle") or ("deg" if largest > 6.4 else "rad")
             self.propose("attitude", columns, 0.5, f"named so; largest {largest:.3g}", order="rpy", unit=unit)
-            if (
-                np.abs(np.diff(table.x[:, columns[2]])).max() * UNITS["angle"][unit] <= 1.0 and largest > 0
-            ):  # else it wraps
+            wraps = np.abs(np.diff(table.x[:, columns[2]])).max() * UNITS["angle"][unit] > 1.0
+            if not wraps and largest > 0:
+                angles = table.windows[..., columns[::-1]] * UNITS["angle"][unit]
                 q = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_quat(scalar_first=True)
                 self.streams["q"] = continuous(q).reshape(*angles.shape[:2], 4)
-        motion = changes(table.times, self.streams["v"]) if "v" in self.streams else None
-        if motion is None and "p" in self.streams:
+        v = self.streams.get("v")
+        if v is None and "p" in self.streams:
             p = table.x[:, self.places["position"]] * UNITS["length"][self.fields["position"].value["unit"]]
-            v = np.gradient(p, table.t, axis=0)
-            motion = changes(table.times, v[np.searchsorted(table.t, table.times)])
-        force = table.acceleration(motion, self.taken)
+            v = np.gradient(p, table.t, axis=0)[np.searchsorted(table.t, table.times)]
+        force = table.acceleration(None if v is None else changes(table.times, v), self.taken)
         if force is not None:
             self._force(force)
         named = [g for g in table.named.get("rate", []) if not set(g) & set(self.taken)]
@@ -251,49 +243,44 @@ class _Proposals:
 
     def _rate(self, columns: list[int], gain: float | None, why: str) -> None:
         """Unit of a gyro: by its gain (rad/s a unit), or where nothing can be compared by its name or size."""
-        x, written = self.table.x[:, columns], self.written(columns)
+        x, written = self.table.x[:, columns], self.written(columns, "rate")
         if gain is None:
             spread = float(np.percentile(np.abs(x - np.median(x, axis=0)), 99))
-            unit = str(written) if written in UNITS["rate"] else "deg/s" if spread > 15 else "rad/s"
-            sure = 0.85 if unit == written else 0.6 if spread > 60 or spread < 8 else GUESS
+            unit = written or ("deg/s" if spread > 15 else "rad/s")
+            sure = 0.85 if written else 0.6 if spread > 60 or spread < 8 else GUESS
             why += f"; 99 % of its values within {spread:.3g}"
         else:
-            apart = {unit: abs(np.log(gain / factor)) for unit, factor in UNITS["rate"].items()}
-            unit = min(apart, key=lambda name: apart[name])
-            sure, why = SURE if apart[unit] < 0.7 else GUESS, f"{why}, {gain:.3g} rad/s a unit"
-            if written in UNITS["rate"] and written != unit:
+            unit = _nearest(gain, UNITS["rate"])
+            sure = SURE if abs(np.log(gain / UNITS["rate"][unit])) < 0.7 else GUESS
+            why += f", {gain:.3g} rad/s a unit"
+            if written not in (None, unit):
                 sure, why = GUESS, f"{why}; but the name says {written}"
-        self.propose("rate", columns, sure, why, unit=unit)
-        self.read("w", columns, UNITS["rate"][unit])
+        self.propose("rate", columns, sure, why, "w", unit=unit)
 
     def _force(self, force: Match) -> None:
         """Unit of an accelerometer from its mean size, which in flight is about that of gravity."""
         size = float(np.linalg.norm(self.table.means[:, force.columns], axis=1).mean())
-        written, factors = self.written(force.columns), UNITS["acceleration"]
-        near: dict[str | float, float] = {unit: 9.81 / factor for unit, factor in factors.items()}
-        near |= {count: count for count in COUNTS_PER_G}
-        unit = min(near, key=lambda name: abs(np.log(max(size, 1e-9) / near[name])))
-        sure = SURE if abs(np.log(max(size, 1e-9) / near[unit])) < 0.4 else GUESS
-        why, factor = f"its mean size is {size:.4g}", factors.get(str(unit), 0.0)
-        lines: dict[str, Any] = {"unit": unit}
-        if unit in COUNTS_PER_G and written not in factors:
-            lines, factor, why = {"unit": "g", "scale": 1 / near[unit]}, factors["g"] / near[unit], f"{why}: counts a g"
-            sure = min(sure, 0.75)
+        written = self.written(force.columns, "acceleration")
+        sizes: dict[Any, float] = {unit: 9.81 / factor for unit, factor in UNITS["acceleration"].items()}
+        sizes |= {count: count for count in COUNTS_PER_G}
+        unit, letter = _nearest(size, sizes), "f"
+        sure = SURE if abs(np.log(max(size, 1e-9) / sizes[unit])) < 0.4 else GUESS
+        why, lines = f"its mean size is {size:.4g}", {"unit": unit}
+        if unit in COUNTS_PER_G and written is None:
+            lines, sure, why = {"unit": "g", "scale": 1 / unit}, min(sure, 0.75), f"{why}: counts a g"
         elif size < 0.5 and written != "g":
-            lines, factor, sure = {"unit": "m/s^2", "kind": "coordinate"}, 1.0, GUESS
+            lines, sure, letter = {"unit": "m/s^2", "kind": "coordinate"}, GUESS, ""
             why += ": gravity is not in it"
-        elif written in factors and written != unit:
-            lines, factor, sure = {"unit": written}, factors[written], GUESS
-            why += f", which would be {unit}; but the name says {written}"
-        self.propose("acceleration", force.columns, sure, f"{why}; correlation {force.correlation:.3f}", **lines)
-        if "kind" not in lines:
-            self.read("f", force.columns, factor)
+        elif written not in (None, unit):
+            lines, sure, why = {"unit": written}, GUESS, f"{why}, which would be {unit}; but the name says {written}"
+        why += f"; correlation {force.correlation:.3f}"
+        self.propose("acceleration", force.columns, sure, why, letter, **lines)
 
     # ----------------------------------------------------------------------------------------------------- frames
     def frames(self) -> None:
         """Order and direction of the quaternion, world and body, and whether the velocity is in the body."""
         if "q" not in self.streams or not {"p", "v", "f"} & self.streams.keys():
-            self._unproved()
+            self._body_by_gravity()
             return
         log = Windows(self.table.times, self.streams)
         if not {"p", "v"} & self.streams.keys():  # gravity alone has to explain the accelerometer
@@ -302,48 +289,45 @@ class _Proposals:
         scored = [(value, one) for one in self._conventions() if (value := _explained(one, few)) is not None]
         scored.sort(key=lambda pair: -pair[0])
         value, best = scored[0]
-        after, self.lines = best.apply(log), [best]
-        taken, after, _ = explain(after)
-        taken = [one for one in taken if one.blocks]
-        self.lines += taken
+        explained, after, _ = explain(best.apply(log))
+        mends = [one for one in explained if one.blocks]
+        self.lines = [best, *mends]
         self.streams = {name: after.streams[name] for name in self.streams}
         for key in ("world", "body", "attitude"):
-            others = [(v, one) for v, one in scored if one.correction.get(key) != best.correction.get(key)]
+            chosen = best.correction.get(key)
+            others = [(v, one) for v, one in scored if one.correction.get(key) != chosen]
             behind, rival = max(others, key=lambda pair: pair[0], default=(value - 2 * MARGIN, best))
-            said = best.correction.get(key)
             text = f"log likelihood {value - behind:.1f} above that of {flow(rival.correction.get(key, PLAIN))}"
             sure = SURE if value - behind >= MARGIN else GUESS
             text += "" if sure == SURE else ": decide between both"
             if key == "attitude":
-                old = self.fields[key]
-                lines = {**old.value, **(said or {})}
-                self.fields[key] = Proposal(lines, max(sure, old.confidence), f"{old.why}; {text}")
+                lines, confidence, why = self.fields[key]
+                self.fields[key] = Proposal({**lines, **(chosen or {})}, max(sure, confidence), f"{why}; {text}")
             else:
-                about = WORLDS[str(said)][0] if key == "world" else "where the thrust points along z"
-                self.fields[key] = Proposal(said, sure, f"{about}; {text}")
+                about = WORLDS[str(chosen)][0] if key == "world" else "where the thrust points along z"
+                self.fields[key] = Proposal(chosen, sure, f"{about}; {text}")
         if "velocity" in best.correction:
             self.fields["velocity"].value["frame"] = "body"
-        if taken:
-            why = "; ".join(f"{one.where}: {one.text}" for one in taken)
-            self.fields["corrections"] = Proposal([one.correction for one in taken], SURE, why)
+        if mends:
+            why = "; ".join(f"{one.where}: {one.text}" for one in mends)
+            self.fields["corrections"] = Proposal([one.correction for one in mends], SURE, why)
 
     def _conventions(self) -> list[Candidate]:
         """Every order and direction of the quaternion in every frame."""
         columns = self.places["attitude"]
         fixed = columns in self.table.named.get("attitude", []) and not numbered_quaternion(self.names, columns)
-        readings = (
-            [({}, 0.0)] if len(columns) == 3 else [({}, 0.0), *((lines, cost) for *_, lines, cost in READINGS[:3])]
-        )
-        readings = [(lines, cost) for lines, cost in readings if not (fixed and "order" in lines)]
+        readings: list[tuple[dict[str, Any], float]] = [({}, 0.0)]
+        if len(columns) == 4:
+            readings += [(lines, cost) for *_, lines, cost in READINGS[:3] if not (fixed and "order" in lines)]
         turned = [{}, {"velocity": {"frame": "body"}}] if "v" in self.streams else [{}]
-        made = []
+        conventions = []
         for (lines, cost), (world, (_, more)), body, frame in product(readings, WORLDS.items(), BODIES, turned):
             correction = {"world": world, "body": body, **({"attitude": lines} if lines else {}), **frame}
-            made.append(Candidate("", "pqvwf", "", correction, cost + more + bool(frame)))
-        return made
+            conventions.append(Candidate("", "pqvwf", "", correction, cost + more + bool(frame)))
+        return conventions
 
-    def _unproved(self) -> None:
-        """The body's frame where there is no attitude to check it with: by the size of gravity."""
+    def _body_by_gravity(self) -> None:
+        """The body's frame where there is no attitude to check it with."""
         if "f" in self.streams:
             mean = self.streams["f"].reshape(-1, 3).mean(axis=0)
             if abs(mean[2]) > 3 * np.abs(mean[:2]).max():
@@ -358,15 +342,15 @@ class _Proposals:
         known = [(kind, g) for kind in ("rotor_speed", "motor") for g in named.get(kind, [])]
         known = [(k, g) for k, g in known if not set(g) & set(self.taken) and np.ptp(table.x[:, g], axis=0).min() > 0]
         known = [(kind, g) for kind, g in known if table.x[:, g].min() >= -0.2 * table.x[:, g].max()]
-        found = []
+        ranked = []
         for kind, columns in known or [("motor", g) for g in table.alike(4, self.taken)]:
             layout, rank = self._layout(columns), 0.0
             if "f" in self.streams:
                 squares = (table.windows[..., columns] ** 2).sum(axis=2).mean(axis=1)
                 rank = abs(float(np.corrcoef(squares, self.streams["f"][..., 2].mean(axis=1))[0, 1]))
             if known or layout or rank > 0.5:
-                found.append((0.0 if known else rank + bool(layout), kind, columns, layout))
-        for _, kind, columns, layout in sorted(found, key=lambda one: -one[0])[: None if known else 1]:
+                ranked.append((0.0 if known else rank + bool(layout), kind, columns, layout))
+        for _, kind, columns, layout in sorted(ranked, key=lambda one: -one[0])[: None if known else 1]:
             quantity, lines, sure, why = self._range(columns, kind)
             if quantity in self.fields:
                 continue
@@ -379,7 +363,11 @@ class _Proposals:
 
     def _range(self, columns: list[int], kind: str) -> tuple[str, dict[str, Any], float, str]:
         """Quantity and range or unit, by the size of the values."""
-        x, name, written = self.table.x[:, columns], self.names[columns[0]].lower(), self.written(columns)
+        x, name, written = (
+            self.table.x[:, columns],
+            self.names[columns[0]].lower(),
+            self.written(columns, "rotor_speed"),
+        )
         largest, middle = float(x.max()), float(np.median(x))
         why = f"median {middle:.4g}, largest {largest:.5g}"
         if written == "erpm" or (kind == "rotor_speed" and "erpm" in name):
@@ -390,15 +378,11 @@ class _Proposals:
         if kind == "rotor_speed" and largest > 1.5:
             unit = "rpm" if middle > 3500 or "rpm" in name else "rad/s"
             return "rotor_speed", {"unit": unit}, LIKELY, f"named as speeds, {why}"
-        if largest > 260 and any(other.startswith(("axisP[", "loopIteration")) for other in self.names):
-            return "motor_command", {"range": [48, 2047]}, LIKELY, f"{why}: Betaflight counts"
-        if 260 < largest <= 2200 and np.percentile(x, 1) > 850:
-            return "motor_command", {"range": [1000, 2000]}, 0.8, f"{why}: pulse widths in us"
-        for limit, low, high, text in RANGES:
-            if largest <= limit:
-                return "motor_command", {"range": [low, high]}, LIKELY, why + text
-        if largest > 30_000:
-            return "motor_command", {"range": [0, 65535]}, 0.8, f"{why}: 16 bits"
+        betaflight = any(other.startswith(("axisP[", "loopIteration")) for other in self.names)
+        said = {"": True, "betaflight": betaflight, "pulses": np.percentile(x, 1) > 850, "bits": largest > 30_000}
+        for limit, holds, sure, low, high, what in RANGES:
+            if largest <= limit and said[holds]:
+                return "motor_command", {"range": [low, high]}, sure, f"{why}{what}"
         return "rotor_speed", {"unit": "rpm"}, 0.5, why
 
     def _layout(self, columns: list[int]) -> list[str] | None:
@@ -409,34 +393,30 @@ class _Proposals:
         table = self.table
         squares = (table.x[:, columns] / table.x[:, columns].mean()) ** 2
         mean = squares.mean(axis=1)
-        first, last = max(runs(mean > 0.1 * np.percentile(mean, 95)), key=lambda run: run[1] - run[0])
+        first, last = longest(mean > 0.1 * np.percentile(mean, 95))
         apart = squares - mean[:, None]  # what all motors do together turns nothing
-        made = stretch(table.t[first:last], self._rates()[first:last], apart[first:last], np.eye(3))
-        if made is None:
+        signals = stretch(table.t[first:last], self._rates()[first:last], apart[first:last], np.eye(3))
+        if signals is None:
             return None
-        found, shares = Fit(*made).columns()
-        signs = zip(-found[1], found[0], strict=True)
-        places = [BY_SIGNS[int(np.sign(x)) or 1, int(np.sign(y)) or 1] for x, y in signs]
+        torques, shares = Fit(*signals).columns()
+        places = [BY_SIGNS[int(np.sign(-y)) or 1, int(np.sign(x)) or 1] for x, y, _ in torques.T]
         return places if len(set(places)) == 4 and shares[:2].min() > LEAST_EXPLAINED else None
 
     def _rates(self) -> np.ndarray:
         """Body rates of the whole table, (k, 3) (rad/s, FLU)."""
-        value, columns = self.fields["rate"].value, self.places["rate"]
-        w = self.table.x[:, columns] * UNITS["rate"][value["unit"]]
+        w = self.table.x[:, self.places["rate"]] * UNITS["rate"][self.fields["rate"].value["unit"]]
         for one in self.lines:
-            lines = {key: value for key, value in one.correction.items() if key in ("body", "rate")}
-            alone = Candidate("", "w", "", lines)
-            w = alone.apply(Windows(self.table.t[None], {"w": w[None]})).streams["w"][0] if lines else w
+            if lines := {key: value for key, value in one.correction.items() if key in ("body", "rate")}:
+                w = Candidate("", "w", "", lines).apply(Windows(self.table.t[None], {"w": w[None]})).streams["w"][0]
         return w
 
     def others(self) -> None:
         """Battery and wind, by their names."""
         for columns in self.table.named.get("battery_voltage", [])[:1]:
-            middle, unit = float(np.median(self.table.x[:, columns[0]])), self.written(columns)
-            if unit not in ("V", "mV", "cV", "dV"):
-                unit = "V" if middle < 60 else "dV" if middle < 280 else "cV" if middle < 6000 else "mV"
-            value = {"column": self.names[columns[0]], "unit": unit}
+            middle = float(np.median(self.table.x[:, columns[0]]))
+            by_size = "V" if middle < 60 else "dV" if middle < 280 else "cV" if middle < 6000 else "mV"
             if middle > 0:
+                value = {"column": self.names[columns[0]], "unit": self.written(columns, "voltage") or by_size}
                 self.fields["battery_voltage"] = Proposal(value, 0.8, f"median {middle:.4g}")
         for columns in self.table.named.get("wind", [])[:1]:
             self.propose("wind", columns, 0.6, "by its name alone", unit="m/s")
@@ -447,8 +427,8 @@ def _explained(one: Candidate, windows: Windows) -> float | None:
 
     The drag of a log without accelerometer is the same in every convention: it is no reason to doubt one.
     """
-    found = pairs(one.apply(windows))
-    pull = next(pair.expected for pair in found if pair.relation.startswith(("force", "thrust"))).mean(axis=0)
+    relations = pairs(one.apply(windows))
+    pull = next(pair.expected for pair in relations if pair.relation.startswith(("force", "thrust"))).mean(axis=0)
     if np.argmax(np.abs(pull)) != 2 or pull[2] < 0:
         return None
-    return sum(agreement(pair, min(pair.floor, FLOOR["force"])).evidence for pair in found) - PER_COST * one.cost
+    return sum(agreement(pair, min(pair.floor, FLOOR["force"])).evidence for pair in relations) - PER_COST * one.cost

@@ -12,15 +12,14 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.assemble import assemble
 from quadexp.log.importers.bad_rows import MODES, without_bad_rows
-from quadexp.log.importers.mapped import read_mapped
-from quadexp.log.importers.mapping_reader import Mapping, load_mapping
-from quadexp.log.importers.raw import RawLog
+from quadexp.log.importers.mapping import Mapping, load_mapping
+from quadexp.log.importers.raw import RawLog, read_mapped
 from quadexp.log.importers.readers import reader_of, readers
 from quadexp.log.importers.readers.csv import ready_mappings
 from quadexp.log.importers.table import open_table
-from quadexp.log.offsets import REFERENCES, align_streams, find_offsets
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream
+from quadexp.log.signal.offset import find_offsets
 from quadexp.log.units import mounting_matrix
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
@@ -63,21 +62,17 @@ def import_log(
 ) -> tuple[Flight, list[str]]:
     """One log as a flight, and notes. Raises UsageError or DataError with one line."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # absurd numbers are the checks' business
-        return _import(path, vehicle, options, mapping)
-
-
-def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapping | None) -> tuple[Flight, list[str]]:
-    log = read_log(path, options.format, mapping)
-    if isinstance(log, Flight):
-        _refuse_changes(path, log, vehicle, options)
-        return _mended(log, vehicle, options)
-    _unmount(path, log, options)
-    offsets, found = _offsets(path, log, options.align)
-    columns, derived = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
-    log.streams.clear()  # a long log is held once
-    metadata = _metadata(path, log, vehicle, offsets)
-    flight, left_out = _mended(Flight(columns, metadata), vehicle, options, derived)
-    return flight, [*log.notes, *found, *left_out]
+        log = read_log(path, options.format, mapping)
+        if isinstance(log, Flight):
+            _refuse_changes(path, log, vehicle, options)
+            return _mended(log, vehicle, options)
+        _unmount(path, log, options)
+        offsets, moved = _offsets(log, options.align)
+        columns, derived = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
+        log.streams.clear()  # a long log is held once
+        flight = Flight(columns, _metadata(path, log, vehicle, offsets))
+        flight, left_out = _mended(flight, vehicle, options, derived)
+        return flight, [*log.notes, *moved, *left_out]
 
 
 def _refuse_changes(path: Path, flight: Flight, vehicle: Vehicle | None, options: Options) -> None:
@@ -99,11 +94,10 @@ def _mended(
     if options.bad_rows == "refuse":
         return flight, []
     mended, counts, notes = without_bad_rows(flight, vehicle, options.bad_rows, derived=derived)
-    if not counts:
-        return mended, notes
-    record = {"mode": options.bad_rows, "rows": counts}
-    source = {**mended.metadata.get("source", {}), "left_out": record}
-    return Flight(mended.columns, {**mended.metadata, "source": source}), notes
+    if counts:
+        source = {**mended.metadata.get("source", {}), "left_out": {"mode": options.bad_rows, "rows": counts}}
+        mended = Flight(mended.columns, {**mended.metadata, "source": source})
+    return mended, notes
 
 
 def _unmount(path: Path, log: RawLog, options: Options) -> None:
@@ -138,22 +132,24 @@ def ready() -> list[str]:
     return [mapping.name for mapping in ready_mappings()]
 
 
-def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
-    found = find_offsets(log.streams)
-    notes = [
-        f"time offset: {name} {1e3 * o.seconds:+.1f} ms behind {behind} (standard error {1e3 * o.error:.2g} ms,"
-        f" correlation {o.correlation:.2f})" + (", removed" if align and behind in REFERENCES else "")
-        for (name, behind), o in found.items()
-        if o.certain
-    ]
-    if align:
-        align_streams(log.streams, found)
-    record = {
-        name: {"seconds": o.seconds, "error": o.error if np.isfinite(o.error) else None,
-               "correlation": o.correlation, "certain": o.certain, "behind": behind,
-               "removed": align and o.certain and behind in REFERENCES}
-        for (name, behind), o in found.items()
-    }  # fmt: skip
+def _offsets(log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
+    """For the record, and as notes. align: move gyro and accelerometer onto the clock of attitude and velocity, by the
+    offsets that are certain."""
+    record, notes = {}, []
+    for (name, behind), offset in find_offsets(log.streams).items():
+        removed = align and offset.certain
+        if removed:
+            stream = log.streams[name]
+            log.streams[name] = Stream(stream.t - offset.seconds, stream.values)
+        if offset.certain:
+            notes.append(
+                f"time offset: {name} {1e3 * offset.seconds:+.1f} ms behind {behind} (standard error"
+                f" {1e3 * offset.error:.2g} ms, correlation {offset.correlation:.2f}){', removed' if removed else ''}"
+            )
+        record[name] = {
+            "seconds": offset.seconds, "error": offset.error if np.isfinite(offset.error) else None,
+            "correlation": offset.correlation, "certain": offset.certain, "behind": behind, "removed": removed,
+        }  # fmt: skip
     return record, notes
 
 
@@ -172,11 +168,8 @@ def _metadata(path: Path, log: RawLog, vehicle: Vehicle | None, offsets: dict[st
 def digest(path: Path) -> str:
     """SHA-256 of a file, or of the names and contents of a folder's files."""
     total = hashlib.sha256()
-    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-    for file in files:
-        if path.is_dir():
-            total.update(file.name.encode())
+    for file in sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]:
+        total.update(file.name.encode() if path.is_dir() else b"")
         with open(file, "rb") as stream:
-            while block := stream.read(1 << 20):
-                total.update(block)
+            hashlib.file_digest(stream, lambda: total)
     return total.hexdigest()

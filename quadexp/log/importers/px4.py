@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.importers.mapped import turn_attitude, with_attitude
-from quadexp.log.importers.raw import RawLog, clean_stream
-from quadexp.log.signal import Stream, increasing
+from quadexp.log.importers.raw import RawLog, sorted_stream, turn_attitude, with_attitude
+from quadexp.log.signal import Stream
 from quadexp.log.units import axes_matrix
 
 Topic = Mapping[str, np.ndarray]  # field -> (k,); arrays are "q[0]", ...
@@ -73,8 +72,13 @@ SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
 VALID = {"position": ("xy_valid", "z_valid"), "velocity": ("v_xy_valid", "v_z_valid")}
 RESETS = {"position": ("xy_reset_counter", "z_reset_counter"), "velocity": ("vxy_reset_counter", "vz_reset_counter")}
 ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE
-OTHERS = ("actuator_motors", "actuator_outputs", "esc_status")
-TOPICS = sorted({topic for sources in SOURCES.values() for topic, _ in sources} | set(OTHERS))
+# Signals of the rotors, best first: quantity, topic, field by number.
+ROTOR_TOPICS = (
+    ("motor_command", "actuator_motors", "control[{}]"),
+    ("motor_command", "actuator_outputs", "output[{}]"),
+    ("rotor_speed", "esc_status", "esc[{}].esc_rpm"),
+)
+TOPICS = sorted({topic for sources in SOURCES.values() for topic, _ in sources} | {row[1] for row in ROTOR_TOPICS})
 _WORLD = ("position", "velocity", "wind", "reference_position", "reference_velocity")
 _BODY_VELOCITY = 3  # vehicle_odometry.velocity_frame: body, FRD
 
@@ -107,15 +111,15 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> 
         raise DataError(
             f"{path}: neither vehicle_attitude, vehicle_local_position nor sensor_combined; topics: {there}"
         )
-    missing = [
-        f"{name} ({SOURCES[name][0][0]})"
-        for name in ("position", "attitude", "rate", "acceleration")
-        if name not in used and name not in refused
-    ]
-    if missing:
+    wanted = {"position", "attitude", "rate", "acceleration"} - used.keys() - refused
+    if missing := [f"{name} ({sources[0][0]})" for name, sources in SOURCES.items() if name in wanted]:
         log.notes.append(f"topics missing: {', '.join(missing)}")
-    if _body_velocity(topics, used):
-        _velocity_to_world(log)
+    if used.get("velocity") == "vehicle_odometry" and "attitude" in used:
+        frames = topics["vehicle_odometry"][0].get("velocity_frame", ())
+        if len(frames) and int(np.median(frames)) == _BODY_VELOCITY:
+            # in FRD, and turned as if it were NED: turned back, into FLU, and by the attitude into the world
+            stream, R = with_attitude(log.streams, "velocity")
+            log.streams["velocity"] = Stream(stream.t, R.apply(stream.values @ NED @ FRD.T))
     log.about["topics"] = used
     return log
 
@@ -160,11 +164,9 @@ def _stream(path: Path, name: str, topic: Topic, fields: tuple[str, ...], notes:
     if not np.isfinite(values).all(axis=1).any():
         return None
     order = np.argsort(t, kind="stable")  # the sample's times of one topic may lie a little out of order
-    if (np.diff(order) < 0).mean() > 0.01 if len(order) > 1 else False:
+    if (np.diff(order) < 0).sum() > 0.01 * len(order):
         raise DataError(f"{path}: {name}: its times jump back ({int((np.diff(t) < 0).sum())} times in {len(t)} rows)")
-    t, values = t[order], values[order]
-    later = increasing(t)
-    return clean_stream(path, name, t[later], values[later], notes)
+    return sorted_stream(path, name, t, values, notes)
 
 
 def _turned(name: str, stream: Stream, topic: Topic) -> Stream:
@@ -179,40 +181,26 @@ def _turned(name: str, stream: Stream, topic: Topic) -> Stream:
     return Stream(t, values @ FRD.T if values.shape[1] == 3 else values)
 
 
-def _body_velocity(topics: Topics, used: dict[str, str]) -> bool:
-    if used.get("velocity") != "vehicle_odometry" or "attitude" not in used:
-        return False
-    frames = topics["vehicle_odometry"][0].get("velocity_frame")
-    return frames is not None and len(frames) > 0 and int(np.median(frames)) == _BODY_VELOCITY
-
-
-def _velocity_to_world(log: RawLog) -> None:
-    """A velocity in FRD was turned as if it were NED: turn it back, into FLU, and by the attitude into the world."""
-    stream, R = with_attitude(log.streams, "velocity")
-    log.streams["velocity"] = Stream(stream.t, R.apply(stream.values @ NED @ FRD.T))
-
-
 def _motors(path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, float], used: dict[str, str]) -> None:
-    most = _rotor_count(parameters)
-    for name, field in (("actuator_motors", "control"), ("actuator_outputs", "output")):
-        found = _rotor_stream(path, log, topics, name, field, most)
-        if found is not None:
-            log.streams["motor_command"] = found if name == "actuator_motors" else _pwm(found, parameters, log.notes)
-            used["motor_command"] = name
-            break
-    speeds = _esc(path, log, topics)
-    if speeds is not None:
-        log.streams["rotor_speed"], used["rotor_speed"] = speeds, "esc_status"
-    count = max(
-        (log.streams[n].values.shape[1] for n in ("motor_command", "rotor_speed") if n in log.streams), default=0
-    )
-    log.layout = _layout(count, parameters, log.notes)
+    """Commands and speeds of the rotors, and where they are."""
+    most = int(parameters.get("CA_ROTOR_COUNT", 0))
+    if not 3 <= most <= MOST_ROTORS:
+        most = ROTORS_OF_TYPE.get(int(parameters.get("MAV_TYPE", 0)), MOST_ROTORS)
+    for quantity, topic, field in ROTOR_TOPICS:
+        stream = None if quantity in used else _rotor_stream(path, log, topics, topic, field, most)
+        if stream is not None:
+            log.streams[quantity], used[quantity] = stream, topic
+    if used.get("motor_command") == "actuator_outputs":
+        log.streams["motor_command"] = _pwm(log.streams["motor_command"], parameters, log.notes)
+    if "rotor_speed" in used:
+        t, values = log.streams["rotor_speed"]
+        log.streams["rotor_speed"] = Stream(t, RPM * np.abs(values))
+    counts = [log.streams[name].values.shape[1] for name in ("motor_command", "rotor_speed") if name in used]
+    log.layout = _layout(max(counts, default=0), parameters, log.notes)
 
 
 def _layout(count: int, parameters: Mapping[str, float], notes: list[str]) -> tuple[str, ...] | None:
     """Where the motors are: by the control allocation's parameters (FRD), or the order of PX4's quad-x."""
-    if not count:
-        return None
     places = []
     for i in range(count):
         x, y = parameters.get(f"CA_ROTOR{i}_PX"), parameters.get(f"CA_ROTOR{i}_PY")
@@ -222,7 +210,7 @@ def _layout(count: int, parameters: Mapping[str, float], notes: list[str]) -> tu
         words = ["front" if x > 0 else "back"] if abs(x) > reach else []
         words += ["right" if y > 0 else "left"] if abs(y) > reach else []
         places.append("_".join(words))
-    if len(places) == count and len(set(places)) == count:
+    if count and len(set(places)) == len(places) == count:
         return tuple(places)
     if count == 4:
         notes.append("motors in the order of PX4's quad-x: front right, back left, front left, back right")
@@ -230,21 +218,13 @@ def _layout(count: int, parameters: Mapping[str, float], notes: list[str]) -> tu
     return None
 
 
-def _rotor_count(parameters: Mapping[str, float]) -> int:
-    """How many rotors the vehicle says it has; what may be there at most where it does not."""
-    count = int(parameters.get("CA_ROTOR_COUNT", 0))
-    return count if 3 <= count <= MOST_ROTORS else ROTORS_OF_TYPE.get(int(parameters.get("MAV_TYPE", 0)), MOST_ROTORS)
-
-
-def _rotor_stream(
-    path: Path, log: RawLog, topics: Topics, name: str, field: str, most: int = MOST_ROTORS
-) -> Stream | None:
+def _rotor_stream(path: Path, log: RawLog, topics: Topics, name: str, field: str, most: int) -> Stream | None:
     """The motors of a topic: the leading outputs that move, at most so many, of the instance where most do."""
     best: tuple[int, Topic] = (0, {})
     for topic in topics.get(name, []):
         count = 0
-        while count < most and f"{field}[{count}]" in topic:
-            values = np.asarray(topic[f"{field}[{count}]"], float)
+        while count < most and field.format(count) in topic:
+            values = np.asarray(topic[field.format(count)], float)
             values = values[np.isfinite(values)]
             if len(values) < 2 or np.ptp(values) == 0:
                 break
@@ -253,7 +233,8 @@ def _rotor_stream(
             best = (count, topic)
     if best[0] < 3:
         return None
-    return _stream(path, f"motor_command ({name})", best[1], tuple(f"{field}[{i}]" for i in range(best[0])), log.notes)
+    quantity = next(quantity for quantity, topic, _ in ROTOR_TOPICS if topic == name)
+    return _stream(path, f"{quantity} ({name})", best[1], tuple(map(field.format, range(best[0]))), log.notes)
 
 
 def _pwm(stream: Stream, parameters: Mapping[str, float], notes: list[str]) -> Stream:
@@ -271,16 +252,3 @@ def _pwm(stream: Stream, parameters: Mapping[str, float], notes: list[str]) -> S
     elif low >= high:
         low, high = 1000.0, 2000.0
     return Stream(t, np.where(values < low, 0.0, (values - low) / (high - low)))
-
-
-def _esc(path: Path, log: RawLog, topics: Topics) -> Stream | None:
-    topic = _instance(topics, "esc_status", ("esc[0].esc_rpm",))
-    if topic is None:
-        return None
-    fields: list[str] = []
-    while f"esc[{len(fields)}].esc_rpm" in topic and np.any(topic[f"esc[{len(fields)}].esc_rpm"]):
-        fields.append(f"esc[{len(fields)}].esc_rpm")
-    if len(fields) < 3:
-        return None
-    stream = _stream(path, "rotor_speed (esc_status)", topic, tuple(fields), log.notes)
-    return None if stream is None else Stream(stream.t, RPM * np.abs(stream.values))

@@ -1,4 +1,8 @@
-"""What a reader hands over: streams on their own clocks, already in SI units, ENU and FLU, named by quantity.
+"""What a reader hands over: streams on their own clocks, already in SI units, ENU and FLU, named by quantity; and how a
+table becomes that by a mapping.
+
+R = W R_log B^T,   W, B: signed permutations of the log's world and body axes into ENU and FLU
+specific force = R^T (coordinate acceleration + g e_z)
 
 A stream's time is the log's own (s), its values are (k, m).
 """
@@ -10,46 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from quadexp.errors import DataError
+from quadexp.log.importers.mapping import IN_BODY, Crop, Entry, Mapping
+from quadexp.log.importers.table import Table
 from quadexp.log.signal import Stream, increasing
+from quadexp.log.signal.windows import multiply
+from quadexp.physics.vehicle import GRAVITY
 
-# Quantity -> columns of a flight; {} stands for the number of a rotor.
-QUANTITIES: dict[str, tuple[str, ...]] = {
-    "position": ("p_x", "p_y", "p_z"),
-    "attitude": ("q_w", "q_x", "q_y", "q_z"),
-    "velocity": ("v_x", "v_y", "v_z"),
-    "rate": ("w_x", "w_y", "w_z"),
-    "acceleration": ("acc_x", "acc_y", "acc_z"),
-    "motor_command": ("motor_command_{}",),
-    "rotor_speed": ("rotor_speed_{}",),
-    "rotor_thrust": ("u_{}",),
-    "thrust_acceleration": ("thrust_acceleration",),
-    "battery_voltage": ("battery_voltage",),
-    "wind": ("wind_x", "wind_y", "wind_z"),
-    "reference_position": ("ref_p_x", "ref_p_y", "ref_p_z"),
-    "reference_velocity": ("ref_v_x", "ref_v_y", "ref_v_z"),
-    "reference_attitude": ("ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"),
-}
-ROTORS = ("motor_command", "rotor_speed", "rotor_thrust")
-
-
-def columns_of(quantity: str, width: int) -> tuple[str, ...]:
-    """Names of the flight's columns that a stream of `width` values fills."""
-    names = QUANTITIES[quantity]
-    return tuple(names[0].format(i) for i in range(width)) if quantity in ROTORS else names
-
-
-@dataclass(frozen=True)
-class Crop:
-    """What is cut off. mode: "auto" (ground phases, from height and motion), "height", or "none".
-
-    height: of the vehicle above which it flies (m). margin: cut off both ends of the flight besides (s).
-    """
-
-    mode: str = "auto"
-    height: float | None = None
-    margin: float = 0.0
+MOST_COPIES = 0.2  # share of the rows that may be copies of earlier ones, time and all
+MOST_LATE = 0.01  # share of the rows that may lie out of order
 
 
 @dataclass
@@ -66,53 +41,158 @@ class RawLog:
     about: dict[str, Any] = field(default_factory=dict)
 
 
-MOST_COPIES = 0.2  # share of the rows that may be copies of earlier ones, time and all
-
-
 def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:
     """A stream without rows that are not numbers or repeat a time; what was dropped is noted.
 
     Raises DataError where no number is left, or the clock runs backwards.
     """
-    values = values.reshape(len(t), -1)
+    count, values = len(t), values.reshape(len(t), -1)
     good = np.isfinite(t)
     for column in values.T:
         good &= np.isfinite(column)
-    count = int(good.sum())
-    if not count:
-        raise DataError(f"{path}: {name}: not one row of {len(t)} is a number throughout")
-    if count < len(t):
-        notes.append(f"{name}: {len(t) - count} of {len(t)} rows are empty or not numbers")
+    if not good.any():
+        raise DataError(f"{path}: {name}: not one row of {count} is a number throughout")
+    if not good.all():
+        notes.append(f"{name}: {count - good.sum()} of {count} rows are empty or not numbers")
         t, values = t[good], values[good]
-    step = np.diff(t)
-    if len(step) and step.min() <= 0:
-        t, values = _forward(path, name, t, values, step, notes)
-    return Stream(t, values)
-
-
-def _forward(
-    path: Path, name: str, t: np.ndarray, values: np.ndarray, step: np.ndarray, notes: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rows whose time is later than that of all rows before; few may be lost, but for copies of earlier rows."""
-    _, first = np.unique(np.column_stack([t, values]), axis=0, return_index=True)
+    late = increasing(t)
+    if late.all():
+        return Stream(t, values)
+    first = np.sort(np.unique(np.column_stack([t, values]), axis=0, return_index=True)[1])
     if (1 - MOST_COPIES) * len(t) <= len(first) < len(t):
         notes.append(
             f"{name}: {len(t) - len(first)} of {len(t)} rows are copies of earlier ones, time and all: dropped"
         )
-        first = np.sort(first)
         t, values = t[first], values[first]
-        step = np.diff(t)
-        if not len(step) or step.min() > 0:
-            return t, values
-    back = np.flatnonzero(step < 0)
-    late = increasing(t)
-    lost = len(t) - int(late.sum())
-    if len(back) and lost > max(2, 0.01 * len(t)):
+        late = increasing(t)
+    lost, back = int((~late).sum()), np.flatnonzero(np.diff(t) < 0)
+    if len(back) and lost > max(2, MOST_LATE * len(t)):
         row = int(back[0]) + 1
         raise DataError(
             f"{path}: {name}: time goes backwards at row {row} ({t[row - 1]:.9g} -> {t[row]:.9g} s;"
             f" {lost} of {len(t)} rows are out of order)"
         )
-    what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
-    notes.append(f"{name}: {lost} of {len(t)} rows {what}: dropped")
-    return t[late], values[late]
+    if lost:
+        what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
+        notes.append(f"{name}: {lost} of {len(t)} rows {what}: dropped")
+    return Stream(t[late], values[late])
+
+
+def sorted_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:
+    """As clean_stream, of rows that may lie out of order: they are put into the order of their times."""
+    order = np.argsort(t, kind="stable")
+    later = increasing(t[order])
+    return clean_stream(path, name, t[order][later], values[order][later], notes)
+
+
+def read_mapped(table: Table, mapping: Mapping) -> RawLog:
+    """Read a table by a mapping. Raises DataError naming the column that is missing or is not a number."""
+    notes: list[str] = []
+    columns = table.read(mapping.columns, notes)
+    log = RawLog(mapping.format, {}, mapping.name, mapping.layout, mapping.crop, notes)
+    if not len(columns[mapping.clock.column]):
+        raise DataError(f"{table.path}: holds no rows")
+    for i, (name, entry) in enumerate(mapping.entries.items()):
+        clock = entry.clock or mapping.clock
+        t = columns[clock.column]
+        if clock.factor != 1.0:
+            t = t * clock.factor
+        values = np.stack([columns[column] for column in entry.columns], axis=1)
+        stream = clean_stream(table.path, f"{name} ({', '.join(entry.columns)})", t, values, notes)
+        log.streams[name] = _convert(name, entry, stream)
+        later = {mapping.clock.column}
+        for other in list(mapping.entries.values())[i + 1 :]:
+            later |= {*other.columns, *([other.clock.column] if other.clock else [])}
+        columns = {key: value for key, value in columns.items() if key in later}  # a long log fits in memory once
+    log.streams = _turned_to_frame(log.streams, mapping.entries)
+    for correction in mapping.corrections:
+        log.streams = corrected(log.streams, correction)
+    return log
+
+
+def corrected(streams: dict[str, Stream], correction: Mapping) -> dict[str, Stream]:
+    """Streams in SI, ENU and FLU, mended by lines of a mapping of which they are the log."""
+    factor, made = correction.clock.factor, {}
+    for name, (t, values) in streams.items():
+        made[name] = _convert(name, correction.entries[name], Stream(t if factor == 1.0 else t * factor, values))
+    return _turned_to_frame(made, correction.entries)
+
+
+def _convert(name: str, entry: Entry, stream: Stream) -> Stream:
+    """One stream in SI; vectors in ENU or FLU, whichever the entry says."""
+    values = stream.values
+    if name.endswith("attitude"):
+        return Stream(stream.t, _attitude(entry, values))
+    if not (entry.factor == 1.0).all():
+        values = values * entry.factor
+    if name == "motor_command" and (entry.low, entry.high) != (0.0, 1.0):
+        values = (values - entry.low) / (entry.high - entry.low)
+    if values.shape[1] == 3 and not (entry.axes == np.eye(3)).all():
+        values = values @ entry.axes.T
+    if not (entry.mounting == np.eye(3)).all():
+        values = values @ entry.mounting.T
+    return Stream(stream.t, values)
+
+
+def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
+    """Quaternion FLU to ENU, (k, 4), w first; as logged where nothing has to be turned."""
+    if entry.order == "rpy":
+        roll, pitch, yaw = (values * entry.factor).T
+        q = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_quat(scalar_first=True)
+    else:
+        values = values if (entry.factor == 1.0).all() else values * entry.factor
+        q = values if entry.order == "wxyz" else values[:, [entry.order.index(axis) for axis in "wxyz"]]
+    if entry.inverse:
+        q = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return turn_attitude(q, entry.world, entry.axes)
+
+
+def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Quaternion of W R(q) B^T, (k, 4), w first; its norm is kept, so that a wrong one stays visible."""
+    identity = np.eye(3)
+    if (world == identity).all() and (body == identity).all():
+        return q
+    if np.linalg.det(world) < 0:  # both are left-handed: turning both the same way changes nothing else
+        mirror = np.diag([1.0, 1.0, -1.0])
+        mirrored = q * np.array([1.0, -1.0, -1.0, 1.0])
+        return turn_attitude(mirrored, world @ mirror, body @ mirror)
+    w = Rotation.from_matrix(world).as_quat(scalar_first=True)
+    b = Rotation.from_matrix(body.T).as_quat(scalar_first=True)
+    return multiply(multiply(w, q), b)
+
+
+def _turned_to_frame(streams: dict[str, Stream], entries: dict[str, Entry]) -> dict[str, Stream]:
+    """Velocities that the log has in the body go to the world, rates and accelerations to the body, accelerations to
+    specific force."""
+    turned = dict(streams)
+    for name, entry in entries.items():
+        to_world, to_body = name == "velocity" and entry.in_body, name in IN_BODY and not entry.in_body
+        if not (to_world or to_body or entry.coordinate):
+            continue
+        (t, values), R = with_attitude(streams, name)
+        gravity = np.array([0.0, 0.0, GRAVITY if entry.coordinate else 0.0])
+        if to_world:
+            turned[name] = Stream(t, R.apply(values))
+        elif to_body:
+            turned[name] = Stream(t, R.apply(values + gravity, inverse=True))
+        else:
+            turned[name] = Stream(t, values + R.apply(gravity, inverse=True))
+    return turned
+
+
+def with_attitude(streams: dict[str, Stream], name: str) -> tuple[Stream, Rotation]:
+    """The attitude at the times of a stream, and the stream as far as there is one."""
+    stream = streams[name]
+    if "attitude" not in streams:
+        raise DataError(f"{name} has to be turned between world and body, but the log has no attitude")
+    q = streams["attitude"]
+    norm = np.linalg.norm(q.values, axis=1)
+    if not (norm > 1e-6).all():
+        raise DataError(f"attitude: a quaternion of length zero at row {int(np.argmin(norm))}")
+    R = Rotation.from_quat(q.values, scalar_first=True)
+    if len(q.t) == len(stream.t) and (q.t is stream.t or (q.t == stream.t).all()):
+        return stream, R
+    inside = (stream.t >= q.t[0]) & (stream.t <= q.t[-1])
+    if len(q.t) < 2 or not inside.any():
+        raise DataError(f"{name} and attitude have no time in common")
+    return Stream(stream.t[inside], stream.values[inside]), Slerp(q.t, R)(stream.t[inside])

@@ -7,6 +7,7 @@ brackets stay part of the column's name. A file without a header has the names "
 from __future__ import annotations
 
 import io
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, missing_package
 from quadexp.log.declared import allowed_bytes
 from quadexp.log.store import first_line
 
@@ -86,60 +87,53 @@ def _open_text(path: Path) -> Table:
         lines = lines[:-1]
     if not lines or max(map(len, lines)) > LONGEST_LINE:
         raise DataError(f"{path}: not a table: no line ends within {LONGEST_LINE} characters")
-    first = _first_row(lines)
-    if first is None:
-        raise DataError(f"{path}: not a table: no line of numbers in its first {len(lines)} lines")
-    row, delimiter = first
-    width = len(split(lines[row], delimiter))
-    header = None
-    for above in range(row - 1, -1, -1):
-        if not lines[above].strip():
-            continue
-        names = split(lines[above].lstrip("#% "), delimiter)
-        if len(names) != width and delimiter == " ":
-            names = lines[above].lstrip("#% ").replace(",", " ").split()
-        if len(names) == width:
-            header = names
-        elif above == row - 1 and not lines[above].lstrip().startswith(("#", "%")):
+    row, delimiter = _first_row(path, lines)
+    width = len(_cells(lines[row], delimiter))
+    names = [str(i) for i in range(width)]
+    above = next((k for k in range(row - 1, -1, -1) if lines[k].strip()), None)
+    if above is not None:
+        comment, text = lines[above].lstrip().startswith(("#", "%")), lines[above].lstrip("#% ")
+        header = _cells(text, delimiter)
+        if len(header) != width and delimiter == " ":
+            header = text.replace(",", " ").split()
+        if len(header) == width:
+            names = header
+        elif above == row - 1 and not comment:
             raise DataError(
-                f"{path}: line {above + 1} names {len(names)} columns, but line {row + 1} has {width} values"
+                f"{path}: line {above + 1} names {len(header)} columns, but line {row + 1} has {width} values"
             )
-        break
-    return Table(path, _unique(header or [str(i) for i in range(width)]), delimiter, row, encoding=encoding)
+    return Table(path, _unique(names), delimiter, row, encoding=encoding)
 
 
 def _encoding(path: Path) -> str:
     """UTF-8, or Latin-1 where it is not that throughout (a degree sign in a name, say)."""
-    import codecs
-
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    with open(path, "rb") as file:
-        while block := file.read(1 << 22):
-            try:
-                decoder.decode(block)
-            except UnicodeDecodeError:
-                return "latin-1"
+    try:
+        with open(path, encoding="utf-8") as file:
+            while file.read(1 << 22):
+                pass
+    except UnicodeDecodeError:
+        return "latin-1"
     return "utf-8"
 
 
-def split(line: str, delimiter: str) -> list[str]:
+def _cells(line: str, delimiter: str) -> list[str]:
     """The cells of a row, without quotes and blanks around them."""
     parts = line.split() if delimiter == " " else line.split(delimiter)
     return [part.strip().strip('"').strip() for part in parts]
 
 
-def _first_row(lines: list[str]) -> tuple[int, str] | None:
+def _first_row(path: Path, lines: list[str]) -> tuple[int, str]:
     """The first line that is a row of numbers (two at least, and most of the cells), and its delimiter."""
     for row, line in enumerate(lines):
         if line.lstrip().startswith(("#", "%")):
             continue
         for delimiter in (",", ";", "\t", " "):
-            cells = split(line, delimiter)
-            numbers = sum(_is_number(cell) for cell in cells)
+            cells = _cells(line, delimiter)
+            numbers = sum(map(_is_number, cells))
             filled = sum(cell != "" for cell in cells)
             if len(cells) >= (3 if delimiter == " " else 2) and numbers >= 2 and numbers >= 0.5 * filled:
                 return row, delimiter
-    return None
+    raise DataError(f"{path}: not a table: no line of numbers in its first {len(lines)} lines")
 
 
 def _is_number(text: str) -> bool:
@@ -151,13 +145,14 @@ def _is_number(text: str) -> bool:
 
 
 def _unique(names: Iterable[str]) -> tuple[str, ...]:
-    seen: dict[str, int] = {}
-    made = []
+    """Names of which each is there once: others of one name are numbered."""
+    seen: Counter[str] = Counter()
+    unique = []
     for i, name in enumerate(names):
         name = name or f"column {i}"
-        seen[name] = seen.get(name, 0) + 1
-        made.append(name if seen[name] == 1 else f"{name}.{seen[name] - 1}")
-    return tuple(made)
+        unique.append(f"{name}.{seen[name]}" if seen[name] else name)
+        seen[name] += 1
+    return tuple(unique)
 
 
 def _read_text(table: Table, names: list[str], notes: list[str], rows: int | None) -> dict[str, np.ndarray]:
@@ -203,12 +198,9 @@ def _read_text(table: Table, names: list[str], notes: list[str], rows: int | Non
         )
     if malformed:
         notes.append(f"{len(malformed)} lines with another number of values than {len(table.columns)}: left out")
-    made = {}
     pa.default_memory_pool().release_unused()
-    for name in names:  # one column after the other, so that the parts of the last one are free again
-        parts = chunks.pop(name)
-        made[name] = np.concatenate(parts)[:rows] if parts else np.empty(0)
-    return made
+    # one column after the other, so that the parts of the last one are free again
+    return {name: np.concatenate([np.empty(0), *chunks.pop(name)])[:rows] for name in names}
 
 
 def _source(table: Table) -> Any:
@@ -232,17 +224,12 @@ def _where(text: str, table: Table) -> str:
     """Arrow's message with the column's name for its number."""
     import re
 
-    found = re.search(r"CSV column #c?(\d+)", text)
-    if found and int(found[1]) < len(table.columns):
-        value = re.search(r"invalid value '([^']*)'", text)
-        row = re.search(r"Row #(\d+)", text)
-        at = f" at line {int(row[1]) + table.skip}" if row else ""
-        return (
-            f"column {table.columns[int(found[1])]!r} holds {value[1][:40]!r}{at}, a number is needed"
-            if value
-            else text
-        )
-    return text
+    column = re.search(r"CSV column #c?(\d+)", text)
+    value, row = re.search(r"invalid value '([^']*)'", text), re.search(r"Row #(\d+)", text)
+    if not column or not value or int(column[1]) >= len(table.columns):
+        return text
+    at = f" at line {int(row[1]) + table.skip}" if row else ""
+    return f"column {table.columns[int(column[1])]!r} holds {value[1][:40]!r}{at}, a number is needed"
 
 
 def numbers(table: Table) -> tuple[list[str], np.ndarray]:
@@ -252,32 +239,20 @@ def numbers(table: Table) -> tuple[list[str], np.ndarray]:
     Raises DataError where no column holds numbers.
     """
     names = list(table.columns[:DESCRIBED_COLUMNS])
-    if not table.hdf5:
-        rows = _head(table)
-        names = [n for i, n in enumerate(names) if all(_is_number(row[i] or "nan") or row[i] in EMPTY for row in rows)]
-    while True:
+    columns: dict[str, np.ndarray] = {}
+    while names and not columns:
         try:
             columns = table.read(names, [], DESCRIBED_ROWS)
-            break
         except DataError as error:
-            bad = next((name for name in names if f"column {name!r} holds" in str(error)), None)
-            if bad is None:
+            words = [name for name in names if f"column {name!r} holds" in str(error)]
+            if not words:
                 raise
-            names.remove(bad)
-    lengths = {len(values) for values in columns.values()}
-    if len(lengths) > 1:
-        longest = max(lengths, key=lambda n: sum(len(values) == n for values in columns.values()))
-        names = [name for name in names if len(columns[name]) == longest]
+            names.remove(words[0])
     if not names:
         raise DataError(f"{table.path}: no column of numbers")
+    ((length, _),) = Counter(map(len, columns.values())).most_common(1)
+    names = [name for name in names if len(columns[name]) == length]
     return names, np.stack([columns[name] for name in names], axis=1)
-
-
-def _head(table: Table) -> list[list[str]]:
-    with open(table.path, encoding=table.encoding, errors="replace") as file:
-        lines = [line for _, line in zip(range(table.skip + 200), file, strict=False)][table.skip :]
-    rows = [split(line.rstrip("\r\n"), table.delimiter) for line in lines]
-    return [row for row in rows if len(row) == len(table.columns)]
 
 
 # ------------------------------------------------------------------------------------------------------------ HDF5
@@ -323,7 +298,5 @@ def _h5py(path: Path) -> Any:
     try:
         import h5py
     except ImportError:
-        from quadexp.log.extras import missing_package
-
         raise missing_package(path, "h5py", "logs") from None
     return h5py

@@ -1,20 +1,7 @@
-"""What is done to signals between a log and a flight: one clock, time offsets, ground phases, derivatives."""
+"""What is done to signals between a log and a flight: one clock, time offsets, derivatives, windows."""
 
-from quadexp.log.signal.crop import crop
 from quadexp.log.signal.derivative import Derivative, derivative
-from quadexp.log.signal.offset import Offset, estimate_offset
 from quadexp.log.signal.resample import Resampled, continuous, resample
-from quadexp.log.signal.stream import Stream, increasing
+from quadexp.log.signal.stream import Stream, increasing, runs
 
-__all__ = [
-    "Derivative",
-    "Offset",
-    "Resampled",
-    "Stream",
-    "continuous",
-    "crop",
-    "derivative",
-    "estimate_offset",
-    "increasing",
-    "resample",
-]
+__all__ = ["Derivative", "Resampled", "Stream", "continuous", "derivative", "increasing", "resample", "runs"]

@@ -60,6 +60,10 @@ def period(t: np.ndarray) -> float:
 
 def stretches(t: np.ndarray, gap: float) -> list[slice]:
     """The rows between the gaps: maximal runs without a step longer than `gap` (s), single rows left out."""
-    ends = np.flatnonzero(np.diff(t) > gap) + 1
-    bounds = np.concatenate([[0], ends, [len(t)]])
-    return [slice(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b - a > 1]
+    return [slice(start, stop + 1) for start, stop in runs(np.diff(t) <= gap)]
+
+
+def runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """The maximal runs of True in a mask, (start, stop)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -45,203 +45,127 @@ def rotation(c: dict) -> Rotation:
     return Rotation.from_quat(take(c, ["q_x", "q_y", "q_z", "q_w"]))
 
 
-FAULTS: dict[str, tuple[str, Callable[[dict], dict | None]]] = {}
+Change = Callable[[dict], dict | None]
 
 
-def fault(finding: str) -> Callable:
-    """Register a fault under its function's name; `finding`: the name it must be reported by."""
-
-    def register(function: Callable[[dict], dict | None]) -> Callable:
-        FAULTS[function.__name__] = (finding, function)
-        return function
-
-    return register
+def changed(change: Change, flight: Flight) -> Flight:
+    """The flight after a change of its columns, in place or as what the change returns."""
+    columns = {key: values.copy() for key, values in flight.columns.items()}
+    return Flight(change(columns) or columns, dict(flight.metadata))
 
 
 def inject(flight: Flight, name: str) -> Flight:
-    columns = {key: values.copy() for key, values in flight.columns.items()}
-    return Flight(FAULTS[name][1](columns) or columns, dict(flight.metadata))
+    return changed(FAULTS[name][1], flight)
 
 
-def rows_of(c: dict, rows: np.ndarray) -> dict:
-    return {key: values[rows] for key, values in c.items()}
+def times(names: list[str], factor) -> Change:
+    return lambda c: put(c, names, take(c, names) * factor)
 
 
-@fault("units")
-def acceleration_in_g(c):
-    put(c, ACC, take(c, ACC) / 9.81)
+def turned(matrix: np.ndarray, *groups: list[str]) -> Change:
+    def change(c: dict) -> None:
+        for names in groups:
+            put(c, names, take(c, names) @ matrix.T)
+
+    return change
 
 
-@fault("units")
-def rates_in_degrees(c):
-    put(c, W, np.degrees(take(c, W)))
+def rows(chosen: Callable[[int, np.ndarray], np.ndarray]) -> Change:
+    """chosen: the rows that are left, by their number and times."""
+    return lambda c: {key: values[chosen(len(c["t"]), c["t"])] for key, values in c.items()}
 
 
-@fault("units")
-def position_in_centimetres(c):
-    put(c, P, 100 * take(c, P))
+def renamed(names: list[str], others: list[str]) -> Change:
+    return lambda c: put(c, names, take(c, others))
 
 
-@fault("units")
-def clock_in_milliseconds(c):
-    c["t"] *= 1000
+def at(names: list[str], when: slice, value=None) -> Change:
+    """Some samples of columns: a value, or what stands in the first of them."""
+
+    def change(c: dict) -> None:
+        for name in names:
+            c[name][when] = c[name][when.start] if value is None else value
+
+    return change
 
 
-@fault("quaternion_order")
-def scalar_last(c):
-    put(c, Q, take(c, ["q_x", "q_y", "q_z", "q_w"]))
-
-
-@fault("quaternion_conjugate")
-def conjugated(c):
-    put(c, Q, take(c, Q) * [1, -1, -1, -1])
-
-
-@fault("ned_not_converted")
-def ned_position_and_velocity(c):
-    put(c, P, take(c, P) @ NED.T)
-    put(c, V, take(c, V) @ NED.T)
-
-
-@fault("ned_not_converted")
 def ned_everything(c):
-    ned_position_and_velocity(c)
-    turned = Rotation.from_matrix(NED) * rotation(c) * Rotation.from_matrix(FRD)
-    put(c, Q, np.roll(turned.as_quat(), 1, axis=1))
-    put(c, W, take(c, W) @ FRD)
-    put(c, ACC, take(c, ACC) @ FRD)
+    turned(NED, P, V)(c)
+    both = Rotation.from_matrix(NED) * rotation(c) * Rotation.from_matrix(FRD)
+    put(c, Q, np.roll(both.as_quat(), 1, axis=1))
+    turned(FRD, W, ACC)(c)
 
 
-@fault("frd_not_converted")
-def frd_imu(c):
-    put(c, W, take(c, W) @ FRD)
-    put(c, ACC, take(c, ACC) @ FRD)
+def moved(seconds: float) -> Change:
+    def change(c: dict) -> None:
+        c["t"][len(c["t"]) // 2 :] += seconds
+
+    return change
 
 
-@fault("frame_velocity")
-def body_velocity_labelled_world(c):
-    put(c, V, rotation(c).inv().apply(take(c, V)))
-
-
-@fault("gravity_removed")
-def gravity_removed(c):
-    put(c, ACC, take(c, ACC) - rotation(c).inv().apply([0, 0, 9.81]))
-
-
-@fault("sign_flip")
-def gyro_axis_flipped(c):
-    c["w_y"] = -c["w_y"]
-
-
-@fault("sign_flip")
-def accelerometer_axis_flipped(c):
-    c["acc_x"] = -c["acc_x"]
-
-
-@fault("sign_flip")
-def velocity_axis_flipped(c):
-    c["v_y"] = -c["v_y"]
-
-
-@fault("axis_swap")
-def gyro_axes_swapped(c):
-    c["w_x"], c["w_y"] = c["w_y"], c["w_x"]
-
-
-@fault("axis_swap")
-def velocity_axes_swapped(c):
-    c["v_x"], c["v_y"] = c["v_y"], c["v_x"]
-
-
-@fault("clock_jump")
-def time_jump(c):
-    c["t"][len(c["t"]) // 2 :] += 1.0
-
-
-@fault("clock_jump")
-def time_back(c):
-    c["t"][len(c["t"]) // 2 :] -= 0.5
-
-
-@fault("gap")
-def stretch_missing(c):
-    rows = np.ones(len(c["t"]), bool)
-    rows[len(rows) // 2 :][: int(0.4 / np.median(np.diff(c["t"])))] = False
-    return rows_of(c, rows)
-
-
-@fault("dropped_samples")
-def dropped_samples(c):
-    rows = np.random.default_rng(0).random(len(c["t"])) > 0.05
-    rows[[0, -1]] = True
-    return rows_of(c, rows)
-
-
-@fault("duplicated_rows")
-def duplicated_rows(c):
-    return rows_of(c, np.sort(np.concatenate([np.arange(len(c["t"])), np.arange(100, 130)])))
-
-
-@fault("duplicated_rows")
-def block_written_twice(c):
-    return rows_of(c, np.concatenate([np.arange(130), np.arange(100, len(c["t"]))]))
-
-
-@fault("clock_scale")
-def scaled_clock(c):
-    c["t"] *= 1.05
-
-
-@fault("clock_scale")
-def clock_at_half_speed(c):
-    c["t"] *= 0.5
-
-
-def _delay(c: dict, seconds: float) -> None:
-    for name in (*W, *ACC):
-        c[name] = np.interp(c["t"] - seconds, c["t"], c[name])
-
-
-@fault("time_offset")
 def imu_50_ms_late(c):
-    _delay(c, 0.05)
+    for name in (*W, *ACC):
+        c[name] = np.interp(c["t"] - 0.05, c["t"], c[name])
 
 
-@fault("impossible_command")
 def command_spikes(c):
     name = "motor_command_1" if "motor_command_1" in c else "u_1"
     rng = np.random.default_rng(0)
     c[name][rng.integers(0, len(c["t"]), 15)] = rng.choice([-5.0, 40.0], 15)
 
 
-@fault("not_finite")
-def nan_burst(c):
-    for name in W:
-        c[name][100:150] = np.nan
+def spikes(name: str, count: int, size: float) -> Change:
+    def change(c: dict) -> None:
+        k = np.random.default_rng(0).integers(0, len(c["t"]), count)
+        c[name][k] = size if size > 100 else c[name][k] + size
+
+    return change
 
 
-@fault("frozen_sensor")
-def frozen_gyro(c):
-    for name in W:
-        c[name][100:200] = c[name][100]
+def without_a_stretch(n: int, t: np.ndarray) -> np.ndarray:
+    lost = int(0.4 / np.median(np.diff(t)))
+    return np.delete(np.arange(n), slice(n // 2, n // 2 + lost))
 
 
-@fault("frozen_sensor")
-def frozen_position(c):
-    for name in P:
-        c[name][100:200] = c[name][100]
+def dropped(n: int, _: np.ndarray) -> np.ndarray:
+    kept = np.random.default_rng(0).random(n) > 0.05
+    kept[[0, -1]] = True
+    return np.flatnonzero(kept)
 
 
-@fault("acceleration_outlier")
-def acceleration_spikes(c):
-    c["acc_y"][np.random.default_rng(0).integers(0, len(c["t"]), 10)] = 400
-
-
-@fault("position_outlier")
-def position_spikes(c):
-    c["p_y"][np.random.default_rng(0).integers(0, len(c["t"]), 5)] += 3
-
-
-@fault("quaternion_norm")
-def quaternion_not_of_norm_one(c):
-    put(c, Q, 1.05 * take(c, Q))
+# Name -> the finding by which it must be reported, and what it does to the columns.
+FAULTS: dict[str, tuple[str, Change]] = {
+    "acceleration_in_g": ("units", times(ACC, 1 / 9.81)),
+    "rates_in_degrees": ("units", times(W, 180 / np.pi)),
+    "position_in_centimetres": ("units", times(P, 100)),
+    "clock_in_milliseconds": ("units", times(["t"], 1000)),
+    "scalar_last": ("quaternion_order", renamed(Q, ["q_x", "q_y", "q_z", "q_w"])),
+    "conjugated": ("quaternion_conjugate", times(Q, [1, -1, -1, -1])),
+    "ned_position_and_velocity": ("ned_not_converted", turned(NED, P, V)),
+    "ned_everything": ("ned_not_converted", ned_everything),
+    "frd_imu": ("frd_not_converted", turned(FRD, W, ACC)),
+    "body_velocity_labelled_world": ("frame_velocity", lambda c: put(c, V, rotation(c).inv().apply(take(c, V)))),
+    "gravity_removed": (
+        "gravity_removed", lambda c: put(c, ACC, take(c, ACC) - rotation(c).inv().apply([0, 0, 9.81]))),
+    "gyro_axis_flipped": ("sign_flip", times(["w_y"], -1)),
+    "accelerometer_axis_flipped": ("sign_flip", times(["acc_x"], -1)),
+    "velocity_axis_flipped": ("sign_flip", times(["v_y"], -1)),
+    "gyro_axes_swapped": ("axis_swap", renamed(["w_x", "w_y"], ["w_y", "w_x"])),
+    "velocity_axes_swapped": ("axis_swap", renamed(["v_x", "v_y"], ["v_y", "v_x"])),
+    "time_jump": ("clock_jump", moved(1.0)),
+    "time_back": ("clock_jump", moved(-0.5)),
+    "stretch_missing": ("gap", rows(without_a_stretch)),
+    "dropped_samples": ("dropped_samples", rows(dropped)),
+    "duplicated_rows": ("duplicated_rows", rows(lambda n, _: np.sort(np.r_[np.arange(n), np.arange(100, 130)]))),
+    "block_written_twice": ("duplicated_rows", rows(lambda n, _: np.r_[np.arange(130), np.arange(100, n)])),
+    "scaled_clock": ("clock_scale", times(["t"], 1.05)),
+    "clock_at_half_speed": ("clock_scale", times(["t"], 0.5)),
+    "imu_50_ms_late": ("time_offset", imu_50_ms_late),
+    "command_spikes": ("impossible_command", command_spikes),
+    "nan_burst": ("not_finite", at(W, slice(100, 150), np.nan)),
+    "frozen_gyro": ("frozen_sensor", at(W, slice(100, 200))),
+    "frozen_position": ("frozen_sensor", at(P, slice(100, 200))),
+    "acceleration_spikes": ("acceleration_outlier", spikes("acc_y", 10, 400)),
+    "position_spikes": ("position_outlier", spikes("p_y", 5, 3)),
+    "quaternion_not_of_norm_one": ("quaternion_norm", times(Q, 1.05)),
+}  # fmt: skip

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
 
 from quadexp.log.check import check_flight
 from quadexp.log.schema import Flight
-from tests.log.check.faults import inject
+from tests.log.check.faults import changed, inject
 from tests.log.check.test_mounting import feet, world_frame
 from tests.log.check.test_rotors import RIGGED, mirrored, reordered
 from tests.log.imitated import VEHICLES, imitated, random_mounting, vehicle_named
@@ -22,19 +23,10 @@ from tests.log.importers.test_bad_rows import with_line, with_outliers, with_rep
 FLIGHTS = [(vehicle, seed) for vehicle in (*VEHICLES, "hexa", "octo") for seed in range(200, 206)]
 
 
-def changed(function: Callable) -> Callable:
-    def apply(flight: Flight) -> Flight:
-        columns = {key: values.copy() for key, values in flight.columns.items()}
-        function(columns)
-        return Flight(columns, flight.metadata)
-
-    return apply
-
-
 # What is done to a flight, and the blocking findings that it must have; the second half must not block at all.
 FAULTS: dict[str, tuple[Callable[[Flight], Flight], set[str]]] = {
-    "accelerometer in the world frame": (changed(world_frame), {"frame_acceleration"}),
-    "position and velocity in feet": (changed(feet), {"units"}),
+    "accelerometer in the world frame": (partial(changed, world_frame), {"frame_acceleration"}),
+    "position and velocity in feet": (partial(changed, feet), {"units"}),
     "accelerometer in g": (lambda f: inject(f, "acceleration_in_g"), {"units"}),
     "gyro axes swapped": (lambda f: inject(f, "gyro_axes_swapped"), {"axis_swap"}),
     "all in NED and FRD": (lambda f: inject(f, "ned_everything"), {"ned_not_converted"}),

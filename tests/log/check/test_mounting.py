@@ -7,7 +7,7 @@ import pytest
 
 from quadexp.log.check import check_flight
 from quadexp.log.schema import Flight
-from tests.log.check.faults import ACC, P, V, W, inject, put, rotation, take
+from tests.log.check.faults import ACC, P, V, W, changed, inject, put, rotation, take, times, turned
 from tests.log.imitated import VEHICLES, imitated, random_mounting, vehicle_named
 
 ANGLES = (3.0, 5.0, 8.0, 11.0, 15.0)
@@ -51,13 +51,8 @@ def test_a_turned_accelerometer_is_offered_its_correction(vehicle, seed, degrees
     matrix = mounting_matrix(angles_of(flight, vehicle))
     apart = np.degrees(np.arccos(np.clip((matrix @ mount.inv().apply(up)) @ up, -1, 1)))
     assert apart < 1.5
-    columns = {key: values.copy() for key, values in flight.columns.items()}
-    for names in (ACC, W) if seed % 2 else (ACC,):
-        put(columns, names, take(columns, names) @ matrix.T)
-    left = [
-        one for one in check_flight(Flight(columns, flight.metadata), vehicle_named(vehicle)) if one.severity != "info"
-    ]
-    assert not left, [one.message for one in left]
+    mended = changed(turned(matrix, *((ACC, W) if seed % 2 else (ACC,))), flight)
+    assert not [one.message for one in check_flight(mended, vehicle_named(vehicle)) if one.severity != "info"]
 
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
@@ -70,9 +65,7 @@ def world_frame(c):
     put(c, ACC, rotation(c).apply(take(c, ACC)))
 
 
-def feet(c):
-    put(c, P, take(c, P) / 0.3048)
-    put(c, V, take(c, V) / 0.3048)
+feet = times(P + V, 1 / 0.3048)
 
 
 @pytest.mark.parametrize(
@@ -92,12 +85,7 @@ def feet(c):
 def test_faults_keep_their_names_on_a_turned_sensor(fault, name, degrees, vehicle):
     seed = {"torrente": 50, "crazyflie": 51}[vehicle]
     flight = imitated(seed, vehicle, duration=15, mounting=random_mounting(seed, degrees))
-    if callable(fault):
-        columns = {key: values.copy() for key, values in flight.columns.items()}
-        fault(columns)
-        flight = Flight(columns, flight.metadata)
-    else:
-        flight = inject(flight, fault)
+    flight = changed(fault, flight) if callable(fault) else inject(flight, fault)
     assert {one.name for one in check_flight(flight, vehicle_named(vehicle)) if one.blocks} == {name}
 
 

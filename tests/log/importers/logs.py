@@ -14,6 +14,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadexp.experiment.import_flights import import_files
+from quadexp.log.importers import Options
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_table
 from tests.log.imitated import attitude_of
 
 G = 9.81
@@ -157,6 +161,28 @@ def unnamed(path: Path, f: Truth) -> Path:
         65535 * f.command,
     ])  # fmt: skip
     return write_csv(path, {f"c{i}": column for i, column in enumerate(columns.T)})
+
+
+MAPPING = """
+time: {column: t, unit: s}
+position: {columns: [p_x, p_y, p_z]}
+attitude: {columns: [q_w, q_x, q_y, q_z]}
+velocity: {columns: [v_x, v_y, v_z]}
+rate: {columns: [w_x, w_y, w_z]}
+acceleration: {columns: [acc_x, acc_y, acc_z]}
+motor_command: {columns: [motor_command_0, motor_command_1, motor_command_2, motor_command_3]}
+crop: none
+"""
+
+
+def imported(folder: Path, flight: Flight, mapping: str = MAPPING, *, vehicle=None, keep=False, **options):
+    """(outcome, flight or None) of a flight that is written as a log under its own names and imported by a mapping."""
+    lines = mapping.splitlines(keepends=True)
+    (folder / "mapping.yaml").write_text("".join(x for x in lines if "w_x" in flight.columns or "rate:" not in x))
+    log = write_csv(folder / "log.csv", dict(flight.columns))
+    options = Options(mapping=folder / "mapping.yaml", **options)
+    (outcome,) = import_files([log], folder / "out", options, vehicle=vehicle, force=True, keep=keep)
+    return outcome, Flight(*read_table(outcome.path, "flight")) if outcome.path else None
 
 
 # ------------------------------------------------------------------------------------------------------------- ULog

@@ -6,27 +6,13 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.experiment.import_flights import import_files
 from quadexp.log.check import check_flight
-from quadexp.log.check.dead import check_dead
-from quadexp.log.importers.importing import Options
+from quadexp.log.check.samples import check_dead
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_table
-from tests.log.check.faults import P, Q, V
+from tests.log.check.faults import P, Q, V, at, changed
 from tests.log.imitated import VEHICLES, imitated
-from tests.log.importers.logs import write_csv
+from tests.log.importers.logs import imported
 from tests.models.recorded_data import blackbird, nanobench
-
-MAPPING = """
-time: {column: t, unit: s}
-position: {columns: [p_x, p_y, p_z]}
-attitude: {columns: [q_w, q_x, q_y, q_z]}
-velocity: {columns: [v_x, v_y, v_z]}
-rate: {columns: [w_x, w_y, w_z]}
-acceleration: {columns: [acc_x, acc_y, acc_z]}
-motor_command: {columns: [motor_command_0, motor_command_1, motor_command_2, motor_command_3]}
-crop: none
-"""
 
 
 def taken(flight: Flight, share: float, seed: int) -> np.ndarray:
@@ -43,9 +29,9 @@ def with_repeats(flight: Flight, share: float, seed: int = 0) -> Flight:
 
 
 def with_outliers(flight: Flight, share: float, name: str, size: float, seed: int = 0) -> Flight:
-    columns = {key: values.copy() for key, values in flight.columns.items()}
-    columns[name][taken(flight, share, seed)] += size
-    return Flight(columns, flight.metadata)
+    values = flight[name].copy()
+    values[taken(flight, share, seed)] += size
+    return Flight({**flight.columns, name: values}, flight.metadata)
 
 
 def with_line(flight: Flight, start: float, end: float) -> Flight:
@@ -55,16 +41,6 @@ def with_line(flight: Flight, start: float, end: float) -> Flight:
     for name in (*P, *V, *Q):
         columns[name][i : j + 1] = np.interp(flight.t[i : j + 1], flight.t[[i, j]], columns[name][[i, j]])
     return Flight(columns, flight.metadata)
-
-
-def imported(folder, flight: Flight, how: str, vehicle: str = "torrente"):
-    """(outcome, flight) of a log written and imported."""
-    lines = MAPPING.splitlines(keepends=True)
-    (folder / "mapping.yaml").write_text("".join(x for x in lines if "w_x" in flight.columns or "rate" not in x))
-    log = write_csv(folder / "log.csv", dict(flight.columns))
-    options = Options(mapping=folder / "mapping.yaml", bad_rows=how)
-    (outcome,) = import_files([log], folder / how, options, vehicle=vehicle)
-    return outcome, Flight(*read_table(outcome.path, "flight")) if outcome.path else None
 
 
 SPOILT = {
@@ -87,11 +63,11 @@ def test_bad_rows_are_refused_dropped_or_gaps(tmp_path, case):
     spoilt = np.zeros(len(truth), bool)
     for column in (*P, *V, "acc_x"):
         spoilt |= bad[column] != truth[column]
-    outcome, flight = imported(tmp_path, bad, "refuse")
+    outcome, flight = imported(tmp_path, bad, vehicle="torrente")
     assert flight is None and name in outcome.cause
     assert any("--bad-rows" in one.advice for one in outcome.findings if one.blocks)
     for how in ("drop", "gap"):
-        outcome, flight = imported(tmp_path, bad, how)
+        outcome, flight = imported(tmp_path, bad, vehicle="torrente", bad_rows=how)
         assert flight is not None, outcome.cause
         assert not [one.message for one in outcome.findings if one.blocks]
         assert flight.metadata["source"]["left_out"]["rows"][name] >= 0.9 * spoilt.sum()
@@ -118,7 +94,7 @@ def test_a_row_is_bridged_across_a_change_of_sign(tmp_path, gyro, seed):
     flipped = np.where(np.cumsum(np.isin(np.arange(len(truth)), after)) % 2, -1.0, 1.0)
     columns = {name: values * flipped if name in Q else values for name, values in bad.columns.items()}
     columns = {name: values for name, values in columns.items() if gyro or not name.startswith("w_")}
-    outcome, flight = imported(tmp_path, Flight(columns, {}), "drop")
+    outcome, flight = imported(tmp_path, Flight(columns, {}), bad_rows="drop")
     assert flight is not None, outcome.cause
     assert flight.metadata["source"]["left_out"]["rows"] == {"duplicated_rows": spoilt.sum()}
     dot = np.abs(np.sum(flight.stack(Q) * truth.stack(Q), axis=1))
@@ -136,11 +112,8 @@ def test_the_line_is_named_with_its_time():
 
 
 def test_a_frozen_state_is_named_too():
-    flight = imitated(85, "torrente", duration=15)
-    columns = {key: values.copy() for key, values in flight.columns.items()}
-    for name in (*P, *V, *Q):
-        columns[name][500:700] = columns[name][500]
-    found = {one.name: one for one in check_flight(Flight(columns, flight.metadata))}
+    flight = changed(at([*P, *V, *Q], slice(500, 700)), imitated(85, "torrente", duration=15))
+    found = {one.name: one for one in check_flight(flight)}
     assert "stands still" in found["dead_logger"].measured and found["dead_logger"].span == pytest.approx(
         (5.0, 7.0), abs=0.03
     )
@@ -165,7 +138,7 @@ def test_smooth_simulated_flights_hold_no_line():
 
 
 def test_too_many_bad_rows_are_not_left_out(tmp_path):
-    outcome, flight = imported(tmp_path, with_repeats(imitated(87, "torrente", duration=10), 0.3), "drop")
+    outcome, flight = imported(tmp_path, with_repeats(imitated(87, "torrente", duration=10), 0.3), bad_rows="drop")
     assert flight is None and any("20% is the most" in note for note in outcome.notes)
 
 
@@ -183,10 +156,10 @@ def test_copies_time_and_all_are_dropped(tmp_path):
     """A block written twice, its times too: as an unfinished buffer leaves it."""
     flight = imitated(88, "torrente", duration=10)
     rows = np.concatenate([np.arange(300), np.arange(260, len(flight))])
-    outcome, made = imported(tmp_path, Flight({n: x[rows] for n, x in flight.columns.items()}, {}), "refuse")
+    outcome, made = imported(tmp_path, Flight({n: x[rows] for n, x in flight.columns.items()}, {}))
     assert made is not None and len(made) == len(flight) and any("copies of earlier ones" in n for n in outcome.notes)
 
 
 def test_an_unknown_way_is_one_line(tmp_path):
     with pytest.raises(UsageError, match="--bad-rows often: no such way; there are refuse, drop, gap"):
-        imported(tmp_path, imitated(89, "torrente", duration=5), "often")
+        imported(tmp_path, imitated(89, "torrente", duration=5), bad_rows="often")

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import DataError
 from quadexp.log.importers import Options, import_log
 from quadexp.log.importers.describe import describe_log
-from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.importers.mapping import load_mapping
 from tests.log.importers import logs
 from tests.log.importers.vehicles import quad_x
 

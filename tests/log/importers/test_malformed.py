@@ -10,7 +10,7 @@ import pytest
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.importers import Options, import_log
-from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.importers.mapping import load_mapping
 from tests.log.importers import logs
 
 HEADER = "t,px,py,pz,qx,qy,qz,qw,vx,vy,vz,imu_acc_x,imu_acc_y,imu_acc_z,imu_gyro_x,imu_gyro_y,imu_gyro_z,"
@@ -110,13 +110,32 @@ def test_missing_topic_is_named(tmp_path):
     ("text", "line", "said"),
     [
         ("time: {column: t}\npositoin: {columns: [x, y, z]}\n", 2, "did you mean position"),
-        ("time: {column: t}\nposition: {columns: [x, y, z], unit: yards}\n", 2, "allowed are m, cm"),
         ("world: NET\ntime: {column: t}\nposition: {columns: [x, y, z]}\n", 1, "NED"),
-        ("time: {column: t}\nattitude: {columns: [a, b, c, d], order: wxxz}\n", 2, "wxyz, xyzw"),
         ("time: {column: t}\nmotor_command:\n  columns: [a, b, c]\n  layout: [front, back, up]\n", 4, "front_right"),
         ("position: {columns: [x, y, z]}\n", 1, "time: is missing"),
-        ("time: {column: t}\nposition: {columns: [x, y]}\n", 2, "3 are needed"),
         ("time: {column: t}\nposition: [\n", 3, "not YAML"),
+        *((f"time: {{column: t}}\n{line}\n", 2, said) for line, said in (
+            ("position: {columns: [x, y, z], unit: yards}", "allowed are m, cm"),
+            ("attitude: {columns: [a, b, c, d], order: wxxz}", "wxyz, xyzw"),
+            ("position: {columns: [x, y]}", "3 are needed"),
+            ("rotor_speed: {columns: [a, b, c, d], unit: erpm}", "rotor_speed.pole_pairs: is missing"),
+            ("rotor_speed: {columns: [a, b, c, d], unit: erpm, pole_pairs: 3.5}", "3.5 must be a whole number"),
+            ("rotor_speed: {columns: [a, b, c, d], unit: rpm, pole_pairs: 7}", "goes with unit erpm, not rpm"),
+            ("acceleration: {columns: [a, b, c], mounting: [1, 2]}", "must be \\[roll, pitch, yaw\\]"),
+            ("acceleration: {columns: [a, b, c], frame: world, mounting: [1, 2, 3]}", "but `frame` says world"),
+            ("acceleration: {columns: [a, b, c], mounting: [1, x, 3]}", "must be \\[roll, pitch, yaw\\]"),
+            ("position: {columns: [a, b, c], mounting: [1, 2, 3]}", "unknown key"),
+            ("battery_voltage: {column: a, unit: kV}", "allowed are V, mV, cV, dV"),
+        )),
+        *((f"time: {{column: t}}\nrate: {{columns: [a, b, c]}}\ncorrections: {lines}\n", 3, said) for lines, said in (
+            ("{rate: {unit: deg/s}}", "must be a list of lines"),
+            ("[{wind: {unit: m/s}}]", "'wind': allowed are world, body, time, rate"),
+            ("[{rate: {unit: rpm}}]", "unit 'rpm' is not known"),
+            ("[{rate: {columns: [a, b, c]}}]", "unknown key"),
+            ("[{time: {scale: -1}}]", "must be one positive number"),
+            ("[{time: {column: x}}]", "unknown key"),
+            ("[{rate: }]", "must be a mapping"),
+        )),
     ],
 )  # fmt: skip
 def test_mistakes_in_a_mapping_name_line_and_key(tmp_path, text, line, said):

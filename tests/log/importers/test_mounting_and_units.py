@@ -5,24 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.errors import UsageError
-from quadexp.experiment.import_flights import import_files
-from quadexp.log.importers.importing import Options
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_table
 from tests.cli.command import run
 from tests.log.check.faults import ACC, W
 from tests.log.imitated import imitated, random_mounting
-from tests.log.importers.logs import write_csv
-from tests.log.importers.test_bad_rows import MAPPING
-
-
-def made(folder, flight: Flight, mapping: str, **options):
-    (folder / "mapping.yaml").write_text(mapping)
-    log = write_csv(folder / "log.csv", dict(flight.columns))
-    done = Options(mapping=folder / "mapping.yaml", **options)
-    (outcome,) = import_files([log], folder / "out", done, vehicle="torrente", force=True)
-    return outcome, Flight(*read_table(outcome.path, "flight")) if outcome.path else None
+from tests.log.importers.logs import MAPPING, imported
 
 
 @pytest.mark.parametrize("seed", [90, 91, 92])
@@ -30,16 +17,16 @@ def test_what_the_import_offers_mends_it(tmp_path, seed):
     """Import, read the correction off the finding, import with it: by the mapping, and by the options."""
     straight = imitated(seed, "torrente", duration=15, turned_gyro=True)
     turned = imitated(seed, "torrente", duration=15, mounting=random_mounting(seed, 9.0), turned_gyro=True)
-    outcome, flight = made(tmp_path, turned, MAPPING)
+    outcome, flight = imported(tmp_path, turned, vehicle="torrente")
     (found,) = [one for one in outcome.findings if one.name == "mounting"]
     assert flight is not None and found.severity == "warning"
     angles = found.advice.split("mounting: [")[1].split("]")[0]
     words = MAPPING.replace("acc_z]}", f"acc_z], mounting: [{angles}]}}").replace(
         "w_z]}", f"w_z], mounting: [{angles}]}}"
     )
-    by_mapping, first = made(tmp_path, turned, words)
+    by_mapping, first = imported(tmp_path, turned, words, vehicle="torrente")
     values = tuple(float(word) for word in angles.split(","))
-    by_option, second = made(tmp_path, turned, MAPPING, mounting=values, gyro_mounting=values)
+    by_option, second = imported(tmp_path, turned, mounting=values, gyro_mounting=values)
     for outcome, one in ((by_mapping, first), (by_option, second)):
         assert "mounting" not in {finding.name for finding in outcome.findings}
         for names, size in ((ACC, 0.35), (W, 0.05)):  # the same noise was drawn in the sensor's own axes
@@ -54,12 +41,7 @@ def test_the_angles_are_roll_pitch_yaw_of_the_sensor(tmp_path):
     n = len(flight)
     columns = flight.columns | dict(zip(ACC, (np.full(n, -9.81), np.zeros(n), np.zeros(n)), strict=True))
     words = MAPPING.replace("acc_z]}", "acc_z], mounting: [0, 90, 0]}")
-    from quadexp.log.importers.importing import import_log
-    from quadexp.log.importers.mapping_reader import load_mapping
-
-    (tmp_path / "m.yaml").write_text(words)
-    log = write_csv(tmp_path / "log.csv", columns)
-    done, _ = import_log(log, None, Options(), load_mapping(tmp_path / "m.yaml"))
+    _, done = imported(tmp_path, Flight(columns, {}), words, keep=True)
     assert np.allclose(done.stack(ACC), [0.0, 0.0, 9.81])
 
 
@@ -77,32 +59,10 @@ def test_decivolts_and_electrical_turns(tmp_path):
         f"rotor_speed: {{columns: [{names}], unit: erpm, pole_pairs: 7}}",
         "battery_voltage: {column: battery_voltage, unit: dV}",
     ]
-    outcome, one = made(tmp_path, Flight(columns, {}), "\n".join(words))
+    outcome, one = imported(tmp_path, Flight(columns, {}), "\n".join(words))
     assert one is not None, outcome.cause
     assert np.allclose(one["battery_voltage"], flight["battery_voltage"])
     assert np.allclose(one["rotor_speed_2"], flight["rotor_speed_2"])
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("rotor_speed: {columns: [a, b, c, d], unit: erpm}", "rotor_speed.pole_pairs: is missing"),
-        ("rotor_speed: {columns: [a, b, c, d], unit: erpm, pole_pairs: 3.5}", "3.5 must be a whole number"),
-        ("rotor_speed: {columns: [a, b, c, d], unit: rpm, pole_pairs: 7}", "goes with unit erpm, not rpm"),
-        ("acceleration: {columns: [a, b, c], mounting: [1, 2]}", "must be \\[roll, pitch, yaw\\]"),
-        ("acceleration: {columns: [a, b, c], frame: world, mounting: [1, 2, 3]}", "but `frame` says world"),
-        ("acceleration: {columns: [a, b, c], mounting: [1, x, 3]}", "is not a number"),
-        ("position: {columns: [a, b, c], mounting: [1, 2, 3]}", "unknown key"),
-        ("battery_voltage: {column: a, unit: kV}", "allowed are V, mV, cV, dV"),
-    ],
-)
-def test_one_line_says_what_is_wrong_with_the_mapping(tmp_path, line, message):
-    from quadexp.log.importers.mapping_reader import load_mapping
-
-    (tmp_path / "m.yaml").write_text(f"time: {{column: t}}\n{line}\n")
-    with pytest.raises(UsageError, match=message) as error:
-        load_mapping(tmp_path / "m.yaml")
-    assert "m.yaml:2:" in str(error.value)
 
 
 def test_options_are_checked(tmp_path):

@@ -54,14 +54,8 @@ def test_exports_for_looking_at_are_refused_by_name(flown, tmp_path):
     _, path = flown
     pytest.importorskip("mcap", reason="the extra [viz] is not installed")
     export_flight(path, "mcap", tmp_path / "made.mcap")
-    (tmp_path / "px4").mkdir()
-    (tmp_path / "px4" / "px4_vehicle_attitude_0.csv").write_text("timestamp,q[0],q[1],q[2],q[3]\n0,1,0,0,0\n")
-    (tmp_path / "px4" / "px4_about.json").write_text(
-        '{"units": {"actuator_outputs": "commanded static thrust of rotor i"}}'
-    )
-    for name in ("made.mcap", "px4"):
-        with pytest.raises(DataError, match="import the flight's Parquet"):
-            import_log(tmp_path / name, None, Options())
+    with pytest.raises(DataError, match="import the flight's Parquet"):
+        import_log(tmp_path / "made.mcap", None, Options())
 
 
 def test_a_module_in_readers_is_a_format(tmp_path, monkeypatch):
@@ -152,28 +146,6 @@ def test_ulog_of_old_and_new_px4(tmp_path, version):
             flight["rotor_speed_1"][::2], 20000 * np.pi / 30 * f.command[k, 1][::2], atol=np.pi / 30
         )
     assert not any("damaged" in note for note in notes)
-
-
-def test_a_folder_of_ulog2csv(tmp_path):
-    """One CSV a topic: microseconds, NED and FRD, pulse widths in PX4's order of motors."""
-    from tests.log.importers.vehicles import quad_x
-
-    f, folder = logs.truth(6.0, 100.0), tmp_path / "flown"
-    folder.mkdir()
-    for topic, names, values in (
-        ("vehicle_local_position", "x|y|z|vx|vy|vz", np.hstack([f.p @ logs.NED.T, f.v @ logs.NED.T])),
-        ("vehicle_attitude", "q[0]|q[1]|q[2]|q[3]", logs.frd_quaternion(f)),
-        ("sensor_combined", "accelerometer_m_s2[0]|accelerometer_m_s2[1]|accelerometer_m_s2[2]", f.acc @ logs.FRD),
-        ("actuator_outputs", "output[0]|output[1]|output[2]|output[3]", 1000 + 1000 * f.command[:, [0, 2, 3, 1]]),
-    ):
-        columns = dict(zip(names.split("|"), values.T, strict=True))
-        logs.write_csv(folder / f"log_{topic}_0.csv", {"timestamp": 1e6 * f.t, **columns})
-    flight, _ = import_log(folder, quad_x(), Options())
-    for prefix, values in (("p", f.p), ("v", f.v), ("acc", f.acc)):
-        np.testing.assert_allclose(flight.stack([f"{prefix}_{a}" for a in "xyz"]), values, atol=1e-6)
-    np.testing.assert_allclose(flight.stack([f"motor_command_{i}" for i in range(4)]), f.command, atol=1e-6)
-    turned = f.R.inv() * Rotation.from_quat(flight.stack(["q_w", "q_x", "q_y", "q_z"]), scalar_first=True)
-    assert turned.magnitude().max() < 1e-6
 
 
 @pytest.mark.parametrize("version", [1, 2])

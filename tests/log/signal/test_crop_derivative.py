@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.log.signal import crop, derivative, increasing
+from quadexp.log.importers.assemble import crop
+from quadexp.log.signal import derivative, increasing
 
 T = np.arange(0, 20, 0.01)
+CROP = {"clearance": 0.5, "margin": 1.5}
 HEIGHT = np.interp(T, [0, 2, 4, 16, 18, 20], [0.05, 0.05, 1.0, 1.0, 0.05, 0.05])
 
 
 def test_crop_takes_the_margin_off_both_sides():
-    kept = crop(T, HEIGHT)
+    kept = crop(T, HEIGHT, **CROP)
     up = 2 + 2 * 0.45 / 0.95  # when the climb passes 0.5 m
     assert T[kept][0] == pytest.approx(up + 1.5, abs=0.02)
     assert T[kept][-1] == pytest.approx(18 - 2 * 0.45 / 0.95 - 1.5, abs=0.02)
@@ -23,27 +25,27 @@ def test_crop_takes_the_margin_off_both_sides():
 def test_a_short_dropout_of_height_does_not_cut_the_flight():
     height = HEIGHT.copy()
     height[1000:1010] = 0.0
-    assert (crop(T, height) == crop(T, HEIGHT)).all()
+    assert (crop(T, height, **CROP) == crop(T, HEIGHT, **CROP)).all()
 
 
 def test_a_landing_between_two_flights_makes_two():
     height = HEIGHT.copy()
     height[900:1100] = 0.05
-    kept = crop(T, height)
+    kept = crop(T, height, **CROP)
     assert not kept[760:1240].any() and kept[700] and kept[1300]
 
 
 def test_a_log_that_starts_in_the_air_is_kept():
-    assert crop(T, 1 + 0.1 * np.sin(T)).all()
+    assert crop(T, 1 + 0.1 * np.sin(T), **CROP).all()
 
 
 def test_a_log_on_the_ground_has_no_flight():
-    assert not crop(T, 0.05 + 0 * T).any() and not crop(T, thrust=0 * T).any()
+    assert not crop(T, 0.05 + 0 * T, **CROP).any() and not crop(T, None, thrust=0 * T, **CROP).any()
 
 
 def test_thrust_tells_where_there_is_no_height():
     thrust = np.where((T > 3) & (T < 17), 0.6, 0.0)
-    assert T[crop(T, thrust=thrust, margin=0.0)][0] == pytest.approx(3, abs=0.02)
+    assert T[crop(T, None, thrust=thrust, clearance=0.0, margin=0.0)][0] == pytest.approx(3, abs=0.02)
 
 
 def test_derivative_of_tones_and_its_bandwidth():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.log.signal import Stream, estimate_offset
+from quadexp.log.signal import Stream
+from quadexp.log.signal.offset import estimate_offset
 
 
 def motion(t):
@@ -64,20 +65,6 @@ def test_nothing_moves():
     t = np.arange(0, 20, 0.01)
     with pytest.raises(DataError, match="does not move"):
         estimate_offset(Stream(t, np.ones(2000)), Stream(t, np.sin(t)))
-
-
-@pytest.mark.parametrize("offset", [0.0, 0.005, -0.005, 0.02, 0.05])
-def test_drag_is_told_from_a_delay(offset, rng):
-    """b = a - d int a, slow: its phase leads by some 60 ms, though nothing is late."""
-    t = np.arange(0, 60, 0.01)
-    a = np.stack([np.sin(1.9 * t) + 0.5 * np.sin(3.1 * t + 1) + 0.3 * np.sin(4.7 * t)], axis=1)
-    v = np.cumsum(a, axis=0) * 0.01
-    later = lambda x: np.stack([np.interp(t - offset, t, column) for column in x.T], axis=1)  # noqa: E731
-    b = later(a - 0.3 * v) + 0.01 * rng.normal(size=a.shape)
-    alone = estimate_offset(Stream(t, a), Stream(t, b))
-    found = estimate_offset(Stream(t, a), Stream(t, b), beside=Stream(t, later(v)))
-    assert abs(alone.seconds - offset) > 0.02
-    assert found.certain and abs(found.seconds - offset) < 4 * found.error + 5e-4 and found.error < 5e-3
 
 
 def test_a_flight_that_turns_in_a_moment_only_is_not_certain(rng):

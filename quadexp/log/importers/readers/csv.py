@@ -6,9 +6,8 @@ from functools import cache
 from pathlib import Path
 
 from quadexp.errors import DataError
-from quadexp.log.importers.mapped import read_mapped
-from quadexp.log.importers.mapping_reader import Mapping, load_mapping
-from quadexp.log.importers.raw import RawLog
+from quadexp.log.importers.mapping import Mapping, load_mapping
+from quadexp.log.importers.raw import RawLog, read_mapped
 from quadexp.log.importers.table import kind_of, open_table
 from quadexp.parts.schema import conf_folder
 

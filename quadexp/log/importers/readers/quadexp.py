@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, RawLog, clean_stream, columns_of
+from quadexp.log.importers.mapping import QUANTITIES, ROTORS, Crop, columns_of
+from quadexp.log.importers.raw import RawLog, clean_stream
 from quadexp.log.importers.table import Table, kind_of, open_table
 from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
 from quadexp.log.store import first_line, read_table
@@ -68,7 +69,7 @@ def _is_tum(table: Table) -> bool:
 def _streams(path: Path, columns: dict[str, np.ndarray], notes: list[str]) -> RawLog:
     """A log under the names of a flight's columns, so in their units and frames, and the vehicle's order of rotors."""
     log = RawLog("csv", {}, "quadexp", notes=notes)
-    for quantity, names in QUANTITIES.items():
+    for quantity, (names, *_) in QUANTITIES.items():
         if quantity in ROTORS:
             names = columns_of(quantity, sum(c.startswith(names[0].format("")) for c in columns))
         if names and set(names) <= set(columns):

@@ -13,19 +13,16 @@ ROS is ENU and FLU already (REP 103). Several topics of one kind: estimate befor
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import DataError, QuadexpError
+from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.declared import allowed_bytes
-from quadexp.log.extras import missing_package
-from quadexp.log.importers.mapped import with_attitude
-from quadexp.log.importers.raw import RawLog, clean_stream
-from quadexp.log.signal import Stream, increasing
+from quadexp.log.importers.raw import RawLog, sorted_stream, with_attitude
+from quadexp.log.signal import Stream
 from quadexp.log.store import first_line
 from quadexp.log.units import UNITS
 
@@ -38,14 +35,13 @@ RPM = UNITS["rotor_speed"]["rpm"]
 LEAST_MESSAGES = 10
 
 
-@dataclass
-class _Rows:
+class _Rows(NamedTuple):
     """What one topic gave for one quantity. in_body: whether vectors are in the body frame."""
 
     topic: str
-    t: list[float] = field(default_factory=list)
-    values: list[list[float]] = field(default_factory=list)
-    in_body: bool = False
+    in_body: bool
+    t: list[float]
+    values: list[list[float]]
 
 
 ABOUT = "ROS 1 and ROS 2; needs [logs]"
@@ -141,11 +137,13 @@ def _take(found: _Found, fields: _Fields, topic: str, t: float, message: Any) ->
         values = _values(message, place)
         count = len(values)
         fits = count == _WIDTHS[quantity] if quantity in _WIDTHS else 3 <= count <= MOST_ROTORS
-        if quantity in done or not fits or (place == "orientation" and not _is_known(message, values)):
+        if place == "orientation":  # which an IMU may not know
+            fits &= abs(sum(x * x for x in values) - 1) < 1e-2 and message.orientation_covariance[0] >= 0
+        if quantity in done or not fits:
             continue
         done.add(quantity)
         in_body = quantity == "velocity" and _in_body(topic, message)
-        rows = found.setdefault(quantity, {}).setdefault(topic, _Rows(topic, in_body=in_body))
+        rows = found.setdefault(quantity, {}).setdefault(topic, _Rows(topic, in_body, [], []))
         if not rows.values or count == len(rows.values[0]):
             rows.t.append(t)
             rows.values.append(values)
@@ -155,18 +153,13 @@ def _values(message: Any, place: str) -> list[float]:
     """Numbers at a place of a message, quaternions w first, speeds in rad/s; empty where there are none."""
     item: Any = message
     for name in place.split("."):
-        item = [getattr(one, name, 0.0) for one in item] if isinstance(item, list) else getattr(item, name, None)
+        item = [getattr(part, name, 0.0) for part in item] if isinstance(item, list) else getattr(item, name, None)
     if item is not None and hasattr(item, "x"):
         return [float(getattr(item, axis)) for axis in ("wxyz" if hasattr(item, "w") else "xyz")]
     values = np.atleast_1d(np.asarray([] if item is None else item)).ravel()
     if values.dtype.kind not in "fiu":
         return []
     return [RPM * abs(float(v)) for v in values] if "rpm" in place else [float(v) for v in values]
-
-
-def _is_known(message: Any, q: list[float]) -> bool:
-    """Whether an IMU says its attitude."""
-    return abs(sum(x * x for x in q) - 1) < 1e-2 and message.orientation_covariance[0] >= 0
 
 
 def _in_body(topic: str, message: Any) -> bool:
@@ -197,11 +190,7 @@ def _choose(path: Path, log: RawLog, found: _Found) -> None:
         raise DataError(f"{path}: no topic has {LEAST_MESSAGES} messages of use")
     for quantity, rows in chosen.items():
         t, values = np.array(rows.t), np.array(rows.values)
-        order = np.argsort(t, kind="stable")
-        later = increasing(t[order])
-        log.streams[quantity] = clean_stream(
-            path, f"{quantity} ({rows.topic})", t[order][later], values[order][later], log.notes
-        )
+        log.streams[quantity] = sorted_stream(path, f"{quantity} ({rows.topic})", t, values, log.notes)
     if "velocity" in chosen and chosen["velocity"].in_body and "attitude" in log.streams:
         stream, R = with_attitude(log.streams, "velocity")
         log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, QuadexpError
-from quadexp.log.extras import missing_package
+from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.importers.px4 import TOPICS, read_topics
 from quadexp.log.importers.raw import RawLog
 from quadexp.log.store import first_line

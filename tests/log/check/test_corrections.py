@@ -13,25 +13,12 @@ import numpy as np
 import pytest
 import yaml
 
-from quadexp.errors import UsageError
-from quadexp.experiment.import_flights import import_files
-from quadexp.log.hypotheses.candidates import (
-    Candidate,
-    candidates,
-    clock_candidate,
-    flow,
-    merged,
-    scale_candidates,
-)
-from quadexp.log.hypotheses.windows import STREAMS, Windows
-from quadexp.log.importers import Options
-from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.check.candidates import Candidate, candidates, clock_candidate, flow, scale_candidates
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_table
+from quadexp.log.signal.windows import STREAMS, Windows
 from tests.log.check.faults import FRD, NED, P, V, W, inject, put, take
 from tests.log.imitated import imitated
-from tests.log.importers.logs import write_csv
-from tests.log.importers.test_bad_rows import MAPPING
+from tests.log.importers.logs import MAPPING, imported
 
 EVERY = [
     *candidates(frozenset("pqvwf")),
@@ -72,16 +59,8 @@ def broken(flight: Flight, one: Candidate) -> Flight:
     return Flight(columns, flight.metadata)
 
 
-def imported(folder, log, mapping: str, *, align: bool = False) -> tuple[Flight, list]:
-    (folder / "mapping.yaml").write_text(mapping)
-    options = Options(mapping=folder / "mapping.yaml", align=align)
-    (outcome,) = import_files([log], folder / "out", options, force=True, keep=True)
-    assert outcome.path is not None, outcome.cause
-    return Flight(*read_table(outcome.path, "flight")), outcome.findings
-
-
-def blocking(findings: list) -> list:
-    return [one for one in findings if one.blocks]
+def blocking(folder, flight: Flight, mapping: str = MAPPING) -> list:
+    return [one for one in imported(folder, flight, mapping)[0].findings if one.blocks]
 
 
 def printed(message: str) -> list[dict]:
@@ -97,12 +76,11 @@ def corrected(mapping: str, findings: list) -> str:
 
 
 def mends(folder, flight: Flight, one: Candidate, change: Callable[[str, list], str] = corrected) -> None:
-    log = write_csv(folder / "log.csv", dict(broken(flight, one).columns))
-    _, findings = imported(folder, log, MAPPING)
-    found = [finding for finding in blocking(findings) if finding.correction]  # the others are symptoms, and go
+    wrong = broken(flight, one)
+    found = [x for x in blocking(folder, wrong) if x.correction]  # the others are symptoms, and go
     assert found, "not noticed"
-    mended, left = imported(folder, log, change(MAPPING, found))
-    assert not blocking(left), ([x.message for x in found], [x.message for x in left])
+    outcome, mended = imported(folder, wrong, change(MAPPING, found))
+    assert mended is not None, ([x.message for x in found], outcome.lines())
     if [x.correction for x in found] == [one.correction]:
         for names in STREAMS.values():
             np.testing.assert_allclose(mended.stack(names), flight.stack(names), atol=3e-3)
@@ -145,8 +123,8 @@ def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
     def in_place(mapping: str, findings: list) -> str:
         made = yaml.safe_load(mapping)
         for one in findings:
-            for lines in printed(one.message):
-                made = merged(made, lines)
+            for key, value in ((key, value) for lines in printed(one.message) for key, value in lines.items()):
+                made[key] = {**made.get(key, {}), **value} if isinstance(value, dict) else value
         return flow(made)
 
     for one in OTHERS[::6]:
@@ -154,11 +132,10 @@ def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
 
 
 def test_a_late_sensor_is_moved_by_the_option_that_is_offered(flights, tmp_path):
-    log = write_csv(tmp_path / "log.csv", dict(inject(flights[0], "imu_50_ms_late").columns))
-    _, findings = imported(tmp_path, log, MAPPING)
-    (found,) = [one for one in findings if one.severity != "info"]
+    late = inject(flights[0], "imu_50_ms_late")
+    (found,) = [one for one in imported(tmp_path, late)[0].findings if one.severity != "info"]
     assert found.name == "time_offset" and "`import --align`" in found.advice
-    _, left = imported(tmp_path, log, MAPPING, align=True)
+    left = imported(tmp_path, late, align=True)[0].findings
     assert not [one.message for one in left if one.severity != "info"]
 
 
@@ -171,30 +148,9 @@ def test_two_faults_under_a_mapping_with_frames_and_units(flights, tmp_path):
     put(columns, acc, take(columns, acc) @ FRD * [1, -1, 1] / 9.80665)
     words = MAPPING.replace("v_z]}", "v_z], frame: NED}").replace("p_z]}", "p_z], frame: NED}")
     words = words.replace("w_z]}", "w_z], frame: FRD, unit: deg/s}").replace("acc_z]}", "acc_z], frame: FRD}")
-    log = write_csv(tmp_path / "log.csv", columns)
-    _, findings = imported(tmp_path, log, words)
-    found = blocking(findings)
+    wrong = Flight(columns, flights[0].metadata)
+    found = blocking(tmp_path, wrong, words)
     assert {one.name for one in found} == {"units", "sign_flip"}
-    mended, left = imported(tmp_path, log, corrected(words, found))
-    assert not blocking(left)
+    _, mended = imported(tmp_path, wrong, corrected(words, found))
     for names in STREAMS.values():
         np.testing.assert_allclose(mended.stack(names), flights[0].stack(names), atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ("corrections: {rate: {unit: deg/s}}", "must be a list of lines"),
-        ("corrections: [{wind: {unit: m/s}}]", "'wind': allowed are world, body, time, rate"),
-        ("corrections: [{rate: {unit: rpm}}]", "unit 'rpm' is not known"),
-        ("corrections: [{rate: {columns: [a, b, c]}}]", "unknown key"),
-        ("corrections: [{time: {scale: -1}}]", "must be one positive number"),
-        ("corrections: [{time: {column: x}}]", "unknown key"),
-        ("corrections: [{rate: }]", "must be a mapping"),
-    ],
-)
-def test_one_line_says_what_is_wrong_with_a_correction(tmp_path, lines, message):
-    (tmp_path / "m.yaml").write_text(f"time: {{column: t}}\nrate: {{columns: [a, b, c]}}\n{lines}\n")
-    with pytest.raises(UsageError, match=message) as error:
-        load_mapping(tmp_path / "m.yaml")
-    assert "m.yaml:3:" in str(error.value)

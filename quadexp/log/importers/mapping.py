@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping as Mapped
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, columns_of
 from quadexp.log.units import (
     BODY_FRAMES,
     ELECTRICAL,
@@ -43,6 +43,36 @@ from quadexp.log.units import (
 from quadexp.messages import suggestion
 from quadexp.parts.plain_data import read_data
 
+
+class Quantity(NamedTuple):
+    """columns: of a flight; {} stands for the number of a rotor. dimension: of its units. keys: that it alone has."""
+
+    columns: tuple[str, ...]
+    dimension: str
+    keys: tuple[str, ...] = ()
+
+
+def _vector(name: str, axes: str = "xyz") -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}" for axis in axes)
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "position": Quantity(_vector("p"), "length"),
+    "attitude": Quantity(_vector("q", "wxyz"), "angle", ("order", "direction")),
+    "velocity": Quantity(_vector("v"), "velocity"),
+    "rate": Quantity(_vector("w"), "rate", ("mounting",)),
+    "acceleration": Quantity(_vector("acc"), "acceleration", ("kind", "mounting")),
+    "motor_command": Quantity(("motor_command_{}",), "none", ("range", "layout")),
+    "rotor_speed": Quantity(("rotor_speed_{}",), "rotor_speed", ("layout", "pole_pairs")),
+    "rotor_thrust": Quantity(("u_{}",), "force", ("layout",)),
+    "thrust_acceleration": Quantity(("thrust_acceleration",), "acceleration"),
+    "battery_voltage": Quantity(("battery_voltage",), "voltage"),
+    "wind": Quantity(_vector("wind"), "velocity"),
+    "reference_position": Quantity(_vector("ref_p"), "length"),
+    "reference_velocity": Quantity(_vector("ref_v"), "velocity"),
+    "reference_attitude": Quantity(_vector("ref_q", "wxyz"), "angle", ("order", "direction")),
+}
+ROTORS = ("motor_command", "rotor_speed", "rotor_thrust")
 # Where the places of a rotor are, as signs of x and y in FLU.
 PLACES = {
     "front_right": (1, -1), "back_right": (-1, -1), "back_left": (-1, 1), "front_left": (1, 1),
@@ -50,27 +80,30 @@ PLACES = {
 }  # fmt: skip
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
+IN_BODY = ("rate", "acceleration")  # unless `frame` says otherwise
 _TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")
-_OWN = {
-    "attitude": ("order", "direction"),
-    "reference_attitude": ("order", "direction"),
-    "rate": ("mounting",),
-    "acceleration": ("kind", "mounting"),
-    "motor_command": ("range", "layout"),
-    "rotor_speed": ("layout", "pole_pairs"),
-    "rotor_thrust": ("layout",),
-}
-_DIMENSION = {
-    "position": "length", "velocity": "velocity", "rate": "rate", "acceleration": "acceleration",
-    "rotor_speed": "rotor_speed", "rotor_thrust": "force", "thrust_acceleration": "acceleration",
-    "battery_voltage": "voltage", "wind": "velocity", "reference_position": "length",
-    "reference_velocity": "velocity", "motor_command": "none",
-}  # fmt: skip
+
+
+def columns_of(quantity: str, width: int) -> tuple[str, ...]:
+    """Names of the flight's columns that a stream of `width` values fills."""
+    names = QUANTITIES[quantity].columns
+    return tuple(names[0].format(i) for i in range(width)) if quantity in ROTORS else names
 
 
 @dataclass(frozen=True)
-class Clock:
+class Crop:
+    """What is cut off. mode: "auto" (ground phases, from height and motion), "height", or "none".
+
+    height: of the vehicle above which it flies (m). margin: cut off both ends of the flight besides (s).
+    """
+
+    mode: str = "auto"
+    height: float | None = None
+    margin: float = 0.0
+
+
+class Clock(NamedTuple):
     """column, and factor to seconds."""
 
     column: str
@@ -87,9 +120,9 @@ class Entry:
 
     columns: tuple[str, ...]
     factor: np.ndarray
+    clock: Clock | None = None
     axes: np.ndarray = field(default_factory=lambda: np.eye(3))
     in_body: bool = False
-    clock: Clock | None = None
     order: str = "wxyz"
     inverse: bool = False
     world: np.ndarray = field(default_factory=lambda: np.eye(3))
@@ -146,15 +179,12 @@ def correction(lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
 
 def _lines(node: Any, prefix: str = "") -> dict[str, int]:
     """Dotted key -> line."""
-    import yaml
-
-    found: dict[str, int] = {}
-    if isinstance(node, yaml.MappingNode):
+    lines: dict[str, int] = {}
+    if node.id == "mapping":
         for key, value in node.value:
             name = f"{prefix}{key.value}"
-            found[name] = key.start_mark.line + 1
-            found |= _lines(value, f"{name}.")
-    return found
+            lines |= {name: key.start_mark.line + 1, **_lines(value, f"{name}.")}
+    return lines
 
 
 class _Reader:
@@ -163,26 +193,44 @@ class _Reader:
     def __init__(self, path: Path, lines: Mapped[str, int]) -> None:
         self.path, self.lines = path, lines
 
-    def fail(self, key: str, text: str) -> UsageError:
+    def at(self, key: str) -> str:
         parts = key.split(".")
         line = next((self.lines[k] for n in range(len(parts), 0, -1) if (k := ".".join(parts[:n])) in self.lines), 1)
-        return UsageError(f"{self.path}:{line}: {key}: {text}")
+        return f"{self.path}:{line}: {key}"
 
-    def at(self, key: str) -> str:
-        return str(self.fail(key, "")).removesuffix(": ")
+    def fail(self, key: str, text: str) -> UsageError:
+        return UsageError(f"{self.at(key)}: {text}")
+
+    def one_of(self, key: str, value: Any, allowed: Sequence[str]) -> str:
+        if value not in allowed:
+            raise self.fail(key, f"{value!r} is not known; allowed are {', '.join(allowed)}")
+        return str(value)
+
+    def known(self, key: str, value: Any, allowed: Sequence[str]) -> None:
+        """Whether a value is a mapping of no other keys than these."""
+        if not isinstance(value, dict):
+            raise self.fail(key, f"must be a mapping {{{', '.join(allowed)}}}")
+        for name in map(str, value):
+            if name not in allowed:
+                where = f"{key}.{name}".removeprefix(".")
+                raise self.fail(where, f"unknown key{suggestion(name, allowed)}; allowed are {', '.join(allowed)}")
+
+    def numbers(self, key: str, value: Any, counts: Sequence[int], what: str) -> list[float]:
+        """A number, or a list of them, of so many numbers."""
+        items = value if isinstance(value, list) else [value]
+        real = all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in items)
+        if not real or len(items) not in counts:
+            raise self.fail(key, f"{value!r} must be {what}")
+        return items
 
     def mapping(self, values: dict[str, Any]) -> Mapping:
-        for key in values:
-            if key not in _TOP:
-                raise self.fail(str(key), f"unknown key{suggestion(str(key), _TOP)}; allowed are {', '.join(_TOP)}")
-        form = values.get("format", "text")
-        if form not in ("text", "hdf5"):
-            raise self.fail("format", f"{form!r} is not known; allowed are text, hdf5")
+        self.known("", values, _TOP)
+        form = self.one_of("format", values.get("format", "text"), ("text", "hdf5"))
         if "time" not in values:
             raise self.fail("time", "is missing: `time: {column: t, unit: s}`")
         frames = {
-            "world": self.axes("world", values.get("world", "ENU")),
-            "body": self.axes("body", values.get("body", "FLU")),
+            kind: axes_matrix(kind, values.get(kind, usual), self.at(kind))
+            for kind, usual in (("world", "ENU"), ("body", "FLU"))
         }
         entries = {name: self.entry(name, values[name], frames) for name in QUANTITIES if values.get(name) is not None}
         if not entries:
@@ -190,11 +238,10 @@ class _Reader:
         layouts = {tuple(lay) for name in ROTORS if (lay := (values.get(name) or {}).get("layout"))}
         if len(layouts) > 1:
             raise self.fail("layout", "two quantities with different layouts: one log has one order of motors")
-        signature = values.get("signature") or []
         return Mapping(
             str(values.get("name", self.path.stem)), form, self.clock("time", values["time"]), entries,
-            next(iter(layouts), None), self.crop(values.get("crop", "auto")), tuple(map(str, signature)),
-            self.corrections(values.get("corrections") or [], entries),
+            next(iter(layouts), None), self.crop(values.get("crop", "auto")),
+            tuple(map(str, values.get("signature") or [])), self.corrections(values.get("corrections") or [], entries),
         )  # fmt: skip
 
     def corrections(self, value: Any, entries: dict[str, Entry]) -> tuple[Mapping, ...]:
@@ -203,78 +250,65 @@ class _Reader:
             raise self.fail("corrections", "must be a list of lines of a mapping, such as `- rate: {unit: deg/s}`")
         allowed = ("world", "body", "time", *entries)
         reader = _Reader(self.path, dict.fromkeys(allowed, self.lines.get("corrections", 1)))
-        made = []
-        for one in value:
-            for key, lines in one.items():
-                if key not in allowed:
-                    raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
-                if key not in ("world", "body"):
-                    own = [name for name in _OWN.get(key, ()) if name != "layout"]
-                    reader.known(key, lines, ("unit", "scale", *(["frame"] if key != "time" else []), *own))
-            made.append(reader.correction(one, {name: len(entry.columns) for name, entry in entries.items()}))
-        return tuple(made)
+        for key, lines in ((key, lines) for one in value for key, lines in one.items()):
+            if key not in allowed:
+                raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
+            if key in entries:
+                keys = [name for name in QUANTITIES[key].keys if name != "layout"]
+                reader.known(key, lines, ("unit", "scale", "frame", *keys))
+            elif key == "time":
+                reader.known(key, lines, ("unit", "scale"))
+        return tuple(reader.correction(one, {name: len(e.columns) for name, e in entries.items()}) for one in value)
 
     def correction(self, lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
         """Lines as a mapping of which streams in SI, ENU and FLU are the log. widths: columns by quantity."""
         streams = {name: {"columns": list(columns_of(name, n)), **lines.get(name, {})} for name, n in widths.items()}
         return self.mapping({**lines, **streams, "time": {"column": "t", **lines.get("time", {})}})
 
-    def axes(self, kind: str, frame: Any, key: str = "") -> np.ndarray:
-        return axes_matrix(kind, frame, self.at(key or kind))
-
     def clock(self, key: str, value: Any) -> Clock:
         self.known(key, value, ("column", "unit", "scale"))
         if not isinstance(value.get("column"), (str, int)):
             raise self.fail(f"{key}.column", "must name one column")
         factor = unit_factor("time", str(value.get("unit", "s")), self.at(f"{key}.unit"))
-        scale = value.get("scale", 1.0)
-        if isinstance(scale, list) or not self.numbers(f"{key}.scale", scale) > 0:
+        (scale,) = self.numbers(f"{key}.scale", value.get("scale", 1.0), [1], "one positive number")
+        if scale <= 0:
             raise self.fail(f"{key}.scale", f"{scale!r} must be one positive number")
         return Clock(str(value["column"]), factor * scale)
 
-    def known(self, key: str, value: Any, allowed: tuple[str, ...]) -> None:
-        if not isinstance(value, dict):
-            raise self.fail(key, f"must be a mapping {{{', '.join(allowed)}}}")
-        for name in value:
-            if name not in allowed:
-                raise self.fail(f"{key}.{name}", f"unknown key; allowed are {', '.join(allowed)}")
-
     def entry(self, name: str, value: Any, frames: dict[str, np.ndarray]) -> Entry:
-        self.known(name, value, (*_ENTRY, *_OWN.get(name, ())))
+        dimension, keys = QUANTITIES[name][1:]
+        self.known(name, value, (*_ENTRY, *keys))
         columns = self.names(name, value)
         options: dict[str, Any] = {"clock": self.clock(f"{name}.time", value["time"]) if "time" in value else None}
-        if name.endswith("attitude"):
-            options |= self.attitude(name, value, columns, frames)
-            factor = options.pop("unit")
+        if dimension == "angle":
+            options |= self.attitude(name, value, len(columns), frames)
         else:
-            dimension = _DIMENSION[name]
-            unit = str(value.get("unit", next(iter(UNITS[dimension]))))
-            factor = unit_factor(dimension, unit, self.at(f"{name}.unit"))
             options |= self.frame(name, value, frames)
-            if name == "rotor_speed":
-                factor /= self.pole_pairs(unit, value.get("pole_pairs"))
-        if name == "acceleration":
-            kind = value.get("kind", "specific_force")
-            if kind not in KINDS:
-                raise self.fail(f"{name}.kind", f"{kind!r} is not known; allowed are {', '.join(KINDS)}")
-            options["coordinate"] = kind == "coordinate"
+        factor, unit = 1.0, str(value.get("unit", next(iter(UNITS[dimension]))))
+        if options.get("order", "rpy") == "rpy":  # a quaternion has no unit
+            factor = unit_factor(dimension, unit, self.at(f"{name}.unit"))
+        if name == "rotor_speed":
+            factor /= self.pole_pairs(unit, value.get("pole_pairs"))
+        if "kind" in value:
+            options["coordinate"] = self.one_of(f"{name}.kind", value["kind"], KINDS) == "coordinate"
         if value.get("mounting") is not None:
             if not options["in_body"]:
                 raise self.fail(f"{name}.mounting", "turns a sensor in the body, but `frame` says world")
-            options["mounting"] = self.mounting(f"{name}.mounting", value["mounting"])
-        if name == "motor_command":
-            options |= self.range(value.get("range", [0, 1]))
-        if name in ROTORS and value.get("layout"):
+            what = "[roll, pitch, yaw] of the sensor in the body (deg)"
+            options["mounting"] = mounting_matrix(self.numbers(f"{name}.mounting", value["mounting"], [3], what))
+        if "range" in value:
+            what = "[value of command 0, value of command 1]"
+            low, high = map(float, self.numbers(f"{name}.range", value["range"], [2], what))
+            if low == high:
+                raise self.fail(f"{name}.range", f"must be {what}")
+            options |= {"low": low, "high": high}
+        if value.get("layout"):
             self.layout(name, value["layout"], len(columns))
-        scale = np.atleast_1d(np.asarray(self.numbers(f"{name}.scale", value.get("scale", 1.0)), float))
-        if len(scale) not in (1, len(columns)) or not scale.all():
-            raise self.fail(f"{name}.scale", "must be one number, or one a column, and not zero")
+        what = "one number, or one a column, and not zero"
+        scale = np.array(self.numbers(f"{name}.scale", value.get("scale", 1.0), [1, len(columns)], what), float)
+        if not scale.all():
+            raise self.fail(f"{name}.scale", f"must be {what}")
         return Entry(columns, factor * scale, **options)
-
-    def mounting(self, key: str, value: Any) -> np.ndarray:
-        if not isinstance(value, list) or len(value) != 3:
-            raise self.fail(key, f"{value!r} must be [roll, pitch, yaw] of the sensor in the body (deg)")
-        return mounting_matrix(self.numbers(key, value))
 
     def pole_pairs(self, unit: str, value: Any) -> float:
         """Turns of the field for one of the rotor, 1 for a unit that counts the rotor's own."""
@@ -293,81 +327,58 @@ class _Reader:
             given = [given]
         if not isinstance(given, list) or not given:
             raise self.fail(f"{name}.columns", "must be a list of the log's columns")
-        widths = (3, 4) if name.endswith("attitude") else range(1, 33) if name in ROTORS else (len(QUANTITIES[name]),)
+        own = len(QUANTITIES[name].columns)
+        widths: Sequence[int] = (3, 4) if own == 4 else range(1, 33) if name in ROTORS else (own,)
+        count = " or ".join(map(str, widths)) if name not in ROTORS else "1 to 32"
         if len(given) not in widths:
-            count = " or ".join(map(str, widths)) if name not in ROTORS else "1 to 32"
             raise self.fail(f"{name}.columns", f"{len(given)} columns are given, {count} are needed")
         if len(set(map(str, given))) < len(given):
             raise self.fail(f"{name}.columns", "one column is given twice")
         return tuple(map(str, given))
 
-    def numbers(self, key: str, value: Any) -> Any:
-        items = value if isinstance(value, list) else [value]
-        if not all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in items):
-            raise self.fail(key, f"{value!r} is not a number")
-        return value
-
     def frame(self, name: str, value: dict[str, Any], frames: dict[str, np.ndarray]) -> dict[str, Any]:
         """axes and in_body of a vector; the body frame is the default of rate and acceleration."""
-        if len(QUANTITIES[name]) != 3:
+        key = f"{name}.frame"
+        if len(QUANTITIES[name].columns) != 3:
             if "frame" in value:
-                raise self.fail(f"{name}.frame", "is of no use here: the quantity is no vector")
+                raise self.fail(key, "is of no use here: the quantity is no vector")
             return {}
-        text = str(value.get("frame", "body" if name in ("rate", "acceleration") else "world")).strip().lower()
+        text = str(value.get("frame", "body" if name in IN_BODY else "world")).strip().lower()
         kind, _, axes = text.partition(" ")
-        if kind in ("world", "body"):
-            return {"axes": self.axes(kind, axes, f"{name}.frame") if axes else frames[kind], "in_body": kind == "body"}
         if text in WORLD_FRAMES or text in BODY_FRAMES:
-            kind = "world" if text in WORLD_FRAMES else "body"
-            made = {"axes": self.axes(kind, text, f"{name}.frame"), "in_body": kind == "body"}
-        else:
+            kind, axes = "world" if text in WORLD_FRAMES else "body", text
+            if kind == "body" and name not in (*IN_BODY, "velocity"):
+                raise self.fail(key, "must be a world frame")
+        elif kind not in frames:
+            allowed = ", ".join([*WORLD_FRAMES, *BODY_FRAMES]).upper()
             raise self.fail(
-                f"{name}.frame", f"{text!r} is not known; allowed: {', '.join([*WORLD_FRAMES, *BODY_FRAMES]).upper()},"
-                ' or axes such as "body x -y -z" or "world y x -z"'
-            )  # fmt: skip
-        if made["in_body"] and name in ("position", "wind", "reference_position", "reference_velocity"):
-            raise self.fail(f"{name}.frame", "must be a world frame")
-        return made
+                key, f'{text!r} is not known; allowed: {allowed}, or axes such as "body x -y -z" or "world y x -z"'
+            )
+        return {"axes": axes_matrix(kind, axes, self.at(key)) if axes else frames[kind], "in_body": kind == "body"}
 
-    def attitude(
-        self, name: str, value: dict[str, Any], columns: tuple[str, ...], frames: dict[str, Any]
-    ) -> dict[str, Any]:
-        order = str(value.get("order", "wxyz" if len(columns) == 4 else "rpy")).lower()
-        allowed = ("wxyz", "xyzw") if len(columns) == 4 else ("rpy",)
-        if order not in allowed and not (len(columns) == 4 and sorted(order) == sorted("wxyz")):
-            raise self.fail(f"{name}.order", f"{order!r} is not known; allowed are {', '.join(allowed)}")
-        direction = str(value.get("direction", DIRECTIONS[0]))
-        if direction not in DIRECTIONS:
-            raise self.fail(f"{name}.direction", f"{direction!r} is not known; allowed are {', '.join(DIRECTIONS)}")
+    def attitude(self, name: str, value: dict[str, Any], count: int, frames: dict[str, Any]) -> dict[str, Any]:
+        order = str(value.get("order", "wxyz" if count == 4 else "rpy")).lower()
+        if count == 3 or sorted(order) != sorted("wxyz"):
+            self.one_of(f"{name}.order", order, ("wxyz", "xyzw") if count == 4 else ("rpy",))
+        direction = self.one_of(f"{name}.direction", value.get("direction", DIRECTIONS[0]), DIRECTIONS)
         if "frame" in value:
             raise self.fail(f"{name}.frame", "give the frames as `world:` and `body:` at the top")
         if not is_rotation(frames["world"] @ frames["body"]):
             raise self.fail("body", "of the world and the body frame one is left-handed: no attitude joins them")
-        unit = unit_factor("angle", str(value.get("unit", "rad")), self.at(f"{name}.unit")) if order == "rpy" else 1.0
-        return {
-            "order": order, "inverse": direction == DIRECTIONS[1], "unit": unit,
-            "axes": frames["body"], "world": frames["world"],
-        }  # fmt: skip
-
-    def range(self, value: Any) -> dict[str, float]:
-        if not isinstance(value, list) or len(value) != 2 or value[0] == value[1]:
-            raise self.fail("motor_command.range", "must be [value of command 0, value of command 1]")
-        low, high = self.numbers("motor_command.range", value)
-        return {"low": float(low), "high": float(high)}
+        return {"order": order, "inverse": direction == DIRECTIONS[1], "axes": frames["body"], "world": frames["world"]}
 
     def layout(self, name: str, value: Any, count: int) -> None:
         if not isinstance(value, list) or len(value) != count or len(set(map(str, value))) != count:
             raise self.fail(f"{name}.layout", f"must be {count} different places, one for every column")
         for place in value:
-            if place not in PLACES:
-                raise self.fail(f"{name}.layout", f"{place!r} is not known; allowed are {', '.join(PLACES)}")
+            self.one_of(f"{name}.layout", place, tuple(PLACES))
 
     def crop(self, value: Any) -> Crop:
         if value in ("auto", "none", False, None):
             return Crop("auto" if value == "auto" else "none")
         self.known("crop", value, ("height", "margin"))
-        height, margin = value.get("height"), value.get("margin", 0.0)
-        self.numbers("crop.margin", margin)
-        if height is None:
+        (margin,) = self.numbers("crop.margin", value.get("margin", 0.0), [1], "a number")
+        if value.get("height") is None:
             return Crop("auto", None, float(margin))
-        return Crop("height", float(self.numbers("crop.height", height)), float(margin))
+        (height,) = self.numbers("crop.height", value["height"], [1], "a number")
+        return Crop("height", float(height), float(margin))

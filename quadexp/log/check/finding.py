@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
+from quadexp.log.signal import runs
+
 # What mends bad samples.
 LEAVE_OUT = "`import --bad-rows drop` leaves them out, `--bad-rows gap` makes them gaps"
 SEVERITIES = ("info", "warning", "blocking")
@@ -12,10 +16,10 @@ SEVERITIES = ("info", "warning", "blocking")
 
 @dataclass(frozen=True)
 class Finding:
-    """name: of the fault . severity: "info", "warning" (use with care) or "blocking"
-    (what is learned from the flight would be wrong). where: columns and time span or samples. measured, allowed: text
-    with units. advice: what to do, or "". span: first and last time of `where` (s), for a stretch.
-    correction: lines of the import's mapping that mend it.
+    """name: of the fault. severity: one of SEVERITIES; "blocking": what is learned from the flight would be wrong.
+
+    where: columns and time span or samples. measured, allowed: text with units. advice: what to do, or "".
+    span: first and last time of `where` (s), for a stretch. correction: lines of the import's mapping that mend it.
     """
 
     name: str
@@ -26,10 +30,6 @@ class Finding:
     advice: str = ""
     span: tuple[float, float] | None = None
     correction: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.severity not in SEVERITIES:
-            raise ValueError(f"severity {self.severity!r}: one of {', '.join(SEVERITIES)}")
 
     @property
     def message(self) -> str:
@@ -51,15 +51,19 @@ def worst_first(findings: list[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda finding: -SEVERITIES.index(finding.severity))
 
 
-def span(t: Any, start: int, stop: int) -> tuple[float, float]:
-    """Times of samples start..stop-1."""
-    return float(t[start]), float(t[min(stop, len(t)) - 1])
+def longest(mask: np.ndarray) -> tuple[int, int]:
+    """The longest run of True, (start, stop)."""
+    return max(runs(mask), key=lambda run: run[1] - run[0])
 
 
-def place(start: int, stop: int, t: Any = None) -> str:
-    """Samples start..stop-1 in words, with their times."""
-    text = f"sample {start}" if stop - start <= 1 else f"samples {start}..{stop - 1}"
-    if t is None:
-        return text
+def of_rows(
+    name: str, severity: str, columns: str, rows: tuple[int, int], t: np.ndarray, text: str, allowed: str,
+    advice: str = LEAVE_OUT,
+) -> Finding:  # fmt: skip
+    """A finding about the samples rows[0]..rows[1] - 1 of some columns."""
+    start, stop = rows
     low, high = float(t[start]), float(t[min(stop, len(t)) - 1])
-    return f"{text}, {low:.2f} s" if stop - start <= 1 else f"{text}, {low:.2f}..{high:.2f} s"
+    place = f"sample {start}, {low:.2f} s" if stop - start <= 1 else f"samples {start}..{stop - 1}"
+    place += f", {low:.2f}..{high:.2f} s" if stop - start > 1 else ""
+    where = f"{columns}, {place}" if columns else place
+    return Finding(name, severity, where, text, allowed, advice, (low, high))

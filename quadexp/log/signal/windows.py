@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,9 +62,8 @@ class Windows:
         return Windows(self.t[::step], {name: values[::step] for name, values in self.streams.items()})
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Two sides of one relation. expected, found: (n, 3). floor: what sensors of this kind may differ by."""
+class Pair(NamedTuple):
+    """Two sides of one relation, (n, 3) each."""
 
     relation: str
     expected: np.ndarray
@@ -71,32 +71,33 @@ class Pair:
 
     @property
     def floor(self) -> float:
+        """What sensors of this kind may differ by."""
         return FLOOR[self.relation]
 
 
-def cut(t: np.ndarray, streams: Mapping[str, np.ndarray], starts: np.ndarray, half: int) -> Windows:
-    """Windows of 2 half + 1 samples that begin at the samples `starts`."""
-    samples = starts[:, None] + np.arange(2 * half + 1)
+def cut(
+    t: np.ndarray, streams: Mapping[str, np.ndarray], good: np.ndarray, segment: np.ndarray | None = None
+) -> Windows:
+    """Windows of streams (k, m) over times t (k,) without a gap in the clock, another segment or a bad sample."""
+    samples = window_samples(t, good, segment)
     return Windows(t[samples], {name: streams[name][samples] for name in STREAMS if name in streams})
 
 
-def window_starts(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = None) -> tuple[np.ndarray, int]:
-    """First samples of windows without a gap in the clock or a bad sample, and the steps in half a window."""
+def window_samples(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = None) -> np.ndarray:
+    """Which samples each window has, (n, 2m + 1)."""
     step = np.diff(t)
-    positive = step[np.isfinite(step) & (step > 0)]
-    if not len(positive):
-        return np.empty(0, int), 2
-    dt = float(np.median(positive))
+    onward = np.isfinite(step) & (step > 0)
+    dt = float(np.median(step[onward])) if onward.any() else np.inf
     half = max(2, int(round(WINDOW / dt)))
-    broken = ~(np.isfinite(step) & (step > 0) & (step < 3.5 * dt)) | ~good[1:] | ~good[:-1]
+    broken = ~(onward & (step < 3.5 * dt)) | ~good[1:] | ~good[:-1]
     if segment is not None:
         broken |= np.diff(segment) != 0
-    bad = np.concatenate([[0], np.cumsum(broken)])
+    breaks = np.concatenate([[0], np.cumsum(broken)])
     first = np.arange(0, len(t) - 2 * half, half)
-    first = first[bad[first] == bad[first + 2 * half]]
+    first = first[breaks[first] == breaks[first + 2 * half]]
     if len(first) > MOST_WINDOWS:
         first = first[np.linspace(0, len(first) - 1, MOST_WINDOWS).astype(int)]
-    return first, half
+    return first[:, None] + np.arange(2 * half + 1)
 
 
 def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
@@ -111,8 +112,7 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     if p is not None and v is not None and wanted("velocity"):
         made.append(Pair("velocity", changes(t, p), means(t, v)))
     if q is not None and w is not None and wanted("rate"):
-        middle = (w[:, 1:] + w[:, :-1]) / 2
-        made.append(Pair("rate", _weighted(t, attitude_rate(t, q)), _weighted(t, middle)))
+        made.append(Pair("rate", _weighted(t, attitude_rate(t, q)), means(t, w)))
     if f is not None and wanted("push"):
         read = means(t, f)
         made.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
@@ -169,7 +169,7 @@ def _weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def rotation_matrices(q: np.ndarray) -> np.ndarray:
     """R(q) of quaternions (..., 4), w first, of any length, (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-12), -1, 0)
+    w, x, y, z = np.moveaxis(_normed(q), -1, 0)
     matrix = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -178,24 +178,24 @@ def rotation_matrices(q: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(line, axis=-1) for line in matrix], axis=-2)
 
 
+def _normed(q: np.ndarray) -> np.ndarray:
+    return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-12)
+
+
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton product of quaternions (..., 4), w first."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    w = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    return np.stack([w, x, y, z], axis=-1)
 
 
 def attitude_rate(t: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Body rate between neighbouring samples of an attitude, (..., l - 1, 3) (rad/s), of t (..., l), q (..., l, 4)."""
-    q = q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-12)
+    q = _normed(q)
     turn = multiply(q[..., :-1, :] * np.array([1, -1, -1, -1]), q[..., 1:, :])
     turn = turn * np.where(turn[..., :1] < 0, -1, 1)
     sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)

@@ -14,16 +14,24 @@ behind, both are named, and which one holds is asked for.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.finding import LEAVE_OUT, Finding
-from quadexp.log.hypotheses.candidates import COLUMNS, Candidate, candidates, clock_candidate, scale_candidates
-from quadexp.log.hypotheses.mounting import mounting_candidates
-from quadexp.log.hypotheses.windows import SIDES, Pair, Windows, pairs
+from quadexp.log.check.candidates import (
+    COLUMNS,
+    Candidate,
+    candidates,
+    clock_candidate,
+    mounting_candidates,
+    scale_candidates,
+)
+from quadexp.log.check.finding import LEAVE_OUT, Finding
+from quadexp.log.signal.windows import SIDES, Pair, Windows, pairs
 
 INDEPENDENT = 60
+LEAST_WINDOWS = 10
 MARGIN = 10.0  # log units: clean flights of every kind at hand stay below 2
 PER_COST = 4.5  # log units a unit of cost: a candidate that claims more must explain more
 KEPT = 0.9  # share of the windows that a residual is taken over
@@ -49,8 +57,7 @@ WORDS = {
 }
 
 
-@dataclass(frozen=True)
-class Agreement:
+class Agreement(NamedTuple):
     """Of one relation: residual, signal, (3,), both root mean square; correlation and gain over its moving axes.
 
     size: root mean square of the expected side, its mean (gravity) included. evidence: log units. excess: squared
@@ -69,18 +76,22 @@ class Agreement:
 
     @property
     def left(self) -> float:
-        return float(np.sqrt(np.sum(self.residual**2)))
+        return float(np.linalg.norm(self.residual))
 
     @property
     def ratio(self) -> float:
         """Residual over signal, the floor taken off: 0 perfect, 1 unrelated, 2 reversed."""
         excess = np.sqrt(max(0.0, self.left**2 - 3 * self.floor**2))
-        return float(excess / max(np.sqrt(np.sum(self.signal**2)), self.floor))
+        return float(excess / max(np.linalg.norm(self.signal), self.floor))
+
+    @property
+    def columns(self) -> str:
+        return ", ".join(COLUMNS[stream] for stream in SIDES[self.relation])
 
     @property
     def words(self) -> str:
         what, unit = WORDS[self.relation]
-        return f"{what}: differs by {self.left:.3g} {unit} rms of {np.sqrt(np.sum(self.signal**2)):.3g}"
+        return f"{what}: differs by {self.left:.3g} {unit} rms of {np.linalg.norm(self.signal):.3g}"
 
 
 Agreements = dict[str, Agreement]  # by relation
@@ -93,20 +104,18 @@ def agreement(pair: Pair, floor: float | None = None) -> Agreement:
     scale = np.maximum(np.partition(np.abs(gap), half, axis=0)[half], 1e-9)
     apart = np.einsum("ni,ni,i->n", gap, gap, scale**-2)
     kept = apart <= np.partition(apart, most)[most]
-    gap, expected, found = gap[kept], pair.expected[kept], pair.found[kept]
-    a, b = expected - expected.mean(axis=0), found - found.mean(axis=0)
-    spread, n = np.einsum("ni,ni->i", a, a), len(gap)
-    aa, bb = float(spread.sum()), float(np.vdot(b, b))
-    correlation = float(np.vdot(a, b)) / np.sqrt(aa * bb) if aa * bb > 0 else 0.0
-    gain = float(np.sqrt(bb / aa) * np.sign(correlation)) if aa * bb > 0 else 1.0
-    square = np.einsum("ni,ni->i", gap, gap) / n
+    gap, expected, seen = gap[kept], pair.expected[kept], pair.found[kept]
+    a, b = expected - expected.mean(axis=0), seen - seen.mean(axis=0)
+    aa, bb, ab = float(np.vdot(a, a)), float(np.vdot(b, b)), float(np.vdot(a, b))
+    correlation, gain = (ab / np.sqrt(aa * bb), float(np.sqrt(bb / aa) * np.sign(ab))) if aa * bb > 0 else (0.0, 1.0)
+    square = np.mean(gap**2, axis=0)
     weight, floor = WEIGHT.get(pair.relation, 1.0), floor or pair.floor
-    evidence = -INDEPENDENT / 2 * weight * float(np.sum(np.log(square + floor**2)))
-    excess = weight * max(0.0, float(square.sum()) / floor**2 - 3.0)
-    size = float(np.sqrt(np.vdot(expected, expected) / n))
     return Agreement(
-        pair.relation, np.sqrt(square), np.sqrt(spread / n), float(correlation), gain, floor, size, evidence, excess
-    )
+        pair.relation, np.sqrt(square), a.std(axis=0), float(correlation), gain, floor,
+        size=float(np.sqrt(np.vdot(expected, expected) / len(gap))),
+        evidence=-INDEPENDENT / 2 * weight * float(np.sum(np.log(square + floor**2))),
+        excess=weight * max(0.0, float(square.sum()) / floor**2 - 3.0),
+    )  # fmt: skip
 
 
 def agreements(windows: Windows, known: Agreements | None = None, changed: str = "tpqvwf") -> Agreements:
@@ -114,9 +123,9 @@ def agreements(windows: Windows, known: Agreements | None = None, changed: str =
     return {**(known or {}), **{pair.relation: agreement(pair) for pair in pairs(windows, changed)}}
 
 
-def evidence(found: Agreements) -> float:
+def evidence(relations: Agreements) -> float:
     """E (log units)."""
-    return sum(one.evidence for one in found.values())
+    return sum(relation.evidence for relation in relations.values())
 
 
 @dataclass(frozen=True)
@@ -135,6 +144,11 @@ class Trial:
         return evidence(self.after) - evidence(self.before) - self.besides - PER_COST * self.candidate.cost
 
     @property
+    def conventional(self) -> bool:
+        """Whether it is a convention, not a mount."""
+        return self.candidate.fault != "mounting"
+
+    @property
     def better(self) -> list[str]:
         """Relations that it betters."""
         return [name for name, one in self.after.items() if one.evidence > self.before[name].evidence + 3.0]
@@ -142,7 +156,7 @@ class Trial:
     @property
     def left(self) -> float:
         """Share of the misfit beyond what sensors differ by, root mean square, that stays in the relations bettered."""
-        was, stays = (sum(found[name].excess for name in self.better) for found in (self.before, self.after))
+        was, stays = (sum(side[name].excess for name in self.better) for side in (self.before, self.after))
         return float(np.sqrt(stays / was)) if was > 0 else 1.0
 
     def shrinks(self, share: float, names: list[str]) -> bool:
@@ -170,21 +184,23 @@ class Trial:
         nothing = _without_own(self.candidate, agreements(silent, self.before, self.candidate.streams), self.before)
         return not zero or evidence(self.after) - evidence(nothing) > MARGIN
 
+    @property
+    def telling(self) -> str:
+        """The relation that it betters most."""
+        return max(self.better or self.after, key=lambda name: self.after[name].evidence - self.before[name].evidence)
+
     def finding(self, rival: Trial | None) -> Finding:
         """rival: the next best candidate, where it lies less than MARGIN behind."""
-        one = self.candidate
-        gain = {name: self.after[name].evidence - self.before[name].evidence for name in self.better or self.before}
-        name = max(gain, key=lambda relation: gain[relation])
+        one, name = self.candidate, self.telling
         rest, unit = self.after[name].left, WORDS[name][1]
         text = f"{one.text}: {self.before[name].words}, by {rest:.3g} {unit} once that is corrected"
         advice = "correct the mapping of the import: " + ", ".join(f"`{line}`" for line in one.lines)
         advice += f"; or import {one.options}" if one.options else ""
         if rival is not None:
-            text += (
-                f"; but {rival.candidate.where}: {rival.candidate.text}, is {self.value - rival.value:.1f} log units"
-            )
-            text += f" less likely only ({MARGIN:g} are sure)"
-            advice += f"; decide between this and {', '.join(rival.candidate.lines)}, which the data do not"
+            other, behind = rival.candidate, self.value - rival.value
+            text += f"; but {other.where}: {other.text}, is {behind:.1f} log units less likely only"
+            text += f" ({MARGIN:g} are sure)"
+            advice += f"; decide between this and {', '.join(other.lines)}, which the data do not"
         allowed = "SI units, world ENU, body FLU, quaternion body to world with w first"
         return Finding(one.fault, one.severity, one.where, text, allowed, advice, correction=one.correction)
 
@@ -213,14 +229,12 @@ def explain(windows: Windows) -> tuple[list[Candidate], Windows, list[Finding]]:
         if not named:
             break
         best = named[0]
-        mount = next((one for one in named if one.candidate.fault == "mounting"), None)
+        mount = next((one for one in named if not one.conventional), None)
         if mount is not None and not mount.candidate.blocks and mount.value > best.value - MARGIN:
             best = mount
-        rivals = [
-            one for one in named if one is not best and one.candidate.fault != "mounting" and one.candidate.blocks
-        ]
-        close = bool(rivals) and best.candidate.blocks and best.value - rivals[0].value < MARGIN
-        findings.append(best.finding(rivals[0] if close else None))
+        rivals = (one for one in named if one is not best and one.conventional and one.candidate.blocks)
+        rival = next(rivals, None) if best.candidate.blocks else None
+        findings.append(best.finding(rival if rival and best.value - rival.value < MARGIN else None))
         taken.append(best.candidate)
         windows, named = best.windows, []
         before = agreements(windows)
@@ -256,11 +270,8 @@ def _ranked(windows: Windows, before: Agreements, taken: list[Candidate]) -> lis
     found = [trial for trial in trials if trial.value > MARGIN and trial.plausible()]
     if not any(one.candidate.blocks and one.left < MOST_LEFT for one in found):
         found += _under_a_mount(windows, before, likely, max((one.value for one in found), default=0.0))
-    best_other = max((one.value for one in found if one.candidate.fault != "mounting"), default=-np.inf)
-    found = [
-        one for one in found
-        if one.candidate.fault != "mounting" or not one.candidate.blocks or one.value > best_other + MARGIN
-    ]  # fmt: skip
+    best_other = max((one.value for one in found if one.conventional), default=-np.inf)
+    found = [one for one in found if one.conventional or not one.candidate.blocks or one.value > best_other + MARGIN]
     return sorted(found, key=lambda one: -one.value)
 
 
@@ -287,11 +298,9 @@ def _under_a_mount(windows: Windows, before: Agreements, likely: list[Candidate]
 
 def _unexplained(best: Trial) -> Finding:
     """A misfit that no candidate explains, as a finding without a cause."""
-    name = max(best.after, key=lambda relation: best.after[relation].evidence - best.before[relation].evidence)
-    columns = ", ".join(COLUMNS[stream] for stream in SIDES[name])
-    one = best.candidate
-    text = f"{best.before[name].words}; the nearest hypothesis ({one.where}: {one.text}) leaves {best.left:.0%} of it,"
-    return Finding("misfit", "warning", columns, f"{text} so none is named", f"{MOST_LEFT:.0%}")
+    one, was = best.candidate, best.before[best.telling]
+    text = f"{was.words}; the nearest hypothesis ({one.where}: {one.text}) leaves {best.left:.0%} of it,"
+    return Finding("misfit", "warning", was.columns, f"{text} so none is named", f"{MOST_LEFT:.0%}")
 
 
 def _scales(found: Agreements) -> tuple[Candidate, ...]:
@@ -328,6 +337,8 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
 
     Each with the first and last times of its windows, (n, 2) (s).
     """
+    if len(windows.t) < LEAST_WINDOWS:
+        return []
     found = []
     every = {pair.relation: pair for pair in pairs(windows)}
     for name, relations in (("acceleration_outlier", ("force", "force (p)")), ("rate_outlier", ("rate",))):
@@ -353,9 +364,8 @@ def disagreements(windows: Windows) -> list[Finding]:
     """Relations that no candidate explains."""
     found = []
     for one in agreements(windows).values():
-        moving = np.sqrt(np.sum(one.signal**2)) > 2 * one.floor
+        moving = np.linalg.norm(one.signal) > 2 * one.floor
         if moving and one.ratio > DISAGREE and one.correlation < 0.5:
-            columns = ", ".join(COLUMNS[name] for name in SIDES[one.relation])
             text = f"{one.words}, correlation {one.correlation:.2f}; no change of unit, frame or sign mends it"
-            found.append(Finding("inconsistent", "blocking", columns, text, f"{DISAGREE:.0%} of the signal"))
+            found.append(Finding("inconsistent", "blocking", one.columns, text, f"{DISAGREE:.0%} of the signal"))
     return found
