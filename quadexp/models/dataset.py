@@ -32,12 +32,12 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
+from quadexp.models.base import THRUST
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns
 from quadexp.physics.vehicle import Vehicle
 
 FRAMES = ("midpoint", "start")
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive
-THRUST = "thrust"
 BATCH = 20_000  # samples evaluated per call
 WIND = ("wind_x", "wind_y", "wind_z")
 
@@ -84,6 +84,11 @@ class ResidualDataset(NamedTuple):
             raise DataError(f"dataset: column '{name}' is missing; it has {present or 'no columns'}")
         _require_finite(column, f"dataset: column '{name}'")
         return column
+
+    @property
+    def rotor_thrusts(self) -> np.ndarray:
+        """u_0, u_1, ... of the rows, (k, n) (N)."""
+        return self.matrix(sorted((name for name in self.columns if name.startswith("u_")), key=lambda u: int(u[2:])))
 
     @property
     def sha256(self) -> str:

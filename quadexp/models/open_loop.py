@@ -2,8 +2,8 @@
 
 attitude   v' = R(t) f_model(R(t)^T v, w(t), a(t)) + g,  p' = v        R, w and the rotors' signal as measured
 held       all 13 states; constant body rates
-torque     all 13 states; angular acceleration by the fitted torque (quadexp.models.torque) with its offset at the start;
-           constant rates on rejected axes
+torque     all 13 states; angular acceleration by the fitted torque (quadexp.models.torque) with its offset at the
+           start; constant rates on rejected axes
 full       all 13 states of the rigid body (quadexp.physics.rigid_body) under the rotors' thrusts and arms
 
 In all modes the model gives the specific force. "full" needs the thrust of every rotor and uses the vehicle's inertia,

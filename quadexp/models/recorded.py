@@ -17,12 +17,13 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
+from quadexp.models.base import THRUST
 from quadexp.models.checkpoint import plain
-from quadexp.models.dataset import THRUST, ResidualDataset, joined, transitions
+from quadexp.models.dataset import ResidualDataset, joined, transitions
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.samples import choose_signal, read_rows, rotor_columns
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import Vehicle
 
 TARGETS = ("auto", "specific_force", "velocity")

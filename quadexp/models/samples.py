@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.models.dataset import name_of
 from quadexp.log.schema import Flight
+from quadexp.models.dataset import name_of
 
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}

@@ -1,4 +1,9 @@
-"""Hyperparameters and inducing points by maximum marginal likelihood with gpytorch, in scaled coordinates.
+"""The fit of Gaussian processes: maximum marginal likelihood with gpytorch, in scaled coordinates.
+
+Steps for each output: scaling (features to mean 0 and standard deviation 1, the target by its root mean square) ->
+hyperparameters of an exact GP on a few rows -> inducing points where the remaining variance is largest -> both
+optimised together, first on part of the rows, then on all -> posterior in physical units. Recorded flights are first
+brought to a common thrust scale (quadexp.models.thrust_scale).
 
 Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variational bound (2009, eq. 9),
 
@@ -27,9 +32,26 @@ import numpy as np
 import torch
 from linear_operator.utils.errors import NanError, NotPSDError
 from linear_operator.utils.warnings import NumericalWarning
+from msgspec.structs import replace
+from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
 
+from quadexp.errors import DataError
+from quadexp.models.base import AXIS, Callback
+from quadexp.models.dataset import ResidualDataset
+from quadexp.models.gaussian_process import GPModel, GPSettings, OutputPosterior
+from quadexp.models.linear_drag import LinearDrag, constant_mean, fit_linear_drag
+from quadexp.models.neural import one_thread
+from quadexp.models.support import library_versions, origin, require_variation
+from quadexp.models.terms import MEANS, TermMean, fit_term_mean
+from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
+
+PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
+CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
+PILOT_ITERATIONS = 60
+STAGE_ITERATIONS = 150
+RELATIVE_FLOOR = 1e-10  # of the prior variance; below it a further point is redundant
 NOISE_FLOOR = 1e-8  # of the output's mean square
 EXACT_LIMIT = 5000  # rows up to which gpytorch uses a Cholesky factorisation instead of conjugate gradients
 FAILED = 1e10  # objective where the covariance cannot be factorised
@@ -45,6 +67,159 @@ class Hyperparameters:
     noise_variance: float
 
 
+def fit_gp(
+    dataset: ResidualDataset,
+    settings: GPSettings | None = None,
+    *,
+    start: GPModel | None = None,
+    callback: Callback | None = None,
+    intervals: bool = True,
+) -> GPModel:
+    """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
+
+    start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
+    then do. callback, intervals: see Model.fit.
+    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
+    than an exact GP can take, or where a feature is constant.
+    """
+    settings = settings or GPSettings()
+    iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
+    rng = np.random.default_rng(settings.seed)
+    if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
+        dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
+    _check(dataset, settings)
+    scaled = with_common_scale(dataset)
+    dataset = scaled.dataset
+    # Under a thrust curve the thrust term would duplicate the curve's scale.
+    drag = fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=intervals)
+    mean = _prior_mean(dataset, settings, drag)
+    prior = None if mean is None else mean.acceleration(dataset)
+    posteriors: list[OutputPosterior] = []
+    with one_thread():
+        for i, (output, features) in enumerate(settings.features.items()):
+            target = dataset.matrix([output])[:, 0]
+            if prior is not None and output in AXIS:
+                target = target - prior[:, AXIS[output]]
+            alike = (output, features, settings.inducing)
+            earlier = [o for o in start.outputs if (o.output, o.features, len(o.alpha)) == alike] if start else []
+
+            def report(done: float, output: str = output, i: int = i) -> None:
+                if callback is not None:
+                    callback(f"fit {output}", (i + done) / len(settings.features))
+
+            before = earlier[0] if earlier else None
+            posterior = _fit_output(output, dataset.matrix(features), target, settings, iterations, rng, before, report)
+            if output == "a_z":
+                posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
+            posteriors.append(posterior)
+    if callback is not None:
+        callback("fit done", 1.0)
+    used = [name for names in settings.features.values() for name in names]
+    versions = library_versions("numpy", "scipy", "torch", "gpytorch")
+    return GPModel(
+        tuple(posteriors), mean, drag, settings=settings.as_dict(), versions=versions, **origin(dataset, used)
+    )
+
+
+def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
+    n = dataset.n_rows
+    if settings.method == "exact" and n > settings.max_exact_rows:
+        raise DataError(
+            f"gp.method=exact: {n} rows are more than gp.max_exact_rows={settings.max_exact_rows};"
+            " use gp.method=sgpr, or draw fewer with gp.max_rows"
+        )
+    for output, features in settings.features.items():
+        require_variation(dataset, [*features, output], len(features), f"gp.features.{output}")
+    if settings.method != "exact" and n < settings.inducing:
+        raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
+
+
+def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
+    if settings.mean in MEANS:
+        return fit_term_mean(dataset, settings.mean)
+    if settings.mean == "constant":
+        return constant_mean(dataset.matrix(["a_x", "a_y", "a_z"]).mean(axis=0))
+    return drag if settings.mean == "linear_drag" else None
+
+
+def _fit_output(
+    output: str,
+    z: np.ndarray,
+    target: np.ndarray,
+    settings: GPSettings,
+    iterations: int,
+    rng: np.random.Generator,
+    start: OutputPosterior | None,
+    report: Callable[[float], None],
+) -> OutputPosterior:
+    """The posterior of one output from its features z (k, d) and target (k,), in the coordinates of the module."""
+    centre, spread = z.mean(axis=0), z.std(axis=0)
+    unit = float(np.sqrt(np.mean(target**2))) or 1.0
+    x, y = (z - centre) / spread, target / unit
+    order = rng.permutation(len(x))
+
+    if start is not None and settings.method == "sgpr":
+        points = (start.inducing - centre) / spread
+        guess = Hyperparameters(
+            start.lengthscale / spread, start.signal_variance / unit**2, start.noise_variance / unit**2
+        )
+    else:
+        few = order if settings.method == "exact" else order[:PILOT_ROWS]
+        pilot = GPRegression(x[few], y[few], Hyperparameters(np.ones(x.shape[1]), 1.0, 0.01), None, settings.jitter)
+        bound = maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
+        guess = pilot.hyperparameters
+        candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
+        rows = order
+        if settings.method != "exact":
+            rows = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
+        points = x[rows]
+
+    if settings.method == "sgpr":
+        if start is None and len(x) > CANDIDATE_ROWS:
+            part = GPRegression(x[candidates], y[candidates], guess, points, settings.jitter)
+            maximise(part, STAGE_ITERATIONS, lambda k: report(0.15 + 0.25 * k / STAGE_ITERATIONS))
+            points, guess = part.inducing_points, part.hyperparameters
+        whole = GPRegression(x, y, guess, points, settings.jitter)
+        bound = maximise(whole, iterations, lambda k: report(0.4 + 0.6 * k / iterations))
+        points, guess = whole.inducing_points, whole.hyperparameters
+        alpha, factor = sparse_posterior(x, y, points, guess, settings.jitter)
+    else:
+        alpha, factor = exact_posterior(points, y[rows], guess)
+
+    return OutputPosterior(
+        output, settings.features[output], points * spread + centre, alpha * unit, guess.lengthscale * spread,
+        guess.signal_variance * unit**2, guess.noise_variance * unit**2, factor * unit, bound - float(np.log(unit)),
+        len(alpha) if settings.method == "subset" else len(x),
+    )  # fmt: skip
+
+
+def greedy_points(x: np.ndarray, lengthscale: np.ndarray, count: int) -> np.ndarray:
+    """Indices (count,) of the chosen rows, most informative first: greedily, where the prior variance is largest.
+
+    Each step takes argmax_i k_ii - q_ii, q = K_XZ K_ZZ^-1 K_ZX, by a partial pivoted Cholesky factorisation, O(n M^2)
+    (Burt, Rasmussen & van der Wilk 2020, "Convergence of sparse variational inference in GP regression", section 6.2).
+    x: rows to choose from, (n, d), n >= count. lengthscale: (d,), same units. Where fewer rows reduce the variance to
+    zero, the remaining ones are taken in their order.
+    """
+    n = len(x)
+    scaled = x / lengthscale
+    variance = np.ones(n)
+    factor = np.empty((count, n))
+    chosen: list[int] = []
+    while len(chosen) < count:
+        pivot = int(np.argmax(variance))
+        if variance[pivot] < RELATIVE_FLOOR:
+            rest = np.setdiff1d(np.arange(n), chosen, assume_unique=True)
+            return np.concatenate([chosen, rest[: count - len(chosen)]]).astype(int)
+        k = np.exp(-0.5 * np.sum((scaled - scaled[pivot]) ** 2, axis=1))
+        row = (k - factor[: len(chosen), pivot] @ factor[: len(chosen)]) / np.sqrt(variance[pivot])
+        factor[len(chosen)] = row
+        variance = np.maximum(variance - row**2, 0.0)
+        variance[pivot] = 0.0
+        chosen.append(pivot)
+    return np.array(chosen)
+
+
 class GPRegression(gpytorch.models.ExactGP):
     """Zero-mean GP with an RBF kernel with one length scale per feature, exact or sparse.
 
@@ -58,15 +233,14 @@ class GPRegression(gpytorch.models.ExactGP):
             noise_constraint=gpytorch.constraints.GreaterThan(NOISE_FLOOR)
         )
         super().__init__(torch.as_tensor(x), torch.as_tensor(y), likelihood)
-        self.mean_module = gpytorch.means.ZeroMean()
         base = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1]))
-        self.covar_module, self.jitter = base, jitter
+        self.mean_module, self.jitter = gpytorch.means.ZeroMean(), jitter
+        self.covar_module = self.base = base
         self.points = None if inducing is None else torch.nn.Parameter(torch.tensor(inducing))
         self.double()
         base.base_kernel.lengthscale = torch.as_tensor(start.lengthscale)
         base.outputscale = torch.tensor(start.signal_variance, dtype=torch.float64)
         likelihood.noise = torch.tensor(max(start.noise_variance, 2 * NOISE_FLOOR), dtype=torch.float64)
-        self.base = base
 
     def forward(self, x: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
@@ -104,8 +278,7 @@ class GPRegression(gpytorch.models.ExactGP):
 
         chunks = list(zip(x.split(CHUNK), y.split(CHUNK), strict=True))
         again = partial(checkpoint, sums, use_reentrant=False) if len(chunks) > 1 else sums
-        parts = [again(*chunk) for chunk in chunks]
-        s, b = (torch.stack(one).sum(dim=0) for one in zip(*parts, strict=True))
+        s, b = (torch.stack(parts).sum(dim=0) for parts in zip(*(again(*chunk) for chunk in chunks), strict=True))
         n, factor = len(x), torch.linalg.cholesky(s + noise * eye)
         whitened = torch.linalg.solve_triangular(factor, b[:, None], upper=False)
         quadratic = (y @ y - whitened.square().sum()) / noise
@@ -173,8 +346,6 @@ def sparse_posterior(
     With L L' = K_ZZ + jitter, A = L^-1 K_ZX / sigma_n, B = I + A A': alpha = sigma_f^2 L^-T B^-1 A y / sigma_n and
     F'F = sigma_f^4 L^-T (I - B^-1) L^-1. All through L, whose condition number is the square root of that of K_ZZ.
     """
-    from scipy.linalg import cholesky, eigh, solve_triangular
-
     m, sf2, sn = len(inducing), p.signal_variance, np.sqrt(p.noise_variance)
     lower = cholesky(sf2 * (rbf(inducing, inducing, p.lengthscale) + jitter * np.eye(m)), lower=True)
     a = solve_triangular(lower, sf2 * rbf(inducing, x, p.lengthscale), lower=True) / sn
@@ -189,8 +360,6 @@ def sparse_posterior(
 
 def exact_posterior(x: np.ndarray, y: np.ndarray, p: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
     """Weights alpha (n,) and variance factor F (n, n) of the exact GP: (K + sigma_n^2 I)^-1 y and its root."""
-    from scipy.linalg import cholesky, solve_triangular
-
     n, sf2 = len(x), p.signal_variance
     lower = cholesky(sf2 * rbf(x, x, p.lengthscale) + p.noise_variance * np.eye(n), lower=True)
     inverse = solve_triangular(lower, np.eye(n), lower=True)

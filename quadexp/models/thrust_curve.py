@@ -24,10 +24,10 @@ import msgspec
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
 from quadexp.models.regression import Regression, half_width, regress
 from quadexp.models.samples import SIGNALS, Samples, rotor_columns
-from quadexp.log.schema import Flight
 
 # Powers of the signal in the curve, and the signals with an intercept by default.
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadexp.log.signal import derivative
 from quadexp.models.base import Record, Three
 from quadexp.models.regression import FLIGHT_CLUSTERS
 from quadexp.models.samples import Samples
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.log.signal import derivative
 from quadexp.physics.vehicle import Vehicle
 
 AXES = ("roll", "pitch", "yaw")

@@ -15,24 +15,17 @@ import numpy as np
 from msgspec.structs import replace
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
+from quadexp.models.base import VELOCITY
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.lumped import fit_inflow, momentum_of
 from quadexp.models.regression import regress
 from quadexp.models.samples import Samples, gather_to_fit
-from quadexp.models.support import VELOCITY, feature_ranges
-from quadexp.models.terms import (
-    LINEAR,
-    QUADRATIC,
-    SELF_CONSISTENT,
-    WITHOUT_RADIUS,
-    TermModel,
-    all_columns,
-    fit_terms,
-)
+from quadexp.models.support import feature_ranges
+from quadexp.models.terms import LINEAR, QUADRATIC, SELF_CONSISTENT, WITHOUT_RADIUS, TermModel, all_columns, fit_terms
 from quadexp.models.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.models.torque import fit_torque
 from quadexp.models.vehicle_model import KINDS, VehicleModel
-from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import Vehicle
 
 LEVELS = ("nominal", "offset", *KINDS)

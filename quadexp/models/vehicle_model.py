@@ -21,7 +21,7 @@ from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import TorqueModel
 
 if TYPE_CHECKING:
-    from quadexp.air.base import Residual
+    from quadexp.models.base import Residual
     from quadexp.physics.vehicle import Vehicle
 
 KINDS = ("linear", "quadratic", "blade_element")
@@ -79,7 +79,7 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """See Model.residual. part: a kind, or "best"."""
-        from quadexp.air.terms import term_residual
+        from quadexp.models.terms import term_residual
 
         if part == "gaussian_process":
             found = ", ".join(self.models)

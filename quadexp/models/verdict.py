@@ -28,7 +28,8 @@ from quadexp.errors import DataError
 from quadexp.models.base import AXIS, rms
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
 from quadexp.models.evaluation import drag_baseline, split_by_flight
-from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPModel, GPSettings
+from quadexp.models.sgpr import fit_gp
 from quadexp.models.terms import MEANS, fit_term_mean
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 
+from quadexp.models.base import AXES
 from quadexp.models.regression import half_width
 from quadexp.models.samples import SIGNALS, Samples
-from quadexp.models.terms import AXES, TermModel
+from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.report.style import COLOURS, COUNTS, KNOWN, ORANGE, Figure, styled

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
 from quadexp.models.dataset import ResidualDataset, residual_dataset, transitions
 from quadexp.models.terms import fit_term_mean
-from quadexp.log.schema import Flight
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from tests.models.synthetic import synthetic_dataset

@@ -9,7 +9,8 @@ from scipy.stats import norm
 from quadexp.errors import DataError
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.evaluation import drag_baseline, evaluate, fit_with_report, score, split_by_flight
-from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPModel, GPSettings
+from quadexp.models.sgpr import fit_gp
 from quadexp.report.fit_figures import calibration_figure, curve, fit_figure, moved
 from tests.models.synthetic import synthetic_dataset
 

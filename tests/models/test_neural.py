@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from quadexp.air.network import evaluated
-from quadexp.air.neural import neural_residual
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import MODEL_FILE, _hash, load_model, save_model
 from quadexp.models.evaluation import evaluate, split_by_flight, without
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.neural import NeuralModel, NNSettings, fit_network
+from quadexp.models.neural import NeuralModel, NNSettings, fit_network, neural_residual
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_checkpoint import assert_same_bits
 
@@ -61,7 +59,7 @@ def test_spectral_normalisation_bounds_every_slope(data, limit):
     largest = 0.0
     for z in 3 * spread * rng.normal(size=(300, len(spread))):
         rows = np.vstack([z + 1e-5 * spread * step for step in (*np.eye(len(spread)), *-np.eye(len(spread)))])
-        y = evaluated(model.network, rows) / unit
+        y = model.network(rows) / unit
         jacobian = (y[: len(spread)] - y[len(spread) :]) / 2e-5
         largest = max(largest, np.linalg.norm(jacobian, 2))
     assert 0.2 * limit < largest <= limit * (1 + 1e-6)
@@ -79,7 +77,7 @@ def test_outputs_are_bounded_outside_the_data(network):
     """No velocity gives more than the last layer's weights allow."""
     far = 1e6 * np.random.default_rng(1).normal(size=(50, len(network.features)))
     bound = np.abs(network.weights[-1]).sum(axis=1) + np.abs(network.biases[-1])
-    assert np.all(np.abs(evaluated(network.network, far)) <= bound)
+    assert np.all(np.abs(network.network(far)) <= bound)
 
 
 def test_round_trip_is_bit_exact(tmp_path, network):

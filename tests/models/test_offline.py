@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.models.blade_element import FIRST_VALUES, OFFLINE, identify_flight
-from quadexp.models.rls import BladeElementRLS, RLSSettings
 from quadexp.log.schema import Flight, describe
 from quadexp.log.store import read_table, write_table
+from quadexp.models.blade_element import FIRST_VALUES, OFFLINE, identify_flight
+from quadexp.models.rls import BladeElementRLS, RLSSettings
 from quadexp.physics.state import ATTITUDE, STATE_COLUMNS, VELOCITY
 from tests.models.air_data import air_data
 

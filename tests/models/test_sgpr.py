@@ -9,7 +9,8 @@ import torch
 from scipy.stats import multivariate_normal
 
 from quadexp.models import sgpr
-from quadexp.models.gaussian_process import OutputPosterior, greedy_points
+from quadexp.models.gaussian_process import OutputPosterior
+from quadexp.models.sgpr import greedy_points
 
 JITTER = 1e-8
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
 from quadexp.models.regression import half_width
 from quadexp.models.samples import Samples, choose_signal, gather
 from quadexp.models.thrust_curve import ThrustCurve, fit_thrust_samples
-from quadexp.log.schema import Flight
 from quadexp.report.identify_figures import thrust_figure
 from tests.models.logged_flights import CURVE, DRAG, logged_flight
 

@@ -14,11 +14,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.parts.compose import compose
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, write_flight
 from quadexp.models.blade_element import identify_flight
 from quadexp.models.dataset import read_dataset, residual_dataset, transitions
 from quadexp.models.linear_drag import fit_linear_drag
@@ -26,8 +27,7 @@ from quadexp.models.open_loop import Track, rollout_errors
 from quadexp.models.samples import gather, read_rows
 from quadexp.models.validation import predictors
 from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, write_flight
+from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import STATE_COLUMNS
 from tests.models.test_dataset import VEHICLE

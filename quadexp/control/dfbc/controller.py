@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
@@ -19,6 +18,7 @@ from quadexp.control.dfbc.law import DFBCKeys, law_function
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import RESIDUAL, ControllerPart
+from quadexp.models.base import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, part
 from quadexp.physics.vehicle import Vehicle

@@ -13,13 +13,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import no_belief
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.models.base import Residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.vehicle import Vehicle
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.air.scaled import scaled_residual
-from tests.air.models import make_residual
+from quadexp.models.sum import scaled_residual
+from tests.models.residuals import make_residual
 
 
 @pytest.mark.parametrize("name", ["none", "linear_drag", "gp_with_mean"])

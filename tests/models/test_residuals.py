@@ -6,14 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.base import symbolic_residual
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
 from quadexp.errors import UsageError
+from quadexp.models.base import no_residual, symbolic_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import RESIDUALS, make_residual
+from tests.models.residuals import RESIDUALS, make_residual
 
 
 def features(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -71,7 +70,7 @@ def test_linear_drag_is_its_equation(vehicle, rng):
 
 def test_gaussian_process_is_its_equation(vehicle, rng):
     Z, alpha, length = rng.normal(0, 5, (9, 2)), rng.normal(size=9), np.array([3.0, 7.0])
-    output = GPOutput("a_z", ("v_z", "thrust"), Z, alpha, length)
+    output = OutputPosterior.mean_only("a_z", ("v_z", "thrust"), Z, alpha, length)
     z = features(rng, 8)
     phi = np.stack([z[:, 2], z[:, 6:].sum(1)], axis=-1)
     kernel = np.exp(-0.5 * (((phi[:, None] - Z) / length) ** 2).sum(-1))
@@ -80,12 +79,10 @@ def test_gaussian_process_is_its_equation(vehicle, rng):
     assert np.allclose(gaussian_process_residual(vehicle, [output])(z), expected, rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("output", "feature", "found"), [("a_q", "v_x", "a_q"), ("a_x", "speed", "speed")], ids=["output", "feature"]
-)
-def test_unknown_names_are_refused(vehicle, output, feature, found):
-    with pytest.raises(UsageError, match=f"{found!r}: allowed are"):
-        gaussian_process_residual(vehicle, [GPOutput(output, (feature,), np.zeros((3, 1)), np.zeros(3), np.ones(1))])
+def test_unknown_features_are_refused(vehicle):
+    points = OutputPosterior.mean_only("a_x", ("speed",), np.zeros((3, 1)), np.zeros(3), np.ones(1))
+    with pytest.raises(UsageError, match="gp feature 'speed': allowed are"):
+        gaussian_process_residual(vehicle, [points])
 
 
 def test_plant_residual_is_what_the_plant_does(vehicle, rng):

@@ -8,13 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process, adapting_terms, from_zero
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_acceleration, linear_drag_residual
-from quadexp.air.neural import neural_residual
-from quadexp.air.online import Law, prior_belief, split_belief, update_function
 from quadexp.compile.backend import BufferedFunction, compiler, realise
-from tests.air.models import make_residual, network
+from quadexp.models.gaussian_process import OutputPosterior, adapting_process, gaussian_process_residual
+from quadexp.models.linear_drag import adapting_drag, linear_drag_acceleration, linear_drag_residual
+from quadexp.models.neural import adapting_network, neural_residual
+from quadexp.models.online import Law, from_zero, prior_belief, update_function
+from quadexp.models.terms import adapting_terms
+from tests.models.residuals import make_residual, network
 
 POINTS, LENGTH = np.linspace(-12, 12, 9), 4.0  # m/s, of the Gaussian processes
 STILL = np.array([0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
@@ -46,7 +46,14 @@ class Learner:
 
     @property
     def blocks(self):
-        return split_belief(self.adapting, self.f.arguments["belief"])
+        return self.split(self.adapting, self.f.arguments["belief"])
+
+    @staticmethod
+    def split(adapting, belief):
+        """b (h,) and P (h, h) of every block."""
+        sizes = [len(block.at) for block in adapting.blocks]
+        pieces = np.split(belief, np.cumsum([block.size for block in adapting.blocks])[:-1])
+        return [(piece[:h], piece[h:].reshape(h, h)) for piece, h in zip(pieces, sizes, strict=True)]
 
     @property
     def theta(self):
@@ -78,7 +85,8 @@ def designs(adapting, v, u):
 def families(vehicle):
     rng = np.random.default_rng(1)
     outputs = [
-        GPOutput(f"a_{axis}", (f"v_{axis}",), POINTS[:, None], rng.normal(size=9), np.array([LENGTH])) for axis in "xyz"
+        OutputPosterior.mean_only(f"a_{axis}", (f"v_{axis}",), POINTS[:, None], rng.normal(size=9), np.array([LENGTH]))
+        for axis in "xyz"
     ]
     return {
         "linear_drag": adapting_drag(vehicle, linear_drag_residual(vehicle, (0.2, 0.1, 0.0)), 1.0),
@@ -335,7 +343,7 @@ def test_the_tracking_error_is_taken_in_body_axes(vehicle, rng):
     sigma = turn.inv().apply(v - path[3:] + rate * (p - path[:3]))
     rows = designs(adapting, turn.inv().apply(v)[None], thrust[None])
     for block, phi, (b, _) in zip(
-        adapting.blocks, rows, split_belief(adapting, learner.f.results["new_belief"]), strict=True
+        adapting.blocks, rows, learner.split(adapting, learner.f.results["new_belief"]), strict=True
     ):
         assert b == pytest.approx(0.1 * sigma[block.axis] * phi[0], abs=1e-9)
 

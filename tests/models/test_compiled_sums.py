@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.compile.backend import realise
-from tests.air.models import make_residual
+from tests.models.residuals import make_residual
 
 FORMS = ["gp_per_axis", "gp_thrust", "gp_with_mean", "neural", "sum"]
 
