@@ -114,7 +114,7 @@ def identify(
         return
 
     from quadexp.experiment.identify_vehicle import identify_flights
-    from quadexp.models.vehicle_fit import FitSettings
+    from quadexp.models.vehicle_model import FitSettings
 
     if curve not in CURVES:
         raise UsageError(f"identify --thrust-curve: '{curve}' is none of {', '.join(CURVES)}")

@@ -62,12 +62,12 @@ class Shape(NamedTuple):
 
     def of(self, record: Any) -> list[tuple[int, ...]]:
         """The shapes that are allowed."""
-        return [tuple(_length(record, word) for word in one.split()) for one in self.text.split("|")]
 
+        def length(word: str) -> int:
+            value = int(word) if word.isdigit() else getattr(record, word)
+            return value if isinstance(value, int) else len(value)
 
-def _length(record: Any, word: str) -> int:
-    value = int(word) if word.isdigit() else getattr(record, word)
-    return value if isinstance(value, int) else len(value)
+        return [tuple(map(length, shape.split())) for shape in self.text.split("|")]
 
 
 Three = Annotated[np.ndarray, Shape("3")]  # one number per axis
@@ -209,9 +209,8 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
     def acceleration(self, rows: ResidualDataset) -> np.ndarray:
         """Predicted residual acceleration, body frame, (k, 3) (m/s^2)."""
-        found = self.predict(rows)
-        zero = np.zeros(rows.n_rows)
-        return np.stack([found[output].mean if output in found else zero for output in AXIS], axis=1)
+        predictions, zero = self.predict(rows), np.zeros(rows.n_rows)
+        return np.stack([predictions[a].mean if a in predictions else zero for a in AXIS], axis=1)
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """The same for a controller or a plant. part: which of several models, where there are several."""

@@ -291,11 +291,7 @@ class Identification:
 
 
 def identify_flight(
-    flight: Flight,
-    vehicle: Vehicle,
-    settings: RLSSettings | None = None,
-    *,
-    name: str | None = None,
+    flight: Flight, vehicle: Vehicle, settings: RLSSettings | None = None, *, name: str | None = None
 ) -> Identification:
     """Run the recursive estimator over a flight, and fit all its samples at once.
 

@@ -143,8 +143,7 @@ class RLSSettings(Settings):
     noise: Annotated[float, Setting("assumed standard deviation of the accelerometer", "(0, 100]", "m/s^2")] = 1.0
     forgetting: Annotated[float, Setting("forgetting factor; 1 forgets nothing", "[0.5, 1]")] = 1.0
     lift_weight: Annotated[
-        float,
-        Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]"),
+        float, Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]")
     ] = 1.0
     gauss_newton: Annotated[bool, Setting("include the induced velocity in the derivative of the z equation")] = False
     rotor_range: Annotated[

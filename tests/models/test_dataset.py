@@ -52,12 +52,7 @@ def simulate(
         wrench = vehicle.allocation @ u
         acceleration = body.apply([0, 0, wrench[0] / vehicle.mass] + force(v, w) / vehicle.mass)
         q = x[3:7]
-        q_dot = 0.5 * np.array(
-            [
-                -q[1:] @ w,
-                *(q[0] * w + np.cross(q[1:], w)),
-            ]
-        )
+        q_dot = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
         w_dot = np.linalg.solve(inertia, wrench[1:] + torque(v, w) - np.cross(w, inertia @ w))
         return np.concatenate([x[7:10], q_dot, acceleration + [0, 0, -9.81], w_dot])
 

@@ -141,7 +141,7 @@ def test_few_or_idle_rows_are_refused():
     still = ResidualDataset(dict(idle.columns) | {"v_z": np.full(600, 1.0)}, {})
     with pytest.raises(DataError, match="a_z: v_z, intercept cannot be told apart"):
         fit_linear_drag(still)
-    with pytest.raises(UsageError, match="drag.loss"):
+    with pytest.raises(UsageError, match="loss '"):
         fit_linear_drag(idle, loss="cubes")
 
 

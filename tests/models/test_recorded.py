@@ -20,7 +20,7 @@ from quadexp.models.sgpr import fit_gp
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.thrust_scale import tracked_scale, with_common_scale
 from quadexp.models.validation import nominal, predictors, residuals, score_rows
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 
 VEHICLE = crazyflie()

@@ -9,13 +9,13 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.models.regression import half_width
 from quadexp.models.samples import Samples, choose_signal, gather
-from quadexp.models.thrust_curve import ThrustCurve, fit_thrust_samples
+from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from quadexp.report.identify_figures import thrust_figure
 from tests.models.logged_flights import CURVE, DRAG, logged_flight
 
 
-def fit_thrust_curve(flights, *, signal=None, **options) -> ThrustCurve:
-    return fit_thrust_samples(gather(flights, choose_signal(flights, signal)), **options)[0]
+def fit_thrust_curve(flights, *, signal=None, drag=True, **settings) -> ThrustCurve:
+    return fit_thrust_samples(gather(flights, choose_signal(flights, signal)), CurveSettings(**settings), drag=drag)[0]
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_rotor_speed_and_logged_acceleration(flights, rng):
 
 def test_what_the_flights_cannot_tell(flights):
     with pytest.raises(DataError, match="c_1, c_2, b_z cannot be told apart"):
-        fit_thrust_curve([_narrow(flights[0])], intercept=True)
+        fit_thrust_curve([_narrow(flights[0])], thrust_intercept=True)
     with pytest.raises(UsageError, match="thrust signal 'pwm' is none of rotor_speed, motor_command"):
         fit_thrust_curve(flights, signal="pwm")
     with pytest.raises(DataError, match="flight_0: columns rotor_speed_0 .. are missing"):
@@ -141,8 +141,6 @@ def test_the_figure_names_the_power_of_the_voltage(exponent, label):
     signal, force = rng.uniform(0.2, 0.8, (k, 4)), rng.normal(size=(k, 3))
     same = np.zeros(k, int)
     voltage, held = np.full(k, 3.6), np.zeros(k, bool)
-    samples = Samples(
-        np.arange(k) * 0.01, same, same, force, force, signal, voltage, "motor_command", ("a",), None, held
-    )
+    samples = Samples(np.arange(k) * 0.01, same, same, force, force, signal, held, "motor_command", ("a",), voltage)
     for panel in thrust_figure(curve, samples).axes:
         assert panel.get_xlabel().endswith(f", times {label}")

@@ -14,7 +14,7 @@ from quadexp.models.samples import gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import explained, fit_torque, torque_lines
 from quadexp.models.validation import predictors
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.log.imitated import imitated, vehicle_named
 
 CASES = {

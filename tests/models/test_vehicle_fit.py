@@ -11,7 +11,7 @@ from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.regression import half_width
 from quadexp.models.samples import gather
 from quadexp.models.selection import best_level, left_out, selection
-from quadexp.models.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
+from quadexp.models.vehicle_model import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
 from tests.models.logged_flights import CURVE, DRAG, OFFSET, logged_flight, specific_force
 
 

@@ -26,7 +26,7 @@ from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.open_loop import Track, rollout_errors
 from quadexp.models.samples import gather, read_rows
 from quadexp.models.validation import predictors
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import STATE_COLUMNS
