@@ -117,17 +117,6 @@ def test_without_forgetting_it_is_least_squares_on_all_samples(vehicle, rng, fam
         assert np.allclose(learner.theta[block.at], block.mean + block.root @ b, rtol=1e-12, atol=1e-12)
 
 
-def test_a_wide_prior_gives_plain_least_squares(vehicle, rng):
-    adapting = adapting_terms(vehicle, 1e4)
-    learner = Learner(vehicle, adapting, Law("rls"), variance=0.01)
-    v, u, y = samples(rng, 400)
-    for sample in zip(v, u, y, strict=True):
-        learner.sample(*sample)
-    for block, X in zip(adapting.blocks, designs(adapting, v, u), strict=True):
-        plain = np.linalg.lstsq(X @ np.linalg.inv(block.root), y[:, block.axis], rcond=None)[0]
-        assert np.allclose(learner.theta[block.at], plain, rtol=1e-5, atol=1e-6)
-
-
 def test_the_prior_of_drag_is_of_one_size_at_usual_speed_and_thrust(vehicle):
     """Each weight alone, a standard deviation off its mean, adds s at 8 m/s along its axis in hover."""
     s, hover = 0.7, np.full(vehicle.n_rotors, vehicle.mass * vehicle.gravity / vehicle.n_rotors)
@@ -205,23 +194,6 @@ def test_the_covariance_of_a_gaussian_process_after_1e5_samples(vehicle, forgett
         if not forgetting:
             expected = np.linalg.inv(np.eye(len(P)) + information / 1e-2)
             assert np.abs(P - expected).max() < 1e-8
-
-
-def test_fitc_counts_what_the_inducing_points_do_not_know(vehicle, rng):
-    """Far from all points a sample says nothing of them: its noise is the whole signal variance."""
-    adapting = families(vehicle)["gaussian_process"]
-    plain, fitc = (Learner(vehicle, adapting, Law("bayes", on), variance=1e-4) for on in (False, True))
-    z = np.array([6.0, -4.0, 3.0]), np.full(4, 3.0)
-    for learner in (plain, fitc):
-        learner.sample(*z, [1.0, -1.0, 0.5])
-    for block, X, (b, _), (c, _) in zip(
-        adapting.blocks, designs(adapting, z[0][None], z[1][None]), plain.blocks, fitc.blocks, strict=True
-    ):
-        phi = X[0]
-        unknown = block.signal_variance - phi @ phi
-        assert unknown > 0
-        shrink = (phi @ phi + 1e-4) / (phi @ phi + 1e-4 + unknown)
-        assert np.allclose(c, shrink * b, rtol=1e-8)
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")

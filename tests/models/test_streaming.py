@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.compile.backend import BufferedFunction, compiler, realise
 from quadexp.models.gaussian_process import JITTER, OutputPosterior, adapting_process, gaussian_process_residual
-from quadexp.models.online import Law, from_zero, prior_belief, update_function
+from quadexp.models.online import Law, from_zero
 from quadexp.models.sgpr import Hyperparameters, sparse_posterior
 from tests.models.test_online import Learner
 
@@ -42,18 +41,10 @@ def process(points=12):
 def stream(vehicle, law, v, u, a, forgetting=0.0):
     outputs = process()
     adapting = adapting_process(gaussian_process_residual(vehicle, outputs), outputs, None)
-    compiled = compiler() is not None
-    function = update_function(vehicle, adapting, None, law, compiled=compiled)
-    update = BufferedFunction(realise(function, "compiled" if compiled else "interpreted"))
-    given = update.arguments
-    given["belief"][...], given["variance"][...], given["decay"][...] = prior_belief(adapting), 0.04, 1 - forgetting
-    given["x"][3] = 1.0
-    for velocity, thrust, sample in zip(v, u, a, strict=True):
-        given["x"][7:10], given["u"][...] = velocity, thrust
-        given["f"][...] = sample + [0, 0, thrust.sum() / vehicle.mass]
-        update()
-        given["belief"][...] = update.results["new_belief"]
-    return adapting, outputs, Learner.split(adapting, given["belief"]), update.results["theta"].copy()
+    learner = Learner(vehicle, adapting, law, variance=0.04, decay=1 - forgetting)
+    for sample in zip(v, u, a, strict=True):
+        learner.sample(*sample)
+    return adapting, outputs, learner.blocks, learner.theta.copy()
 
 
 def features(names, v, u):

@@ -28,7 +28,6 @@ JACOBIANS = ("tests/physics/test_sensitivity.py", "tests/properties/test_jacobia
 DELAYS = ("tests/control/delay", "tests/experiment/test_identify_delays.py", "tests/experiment/test_delay_remedies.py")
 RESIDUAL = (
     "tests/models/test_residuals.py", "tests/models/test_blade_residual.py", "tests/models/test_terms.py",
-    "tests/models/test_compiled_sums.py", "tests/models/test_sum.py",
     "tests/properties/test_jacobians.py", "tests/world/test_blade_element.py",
 )  # fmt: skip
 
@@ -63,7 +62,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "quadexp/models/online.py": ("tests/models/test_online.py", "tests/models/test_streaming.py"),
     "quadexp/models/adapt_block.c": ("tests/models/test_online.py", "tests/models/test_streaming.py"),
-    "quadexp/models/neural_*.c": ("tests/models/test_compiled_sums.py", "tests/models/test_neural.py"),
+    "quadexp/models/neural_*.c": ("tests/models/test_residuals.py", "tests/models/test_neural.py"),
     "quadexp/models/sum.py": RESIDUAL,
     "quadexp/models/terms.py": (*RESIDUAL, "tests/models/test_lumped.py"),
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
@@ -95,7 +94,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/mpc/attitude_error.py": STEP,
     "quadexp/control/mpc/subproblem.py": STEP,
     "quadexp/control/mpc/riccati*": ("tests/control/mpc/test_riccati.py", "tests/control/mpc/test_active_set.py"),
-    "quadexp/models/gp_sums.c": ("tests/models/test_compiled_sums.py",),
+    "quadexp/models/gp_sums.c": ("tests/models/test_residuals.py",),
     "quadexp/control/mpc/active_set.*": ("tests/control/mpc/test_active_set.py", "tests/control/mpc/test_step.py"),
     "quadexp/control/mpc/dual_active_set.py": (
         "tests/control/mpc/test_dual_active_set.py",
