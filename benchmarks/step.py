@@ -44,10 +44,10 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
-from quadexp.models.base import Residual, no_residual
 from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients

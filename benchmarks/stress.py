@@ -23,10 +23,10 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.errors import QuadexpError
-from quadexp.models.base import Residual, no_residual
 from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle

@@ -11,7 +11,7 @@ from typing import Annotated
 import casadi as ca
 
 from quadexp.control.mpc.part import MPC
-from quadexp.models.base import feature_names, symbolic_residual
+from quadexp.models.residual import feature_names, symbolic_residual
 from quadexp.parts.settings import Setting
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
 

@@ -38,7 +38,7 @@ from quadexp.control.observers.observer import air_of, known_delay, parameters_o
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
-from quadexp.models.base import N_OUTPUTS, Residual
+from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Setting, Settings, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features

@@ -13,7 +13,7 @@ import numpy as np
 
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
 

@@ -18,7 +18,7 @@ from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.log.outcome import CORRIDOR, corridor
 from quadexp.log.schema import Flight
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.physics.rotation import heading, heading_rate
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, in_motion, input_columns
 from quadexp.reference.base import Trajectory

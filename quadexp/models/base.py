@@ -5,46 +5,24 @@
 A record's fields are its checkpoint: type, range and shape stand beside each, and are checked whenever one is made, in
 Python or from a file. CasADi and PyTorch are imported when they are first needed, so loading a checkpoint and
 predicting need numpy only.
-
-What a controller or a plant takes of it is a Residual, the acceleration and torque beyond the rigid body: one CasADi
-function of body-frame quantities and runtime parameters,
-
-    y, dy/dz = r(z, theta)
-    z = [v_body (3, m/s), w (3, rad/s), u (n, N)]            (6 + n,)
-    y = [a_body (3, m/s^2), tau_body (3, N m)]               (6,)
-
-so that v' = R (T e_z / m + a_body) + g and J w' = tau + tau_body - w x J w. The function also returns the Jacobian,
-because a learned model has a cheaper one than automatic differentiation. theta is an input of every compiled function:
-new coefficients do not require recompilation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import fields
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, get_type_hints
+from typing import Annotated, Any, ClassVar, NamedTuple, get_type_hints
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from quadexp.compile.symbolic import ca
-from quadexp.errors import UsageError
-from quadexp.physics.correction import FEATURES, N_OUTPUTS, OUTPUTS
-from quadexp.physics.expression import Expression
+from quadexp.models.dataset import ResidualDataset
+from quadexp.models.online import Adapting
+from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from quadexp.models.dataset import ResidualDataset
-    from quadexp.models.online import Adapting
-
-__all__ = ["FEATURES", "N_OUTPUTS", "OUTPUTS", "Model", "Residual", "feature_names", "no_residual", "symbolic_residual"]
-
 Callback = Callable[[str, float], None]
-AXES = "xyz"
-VELOCITY = ("v_x", "v_y", "v_z")
-THRUST = "thrust"  # feature: sum of the rotor thrusts (N)
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0)]
@@ -88,78 +66,6 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             array = getattr(self, name)
             if array is not None and np.shape(array) not in (allowed := shape.of(self)):
                 raise ValueError(f"{name} is of shape {np.shape(array)}; {' or '.join(map(str, allowed))} is needed")
-
-
-@dataclass(frozen=True)
-class Residual:
-    """A residual model: function, parameters, and their source.
-
-    name: for output ("none", "linear_drag", "gaussian_process", ...).
-    function: CasADi, (z (6 + n,), theta (p,)) -> (y (6,), dy/dz (6, 6 + n)); entries that are always zero are
-        structural zeros, so that code using it can omit them.
-    theta: parameter values, (p,). source: checkpoint path or a word, for the record.
-    to_compile: the same function in a form suited for compilation; None: `function` itself.
-    ranges: feature -> [least, largest] of the data of the fit (models.support); None where unknown or not fitted.
-    unscaled: of a residual whose last parameter is a scale of the outputs, the residual without it (models.sum).
-    """
-
-    name: str
-    function: ca.Function
-    theta: np.ndarray
-    source: str = ""
-    to_compile: ca.Function | None = None
-    ranges: Mapping[str, Sequence[float]] | None = field(default=None, compare=False)
-    unscaled: Residual | None = None
-
-    def __call__(self, features: np.ndarray) -> np.ndarray:
-        """Residual at many points: features (k, 6 + n) -> outputs (k, 6) in the units of `OUTPUTS`."""
-        features = np.atleast_2d(features)
-        outputs, _ = self.function(features.T, np.tile(self.theta[:, None], (1, len(features))))
-        return np.array(ca.DM(outputs).full()).T
-
-    @property
-    def is_zero(self) -> bool:
-        """Whether the outputs are structurally zero."""
-        return self.function.nnz_out(0) == 0
-
-
-def feature_names(n_rotors: int) -> tuple[str, ...]:
-    """Names of the entries of z: body velocity (m/s), body rate (rad/s), rotor thrusts (N)."""
-    return FEATURES + tuple(f"u_{i}" for i in range(n_rotors))
-
-
-def feature_places(names: Sequence[str], features: Iterable[str], what: str) -> list[list[int]]:
-    """Places of each feature in z; of the collective thrust those of all rotors. what: the model, for messages.
-
-    Raises UsageError for an unknown feature.
-    """
-    places = {name: [i] for i, name in enumerate(names)} | {THRUST: list(range(len(FEATURES), len(names)))}
-    for feature in features:
-        if feature not in places:
-            raise UsageError(f"{what} feature {feature!r}: allowed are {', '.join(places)}")
-    return [places[feature] for feature in features]
-
-
-def symbolic_residual(
-    name: str, outputs: Expression, features: Expression, theta: Expression, values: npt.ArrayLike, *,
-    source: str = "", slope: Expression | None = None,
-) -> Residual:  # fmt: skip
-    """A residual from SX expressions: outputs (6,), of features (6 + n,) and theta (p,), p may be 0.
-
-    values: (p,). slope: the Jacobian, (6, 6 + n); None: by automatic differentiation.
-    """
-    if slope is None:
-        outputs, slope = ca.sparsify(outputs), ca.jacobian(outputs, features)
-    else:
-        outputs, slope = ca.cse([outputs, slope])
-    function = ca.Function(f"residual_{name}", [features, theta], [outputs, slope], ["z", "theta"], ["y", "dy_dz"])
-    return Residual(name, function, np.asarray(values, float).ravel(), source)
-
-
-def no_residual(vehicle: Vehicle) -> Residual:
-    """y = 0, structurally: the nominal rigid body."""
-    features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))
-    return symbolic_residual("none", ca.SX(N_OUTPUTS, 1), features, ca.SX.sym("theta", 0), [])
 
 
 class Prediction(NamedTuple):

@@ -46,8 +46,8 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
-from quadexp.models.base import AXES, Residual, feature_names, symbolic_residual
 from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
+from quadexp.models.residual import AXES, Residual, feature_names, symbolic_residual
 from quadexp.models.rls import ITERATIONS as SAFE_ITERATIONS
 from quadexp.models.rls import SLOWEST, BladeElementRLS, RLSSettings
 from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed

@@ -33,7 +33,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
-from quadexp.models.base import AXES, THRUST
+from quadexp.models.residual import AXES, THRUST
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import rigid_body_function
 from quadexp.physics.rotation import air_velocity

@@ -28,24 +28,11 @@ import numpy.typing as npt
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import (
-    AXIS,
-    N_OUTPUTS,
-    OUTPUTS,
-    Model,
-    Output,
-    Positive,
-    Prediction,
-    Record,
-    Residual,
-    Shape,
-    Share,
-    feature_names,
-    feature_places,
-)
+from quadexp.models.base import AXIS, Model, Output, Positive, Prediction, Record, Shape, Share
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import N_PARAMETERS, LinearDrag, linear_drag_acceleration
 from quadexp.models.online import Adapting, Block
+from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, feature_names, feature_places
 from quadexp.models.terms import TermMean, TermStructure
 from quadexp.parts.learning import GPKeys
 from quadexp.physics.expression import Expression

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.models.base import OUTPUTS
 from quadexp.models.dataset import ResidualDataset
+from quadexp.models.residual import OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 
 ESTIMATE = ("velocity_noise", "rate_noise", "attitude_noise")

@@ -35,21 +35,11 @@ import numpy as np
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import (
-    AXIS,
-    OUTPUTS,
-    Callback,
-    Model,
-    Output,
-    Prediction,
-    Residual,
-    Shape,
-    feature_names,
-    feature_places,
-)
+from quadexp.models.base import AXIS, Callback, Model, Output, Prediction, Shape
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.models.online import Adapting, Block
+from quadexp.models.residual import OUTPUTS, Residual, feature_names, feature_places
 from quadexp.models.support import library_versions, origin, require_variation
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 from quadexp.parts.learning import NNKeys

@@ -18,10 +18,11 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
-from quadexp.models.base import AXES, THRUST, rms
+from quadexp.models.base import rms
 from quadexp.models.checkpoint import plain
 from quadexp.models.dataset import ResidualDataset, joined, transitions
 from quadexp.models.linear_drag import fit_linear_drag
+from quadexp.models.residual import AXES, THRUST
 from quadexp.models.samples import choose_signal, read_rows, rotor_columns
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.physics.vehicle import Vehicle

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.schema import Flight
-from quadexp.models.base import VELOCITY
 from quadexp.models.dataset import consecutive
+from quadexp.models.residual import VELOCITY
 from quadexp.models.samples import rotor_columns
 from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns
 from quadexp.physics.vehicle import Vehicle

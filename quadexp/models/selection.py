@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.models.base import AXES, rms
+from quadexp.models.base import rms
+from quadexp.models.residual import AXES
 from quadexp.models.samples import Samples
 from quadexp.models.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.models.vehicle_model import KINDS, LEVEL_NAMES, LEVELS, FitSettings, fit_level

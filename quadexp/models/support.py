@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.models.base import VELOCITY
 from quadexp.models.dataset import ResidualDataset
+from quadexp.models.residual import VELOCITY
 
 SPEED = "speed"
 REPORTED_SHARE = 0.01  # least share of samples outside that is reported for a flight

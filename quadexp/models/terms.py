@@ -39,20 +39,11 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
-from quadexp.models.base import (
-    AXES,
-    VELOCITY,
-    Positive,
-    Record,
-    Residual,
-    Rotors,
-    Three,
-    feature_names,
-    symbolic_residual,
-)
+from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.regression import Regression, half_width, regress
+from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import Balance, safe_newton

@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.models.base import THRUST
 from quadexp.models.dataset import ResidualDataset
+from quadexp.models.residual import THRUST
 
 MEMORY = 10.0  # s
 PRIOR = 0.5  # s

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.models.base import AXES, Model, rms
+from quadexp.models.base import Model, rms
 from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
 from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.residual import AXES
 from quadexp.models.samples import FlightRows
 from quadexp.models.support import outside_shares
 from quadexp.models.terms import TermModel

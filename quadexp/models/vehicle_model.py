@@ -20,11 +20,12 @@ from msgspec.structs import replace
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
-from quadexp.models.base import AXES, VELOCITY, Model, Prediction, Residual
+from quadexp.models.base import Model, Prediction
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.lumped import fit_inflow, momentum_of
 from quadexp.models.regression import regress
+from quadexp.models.residual import AXES, VELOCITY, Residual
 from quadexp.models.samples import Samples, gather_to_fit
 from quadexp.models.support import feature_ranges
 from quadexp.models.terms import (

@@ -18,7 +18,7 @@ N_OUTPUTS = len(OUTPUTS)
 
 
 class Correction(Protocol):
-    """An object with such a function, such as quadexp.models.base.Residual."""
+    """An object with such a function, such as quadexp.models.residual.Residual."""
 
     @property
     def function(self) -> ca.Function:

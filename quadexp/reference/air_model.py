@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.models.base import FEATURES, N_OUTPUTS, Residual
+from quadexp.models.residual import FEATURES, N_OUTPUTS, Residual
 from quadexp.physics.expression import Expression
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts

@@ -16,7 +16,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together
 from quadexp.compile.symbolic import ca
-from quadexp.models.base import FEATURES, N_OUTPUTS
+from quadexp.models.residual import FEATURES, N_OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_model import AirModel, AirResponse, outputs_and_gradients
 from quadexp.reference.air_step import predicted_and_next

@@ -12,9 +12,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import PercentFormatter
 from msgspec.structs import replace
 
-from quadexp.models.base import AXIS, THRUST, VELOCITY, Prediction
+from quadexp.models.base import AXIS, Prediction
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.gaussian_process import GPModel, OutputPosterior
+from quadexp.models.residual import THRUST, VELOCITY
 from quadexp.models.terms import TermMean
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, Figure, entries, styled

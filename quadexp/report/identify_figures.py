@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from quadexp.models.base import AXES
 from quadexp.models.regression import half_width
+from quadexp.models.residual import AXES
 from quadexp.models.samples import SIGNALS, Samples
 from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve, scaled_signal

@@ -22,8 +22,8 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, UsageError
-from quadexp.models.base import Residual, feature_names, symbolic_residual
 from quadexp.models.blade_element import blade_element_correction
+from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, part
 from quadexp.physics.induced_velocity import REASONS, Defined

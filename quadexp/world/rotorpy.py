@@ -26,7 +26,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import Residual, feature_names, symbolic_residual
+from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.blade_element import TINY_SPEED

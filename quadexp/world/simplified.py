@@ -20,7 +20,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.models.base import Residual, feature_names, symbolic_residual
+from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force

@@ -23,9 +23,8 @@ from quadexp.control.observers.scaled_force import N_SCALED_STATE, SURPRISE, sca
 from quadexp.control.observers.wind import WindObserver, with_wind_observer
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
-from quadexp.models.base import Residual, symbolic_residual
 from quadexp.models.linear_drag import linear_drag_residual
-from quadexp.models.sum import scaled_residual
+from quadexp.models.residual import Residual, scaled_residual, symbolic_residual
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.vehicle import Vehicle

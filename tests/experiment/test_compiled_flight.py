@@ -17,8 +17,8 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment import compiled_flight, rollout
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.models.base import symbolic_residual
 from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import symbolic_residual
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate

@@ -12,7 +12,7 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.models.base import no_residual
+from quadexp.models.residual import no_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import heading
 from quadexp.physics.state import ATTITUDE

@@ -7,12 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from quadexp.models.base import Residual, no_residual
 from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.neural import Network, neural_residual
-from quadexp.models.sum import sum_residual
+from quadexp.models.residual import Residual, no_residual, sum_residual
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle

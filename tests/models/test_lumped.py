@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.models.base import AXES
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.lumped import fit_inflow, momentum_of
 from quadexp.models.regression import regress
+from quadexp.models.residual import AXES
 from quadexp.models.terms import SELF_CONSISTENT, Z_TERMS, Inflow, TermStructure, all_columns, fit_terms
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import VehicleModel

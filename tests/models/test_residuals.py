@@ -8,10 +8,9 @@ import pytest
 
 from quadexp.compile.backend import realise
 from quadexp.errors import UsageError
-from quadexp.models.base import no_residual, symbolic_residual
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
-from quadexp.models.sum import scaled_residual
+from quadexp.models.residual import no_residual, scaled_residual, symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.world import PlantEffects, SimplifiedPlant
 from tests.models.residuals import RESIDUALS, make_residual

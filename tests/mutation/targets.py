@@ -63,7 +63,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/models/online.py": ("tests/models/test_online.py", "tests/models/test_streaming.py"),
     "quadexp/models/adapt_block.c": ("tests/models/test_online.py", "tests/models/test_streaming.py"),
     "quadexp/models/neural_*.c": ("tests/models/test_residuals.py", "tests/models/test_neural.py"),
-    "quadexp/models/sum.py": RESIDUAL,
+    "quadexp/models/residual.py": RESIDUAL,
     "quadexp/models/terms.py": (*RESIDUAL, "tests/models/test_lumped.py"),
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
     "quadexp/models/gaussian_process.py": (*RESIDUAL, "tests/models/test_gp_fit.py"),

@@ -13,10 +13,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadexp.models.base import Residual, no_residual
 from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle

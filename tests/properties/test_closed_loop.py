@@ -19,8 +19,8 @@ from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.models.base import no_residual
 from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.blade_element import BladeElementPlant

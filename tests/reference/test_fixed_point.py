@@ -8,8 +8,8 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.models.base import symbolic_residual
 from quadexp.models.blade_element import blade_element_residual
+from quadexp.models.residual import symbolic_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.rotor import BladeCoefficients

@@ -10,8 +10,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import UsageError
-from quadexp.models.base import no_residual, symbolic_residual
 from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual, symbolic_residual
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.reference.base import FlatOutput
 from quadexp.reference.circle import Circle

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.models.base import symbolic_residual
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.residual import symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.reference.circle import Circle

@@ -8,7 +8,7 @@ import pytest
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.models.base import no_residual
+from quadexp.models.residual import no_residual
 from quadexp.reference.hover import Hover
 from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery

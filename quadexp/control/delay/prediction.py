@@ -27,7 +27,7 @@ from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import KnownDelay
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
-from quadexp.models.base import Residual, no_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function

@@ -18,7 +18,7 @@ from quadexp.control.dfbc.law import DFBCKeys, law_function
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import RESIDUAL, ControllerPart
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, part
 from quadexp.physics.vehicle import Vehicle

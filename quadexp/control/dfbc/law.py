@@ -32,7 +32,7 @@ from typing import Annotated, ClassVar, Literal
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
 from quadexp.control.belief import N_BELIEF
-from quadexp.models.base import N_OUTPUTS, Residual
+from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Setting, Settings, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix

@@ -19,7 +19,7 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import no_belief
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.vehicle import Vehicle
 

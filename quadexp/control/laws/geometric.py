@@ -44,7 +44,7 @@ from quadexp.control.laws.attitude import attitude_distance, attitude_error, mov
 from quadexp.control.laws.desaturation import clipped, held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
-from quadexp.models.base import N_OUTPUTS, Residual
+from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Setting, Settings, Triple, part
 from quadexp.physics.expression import Expression

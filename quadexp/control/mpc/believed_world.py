@@ -27,7 +27,7 @@ from quadexp.control.belief import N_BELIEF, Belief, no_belief
 from quadexp.control.delivered import Delays, delivered_by_commands
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 

@@ -25,7 +25,7 @@ from quadexp.control.mpc.attitude_error import attitude_error_in, reference_fram
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.reference_thrust import held_deviation
 from quadexp.control.mpc.settings import SAMPLES
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle

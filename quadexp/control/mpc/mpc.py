@@ -17,7 +17,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 

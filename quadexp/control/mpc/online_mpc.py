@@ -23,9 +23,8 @@ from quadexp.control.mpc.part import LEARNED, PredictivePart, check_models
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
-from quadexp.models.base import Residual
 from quadexp.models.online import Adapting, Law, prior_belief, update_function
-from quadexp.models.sum import sum_residual
+from quadexp.models.residual import Residual, sum_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, Settings, part
 from quadexp.physics.vehicle import Vehicle

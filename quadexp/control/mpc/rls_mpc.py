@@ -20,7 +20,7 @@ from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.models.rls import Identification
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, part

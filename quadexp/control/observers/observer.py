@@ -29,7 +29,7 @@ from quadexp.control.mpc.rls_mpc import IdentifyingController
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
-from quadexp.models.base import Residual, no_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.vehicle import Vehicle
 

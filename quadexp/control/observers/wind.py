@@ -39,7 +39,7 @@ from quadexp.control.observers.scaled_force import inverse
 from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
-from quadexp.models.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY

@@ -17,8 +17,8 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import WrappedController
-from quadexp.models.base import no_residual
 from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.models.base import no_residual
+from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE
 
 

@@ -15,7 +15,7 @@ from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import adapting_drag, linear_drag_residual
-from quadexp.models.sum import sum_residual
+from quadexp.models.residual import sum_residual
 from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, STATE_COLUMNS
