@@ -25,8 +25,7 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import residual_dataset
-from quadexp.models.gaussian_process import GPSettings, gaussian_process_residual
-from quadexp.models.sgpr import fit_gp
+from quadexp.models.gaussian_process import GPSettings, fit_gp, gaussian_process_residual
 from quadexp.parts.compose import compose
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant

@@ -24,16 +24,26 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
-from quadexp.errors import UsageError
-from quadexp.models.base import AXIS, Model, Output, Positive, Prediction, Record, Shape, Share
+from quadexp.errors import DataError, UsageError
+from quadexp.models.base import AXIS, Callback, Model, Output, Positive, Prediction, Record, Shape, Share
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.linear_drag import N_PARAMETERS, LinearDrag, linear_drag_acceleration
+from quadexp.models.linear_drag import (
+    N_PARAMETERS,
+    LinearDrag,
+    constant_mean,
+    fit_linear_drag,
+    linear_drag_acceleration,
+)
+from quadexp.models.neural import one_thread
 from quadexp.models.online import Adapting, Block
 from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, feature_names, feature_places
-from quadexp.models.terms import TermMean, TermStructure
+from quadexp.models.support import library_versions, origin, require_variation
+from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
+from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 from quadexp.parts.learning import GPKeys
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
@@ -170,8 +180,6 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
 
     @classmethod
     def fit(cls, rows: ResidualDataset, settings: GPSettings, **options: Any) -> GPModel:
-        from quadexp.models.sgpr import fit_gp  # imports PyTorch
-
         return fit_gp(rows, settings, **options)
 
     @property
@@ -302,3 +310,81 @@ def _scalar_functions(
             phi.append(ca.sum1(z[columns]))
     select = ca.Function("select", [z, scale], [scale * ca.vertcat(*phi)])
     return select, ca.Function("assemble", [z, mean, scale, value, slope], [ca.sparsify(y), ca.sparsify(dy_dz)])
+
+
+def fit_gp(
+    dataset: ResidualDataset,
+    settings: GPSettings | None = None,
+    *,
+    start: GPModel | None = None,
+    callback: Callback | None = None,
+    intervals: bool = True,
+) -> GPModel:
+    """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
+
+    start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
+    then do. callback, intervals: see Model.fit.
+    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
+    than an exact GP can take, or where a feature is constant.
+    """
+    from quadexp.models.sgpr import fit_output  # imports PyTorch
+
+    settings = settings or GPSettings()
+    iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
+    rng = np.random.default_rng(settings.seed)
+    if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
+        dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
+    _check(dataset, settings)
+    scaled = with_common_scale(dataset)
+    dataset = scaled.dataset
+    # Under a thrust curve the thrust term would duplicate the curve's scale.
+    drag = fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=intervals)
+    mean = _prior_mean(dataset, settings, drag)
+    prior = None if mean is None else mean.acceleration(dataset)
+    posteriors: list[OutputPosterior] = []
+    with one_thread():
+        for i, (output, features) in enumerate(settings.features.items()):
+            target = dataset.matrix([output])[:, 0]
+            if prior is not None and output in AXIS:
+                target = target - prior[:, AXIS[output]]
+            alike = (output, features, settings.inducing)
+            earlier = [o for o in start.outputs if (o.output, o.features, len(o.alpha)) == alike] if start else []
+
+            def report(done: float, output: str = output, i: int = i) -> None:
+                if callback is not None:
+                    callback(f"fit {output}", (i + done) / len(settings.features))
+
+            before = earlier[0] if earlier else None
+            given = dataset.matrix(features), target, settings, iterations, rng, before, report
+            posterior = OutputPosterior(output, features, *fit_output(*given))
+            if output == "a_z":
+                posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
+            posteriors.append(posterior)
+    if callback is not None:
+        callback("fit done", 1.0)
+    used = [name for names in settings.features.values() for name in names]
+    versions = library_versions("numpy", "scipy", "torch", "gpytorch")
+    return GPModel(
+        tuple(posteriors), mean, drag, settings=settings.as_dict(), versions=versions, **origin(dataset, used)
+    )
+
+
+def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
+    n = dataset.n_rows
+    if settings.method == "exact" and n > settings.max_exact_rows:
+        raise DataError(
+            f"gp.method=exact: {n} rows are more than gp.max_exact_rows={settings.max_exact_rows};"
+            " use gp.method=sgpr, or draw fewer with gp.max_rows"
+        )
+    for output, features in settings.features.items():
+        require_variation(dataset, [*features, output], len(features), f"gp.features.{output}")
+    if settings.method != "exact" and n < settings.inducing:
+        raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
+
+
+def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
+    if settings.mean in MEANS:
+        return fit_term_mean(dataset, settings.mean)
+    if settings.mean == "constant":
+        return constant_mean(dataset.matrix(["a_x", "a_y", "a_z"]).mean(axis=0))
+    return drag if settings.mean == "linear_drag" else None

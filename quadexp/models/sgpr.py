@@ -26,26 +26,18 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import gpytorch
 import numpy as np
 import torch
 from linear_operator.utils.errors import NanError, NotPSDError
 from linear_operator.utils.warnings import NumericalWarning
-from msgspec.structs import replace
 from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
 
-from quadexp.errors import DataError
-from quadexp.models.base import AXIS, Callback
-from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import GPModel, GPSettings, OutputPosterior
-from quadexp.models.linear_drag import LinearDrag, constant_mean, fit_linear_drag
-from quadexp.models.neural import one_thread
-from quadexp.models.support import library_versions, origin, require_variation
-from quadexp.models.terms import MEANS, TermMean, fit_term_mean
-from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
+from quadexp.parts.learning import GPKeys
 
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
@@ -67,92 +59,19 @@ class Hyperparameters:
     noise_variance: float
 
 
-def fit_gp(
-    dataset: ResidualDataset,
-    settings: GPSettings | None = None,
-    *,
-    start: GPModel | None = None,
-    callback: Callback | None = None,
-    intervals: bool = True,
-) -> GPModel:
-    """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
-
-    start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
-    then do. callback, intervals: see Model.fit.
-    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
-    than an exact GP can take, or where a feature is constant.
-    """
-    settings = settings or GPSettings()
-    iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
-    rng = np.random.default_rng(settings.seed)
-    if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
-        dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
-    _check(dataset, settings)
-    scaled = with_common_scale(dataset)
-    dataset = scaled.dataset
-    # Under a thrust curve the thrust term would duplicate the curve's scale.
-    drag = fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=intervals)
-    mean = _prior_mean(dataset, settings, drag)
-    prior = None if mean is None else mean.acceleration(dataset)
-    posteriors: list[OutputPosterior] = []
-    with one_thread():
-        for i, (output, features) in enumerate(settings.features.items()):
-            target = dataset.matrix([output])[:, 0]
-            if prior is not None and output in AXIS:
-                target = target - prior[:, AXIS[output]]
-            alike = (output, features, settings.inducing)
-            earlier = [o for o in start.outputs if (o.output, o.features, len(o.alpha)) == alike] if start else []
-
-            def report(done: float, output: str = output, i: int = i) -> None:
-                if callback is not None:
-                    callback(f"fit {output}", (i + done) / len(settings.features))
-
-            before = earlier[0] if earlier else None
-            posterior = _fit_output(output, dataset.matrix(features), target, settings, iterations, rng, before, report)
-            if output == "a_z":
-                posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
-            posteriors.append(posterior)
-    if callback is not None:
-        callback("fit done", 1.0)
-    used = [name for names in settings.features.values() for name in names]
-    versions = library_versions("numpy", "scipy", "torch", "gpytorch")
-    return GPModel(
-        tuple(posteriors), mean, drag, settings=settings.as_dict(), versions=versions, **origin(dataset, used)
-    )
-
-
-def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
-    n = dataset.n_rows
-    if settings.method == "exact" and n > settings.max_exact_rows:
-        raise DataError(
-            f"gp.method=exact: {n} rows are more than gp.max_exact_rows={settings.max_exact_rows};"
-            " use gp.method=sgpr, or draw fewer with gp.max_rows"
-        )
-    for output, features in settings.features.items():
-        require_variation(dataset, [*features, output], len(features), f"gp.features.{output}")
-    if settings.method != "exact" and n < settings.inducing:
-        raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
-
-
-def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
-    if settings.mean in MEANS:
-        return fit_term_mean(dataset, settings.mean)
-    if settings.mean == "constant":
-        return constant_mean(dataset.matrix(["a_x", "a_y", "a_z"]).mean(axis=0))
-    return drag if settings.mean == "linear_drag" else None
-
-
-def _fit_output(
-    output: str,
+def fit_output(
     z: np.ndarray,
     target: np.ndarray,
-    settings: GPSettings,
+    settings: GPKeys,
     iterations: int,
     rng: np.random.Generator,
-    start: OutputPosterior | None,
+    start: Any,
     report: Callable[[float], None],
-) -> OutputPosterior:
-    """The posterior of one output from its features z (k, d) and target (k,), in the coordinates of the module."""
+) -> tuple[Any, ...]:
+    """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
+
+    start: the same output's posterior, whose values replace the first stages. report: called with the completed share.
+    """
     centre, spread = z.mean(axis=0), z.std(axis=0)
     unit = float(np.sqrt(np.mean(target**2))) or 1.0
     x, y = (z - centre) / spread, target / unit
@@ -186,9 +105,9 @@ def _fit_output(
     else:
         alpha, factor = exact_posterior(points, y[rows], guess)
 
-    return OutputPosterior(
-        output, settings.features[output], points * spread + centre, alpha * unit, guess.lengthscale * spread,
-        guess.signal_variance * unit**2, guess.noise_variance * unit**2, factor * unit, bound - float(np.log(unit)),
+    return (
+        points * spread + centre, alpha * unit, guess.lengthscale * spread, guess.signal_variance * unit**2,
+        guess.noise_variance * unit**2, factor * unit, bound - float(np.log(unit)),
         len(alpha) if settings.method == "subset" else len(x),
     )  # fmt: skip
 

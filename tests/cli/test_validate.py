@@ -10,11 +10,10 @@ from typer.testing import CliRunner
 from quadexp.cli.app import app
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
-from quadexp.models.gaussian_process import GPSettings
+from quadexp.models.gaussian_process import GPSettings, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.neural import NNSettings, fit_network
 from quadexp.models.recorded import recorded_dataset
-from quadexp.models.sgpr import fit_gp
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import crazyflie, recorded_flight
 

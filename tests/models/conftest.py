@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.models.gaussian_process import GPModel, GPSettings
-from quadexp.models.sgpr import fit_gp
+from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
 from tests.models.synthetic import synthetic_dataset
 
 

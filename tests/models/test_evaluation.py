@@ -10,9 +10,8 @@ from quadexp.errors import DataError
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.evaluation import evaluate, fit_with_report, score, split_by_flight
-from quadexp.models.gaussian_process import GPModel, GPSettings
+from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.sgpr import fit_gp
 from quadexp.models.support import feature_ranges, outside_shares
 from quadexp.report.fit_figures import curve, moved
 from tests.models.synthetic import synthetic_dataset

@@ -7,8 +7,7 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import GPSettings
-from quadexp.models.sgpr import fit_gp
+from quadexp.models.gaussian_process import GPSettings, fit_gp
 from tests.models.synthetic import synthetic_dataset, truth
 
 

@@ -17,9 +17,8 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.log.outcome import COMPLETED
 from quadexp.models.checkpoint import save_model
-from quadexp.models.gaussian_process import GPSettings
+from quadexp.models.gaussian_process import GPSettings, fit_gp
 from quadexp.models.neural import NeuralModel
-from quadexp.models.sgpr import fit_gp
 from quadexp.parts.compose import compose, session
 from quadexp.parts.schema import Config
 from quadexp.sweeps.server import start_server

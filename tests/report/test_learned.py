@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.models.checkpoint import save_model
-from quadexp.models.gaussian_process import GPSettings
-from quadexp.models.sgpr import fit_gp
+from quadexp.models.gaussian_process import GPSettings, fit_gp
 from quadexp.report.page import make_report
 from quadexp.report.page.learned import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.page.palette import PAPER
