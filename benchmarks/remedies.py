@@ -23,7 +23,6 @@ import numpy as np
 
 from benchmarks.machine import cores, machine, pin
 from benchmarks.step import make_residual
-from quadexp.air.adapting import adapting_terms
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.moments import Moments
 from quadexp.control.delay.prediction import Prediction
@@ -37,6 +36,7 @@ from quadexp.control.observers.disturbance import DisturbanceObserver, with_dist
 from quadexp.control.observers.wind import WindObserver, with_wind_observer
 from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.experiment.rollout import SampledReference
+from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle

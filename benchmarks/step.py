@@ -39,16 +39,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import cores, machine, pin
-from quadexp.air.base import Residual
-from quadexp.air.blade_element import blade_element_residual
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
+from quadexp.models.blade_element import blade_element_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
@@ -108,7 +107,7 @@ def make_residual(case: str, vehicle: Vehicle) -> tuple[Residual, dict[str, Any]
         return blade_element_residual(vehicle, COEFFICIENTS), {"kind": "none"}
     points, weights = gp_points(int(case.removeprefix("gp")))
     outputs = [
-        GPOutput(f"a_{axis}", (f"v_{axis}",), points[i][:, None], weights[i], LENGTHSCALE[i : i + 1])
+        OutputPosterior.mean_only(f"a_{axis}", (f"v_{axis}",), points[i][:, None], weights[i], LENGTHSCALE[i : i + 1])
         for i, axis in enumerate("xyz")
     ]
     numbers = {"kind": "gp", "Z": points.tolist(), "alpha": weights.tolist(), "lengthscale": LENGTHSCALE.tolist()}

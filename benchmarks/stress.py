@@ -19,15 +19,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.machine import machine
-from quadexp.air.base import Residual
-from quadexp.air.blade_element import blade_element_residual
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.errors import QuadexpError
+from quadexp.models.blade_element import blade_element_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
@@ -59,7 +58,9 @@ def stress_residuals(vehicle: Vehicle) -> dict[str, Residual]:
     """One model of the air of every kind, with numbers of the size that fits give."""
     rng = np.random.default_rng(5)
     outputs = [
-        GPOutput(f"a_{axis}", (f"v_{axis}",), rng.uniform(-12, 12, (20, 1)), rng.normal(size=20), np.array([4.0]))
+        OutputPosterior.mean_only(
+            f"a_{axis}", (f"v_{axis}",), rng.uniform(-12, 12, (20, 1)), rng.normal(size=20), np.array([4.0])
+        )
         for axis in "xyz"
     ]
     return {

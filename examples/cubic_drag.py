@@ -10,8 +10,8 @@ from typing import Annotated
 
 import casadi as ca
 
-from quadexp.air.base import feature_names, symbolic_residual
 from quadexp.control.mpc.part import MPC
+from quadexp.models.residual import feature_names, symbolic_residual
 from quadexp.parts.settings import Setting
 
 

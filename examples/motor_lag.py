@@ -10,7 +10,7 @@ from typing import Annotated
 
 import casadi as ca
 
-from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.rigid_body import body_features, state_derivative

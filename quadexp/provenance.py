@@ -2,8 +2,9 @@
 
 DECIDING lists the sources that determine the result of a flight; tests/test_provenance.py compares it with what
 `evaluate_cell` imports. Not listed are sources that compose and check a configuration (their result is in the key of
-the cell), that store, report or distribute flights, and that fit models before (the content of a checkpoint is in the
-key). `report/metrics.py` is listed, because the figures of a row are computed once, when the cell is flown.
+the cell), and that store, report or distribute flights. `models` is listed whole, though a fit that was done before
+decides nothing (the content of a checkpoint is in the key): a model's equation and its fit stand in one file.
+`report/metrics.py` is listed, because the figures of a row are computed once, when the cell is flown.
 """
 
 from __future__ import annotations
@@ -32,13 +33,10 @@ MODULES = {
 
 # Folders (with all their files) and files whose content determines a flight and the figures of its row.
 DECIDING = (
-    "air", "compile", "control", "physics", "reference", "world", "experiment/build.py", "experiment/checkpoints.py",
+    "compile", "control", "models", "physics", "reference", "world", "experiment/build.py", "experiment/checkpoints.py",
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
     "experiment/identity.py", "experiment/kept.py", "experiment/loop_margins.py", "experiment/outside.py",
-    "experiment/rollout.py", "experiment/stability.py", "models/base.py", "models/checkpoint.py", "models/dataset.py",
-    "models/gaussian_process.py", "models/linear_drag.py", "models/neural.py", "models/regression.py", "models/rls.py",
-    "models/samples.py", "models/support.py", "models/terms.py", "models/thrust_curve.py", "models/thrust_scale.py",
-    "models/vehicle_model.py", "log/outcome.py", "report/metrics.py",
+    "experiment/rollout.py", "experiment/stability.py","log/outcome.py", "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")
 SHORT = 12  # hex digits of a hash that people read

@@ -25,7 +25,7 @@ FLOORS = (
     ("files",),
     ("compile", "parts"),
     ("physics",),
-    ("air", "log"),
+    ("log",),
     ("models",),
     ("reference", "world", "control"),
     ("report",),

@@ -31,13 +31,10 @@ ASIDE = {
     "quadexp.log.store": "",
     "quadexp.log.hashes": "",
     "quadexp.log.declared": "refuses files, like the next two",
-    "quadexp.models.sgpr": "fits, and what was fitted is in the key, like the next one",
-    "quadexp.models.torque": "",
-    "quadexp.log.signal": "",
+    "quadexp.log.signal": "derivatives for fits, and what was fitted is in the key, like the next ones",
     "quadexp.log.signal.derivative": "",
     "quadexp.log.signal.resample": "",
     "quadexp.log.signal.stream": "",
-    "quadexp.models": "empty",
     "quadexp.report": "empty",
 }
 

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quadexp.air.gaussian_process import gaussian_process_residual
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
 from quadexp.experiment.kept import unshared
@@ -26,7 +25,7 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import residual_dataset
-from quadexp.models.gaussian_process import GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPSettings, fit_gp, gaussian_process_residual
 from quadexp.parts.compose import compose
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
@@ -48,7 +47,7 @@ LANDMARKS = {
     "data set": ("physics.rigid_body.state_derivative",),
     "fit": ("models.sgpr.loss",),
     "checkpoint": ("models.checkpoint.plain", "models.checkpoint.record_of"),
-    "air": ("air.gaussian_process.gaussian_process_residual",),
+    "air": ("models.gaussian_process.gaussian_process_residual",),
     "step": ("control.mpc.step.step_function", "control.mpc.riccati.backward"),
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),
@@ -161,7 +160,7 @@ def test_a_newcomer_reads_few_modules(walk):
 
 def test_the_walk_passes_every_room_of_the_data_flow(walk):
     rooms = {module.partition(".")[0] for modules in walk.read.values() for module in modules}
-    assert {"world", "physics", "log", "models", "air", "control", "experiment", "report"} <= rooms
+    assert {"world", "physics", "log", "models", "control", "experiment", "report"} <= rooms
 
 
 def test_most_of_the_program_stays_closed(walk):

@@ -88,7 +88,7 @@ def identify(
         return Answer({"method": "rls", "out": out, "flights": each}, rows, lines)
 
     from quadexp.experiment.identify_vehicle import identify_flights
-    from quadexp.models.vehicle_fit import FitSettings
+    from quadexp.models.vehicle_model import FitSettings
 
     if curve not in CURVES:
         raise UsageError(f"identify --thrust-curve: '{curve}' is none of {', '.join(CURVES)}")

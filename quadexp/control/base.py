@@ -9,8 +9,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
 

@@ -26,7 +26,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Measurement, Window
@@ -40,6 +39,7 @@ from quadexp.control.observers.observer import air_of, known_delay, parameters_o
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Setting, Settings, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features

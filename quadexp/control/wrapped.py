@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
 

@@ -205,7 +205,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
 def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """What a controller believes of the air: nothing, the plant's own equations, or what checkpoints hold, summed."""
     if kinds == ("none",):
-        from quadexp.air.none import no_residual
+        from quadexp.models.residual import no_residual
 
         return no_residual(vehicle)
     if kinds == ("plant",):
@@ -214,7 +214,7 @@ def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: 
     parts = residuals(kinds, vehicle, model)
     if len(parts) == 1:
         return parts[0]
-    from quadexp.air.sum import sum_residual
+    from quadexp.models.residual import sum_residual
 
     return sum_residual(parts)
 

@@ -64,7 +64,7 @@ def fit_checkpoint(
 
         lines += verdict_lines(report["verdict"])
     elif kind == "gp":
-        lines.append("no comparison with linear drag: it needs held-out flights (gp.holdout above 0, gp.split=flight)")
+        lines.append("no comparison with linear drag: it needs held-out flights (gp.holdout above 0)")
     return {"path": out, "kind": kind, "figures": files, "lines": lines, **report}
 
 
@@ -90,7 +90,7 @@ def _asked(kind: str, config: Config) -> tuple[type[Model], Any]:
 def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, Any]:
     """Of Gaussian processes: the target of recorded flights, and the comparison with linear drag."""
     found = {"target": data.metadata["target"]} if data.metadata.get("target") else {}
-    if fit.test is None or config.gp.split == "sample":
+    if fit.test is None:
         return found
     from quadexp.models.verdict import verdict
 
@@ -110,13 +110,8 @@ def _draw(fit: Fit, folder: Path) -> dict[str, str]:
 
 
 def _split_lines(report: Mapping[str, Any]) -> list[str]:
-    """The held-out table; for a split by sample both tables, with a warning on the first."""
-    if "misleading" not in report:
-        lines = report_lines(report["rows"], report["held_out_flights"])
-    else:
-        by_flight = report_lines(report["rows_by_flight"], report["held_out_flights"])
-        lines = [f"warning: {report['misleading']}", "split by sample:"]
-        lines += [*report_lines(report["rows"], report["held_out_flights"])[1:], "split by flight:", *by_flight[1:]]
+    """The held-out table."""
+    lines = report_lines(report["rows"], report["held_out_flights"])
     shares = {name: share for name, share in report.get("out_of_range", {}).items() if share > 0}
     if shares and report.get("target"):
         worst = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items() if name != "any")

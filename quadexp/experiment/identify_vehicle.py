@@ -20,8 +20,7 @@ from quadexp.models.lumped import momentum_of
 from quadexp.models.samples import Samples, gather_to_fit
 from quadexp.models.selection import HOVER_INFLOW, best_level, compare_curves, flight_by_flight, selection
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
-from quadexp.models.vehicle_model import VehicleModel
+from quadexp.models.vehicle_model import FitSettings, VehicleModel, curve_beside_quadratic, fit_level, fit_vehicle_model
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import as_controller
@@ -19,6 +18,7 @@ from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.log.outcome import CORRIDOR, corridor
 from quadexp.log.schema import Flight
+from quadexp.models.residual import Residual
 from quadexp.physics.rotation import heading, heading_rate
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, in_motion, input_columns
 from quadexp.reference.base import Trajectory

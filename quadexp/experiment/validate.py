@@ -31,8 +31,7 @@ from quadexp.models.validation import (
     residuals,
     score_rows,
 )
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.models.vehicle_model import VehicleModel
+from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions

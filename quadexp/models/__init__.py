@@ -1,4 +1,5 @@
-"""From flights to models: residual dataset, linear drag, Gaussian processes, checkpoints.
+"""What is learned from flights, and what of it is flown: one file a model, with its equation, fit and residual.
 
-torch is imported for fitting a Gaussian process only; loading a checkpoint and predicting need numpy only.
+Naming a model costs nothing: CasADi is imported by the first expression, torch by the fit of a Gaussian process or a
+network; loading a checkpoint and predicting need numpy only.
 """

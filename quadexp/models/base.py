@@ -3,7 +3,7 @@
     rows of flights -> fit -> Model -> predict (numpy), residual (CasADi), checkpoint (its fields, as they stand)
 
 A record's fields are its checkpoint: type, range and shape stand beside each, and are checked whenever one is made, in
-Python or from a file. CasADi and PyTorch are imported inside the methods that need them, so loading a checkpoint and
+Python or from a file. CasADi and PyTorch are imported when they are first needed, so loading a checkpoint and
 predicting need numpy only.
 """
 
@@ -12,16 +12,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, get_type_hints
+from typing import Annotated, Any, ClassVar, NamedTuple, get_type_hints
 
 import msgspec
 import numpy as np
 
-if TYPE_CHECKING:
-    from quadexp.air.adapting import Adapting
-    from quadexp.air.base import Residual
-    from quadexp.models.dataset import ResidualDataset
-    from quadexp.physics.vehicle import Vehicle
+from quadexp.models.dataset import ResidualDataset
+from quadexp.models.online import Adapting
+from quadexp.models.residual import Residual
+from quadexp.physics.vehicle import Vehicle
 
 Callback = Callable[[str, float], None]
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
@@ -41,12 +40,12 @@ class Shape(NamedTuple):
 
     def of(self, record: Any) -> list[tuple[int, ...]]:
         """The shapes that are allowed."""
-        return [tuple(_length(record, word) for word in one.split()) for one in self.text.split("|")]
 
+        def length(word: str) -> int:
+            value = int(word) if word.isdigit() else getattr(record, word)
+            return value if isinstance(value, int) else len(value)
 
-def _length(record: Any, word: str) -> int:
-    value = int(word) if word.isdigit() else getattr(record, word)
-    return value if isinstance(value, int) else len(value)
+        return [tuple(map(length, shape.split())) for shape in self.text.split("|")]
 
 
 Three = Annotated[np.ndarray, Shape("3")]  # one number per axis
@@ -87,8 +86,8 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     """What was learned of a vehicle, the contents of a checkpoint.
 
     vehicle: {name, fingerprint}. dataset: record of the data: hash, rows, flights. settings: of the fit.
-    feature_range: of its rows, see quadexp.models.support. versions: library -> version. linear_drag, of every kind: the
-    baseline, linear drag of the same rows. predictor: its name in tables. Settings: of its fit, a dataclass.
+    feature_range: of its rows, see quadexp.models.support. versions: library -> version. linear_drag, of every kind:
+    the baseline, linear drag of the same rows. predictor: its name in tables. Settings: of its fit, a dataclass.
     """
 
     vehicle: dict[str, Any] = {}
@@ -116,9 +115,8 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
     def acceleration(self, rows: ResidualDataset) -> np.ndarray:
         """Predicted residual acceleration, body frame, (k, 3) (m/s^2)."""
-        found = self.predict(rows)
-        zero = np.zeros(rows.n_rows)
-        return np.stack([found[output].mean if output in found else zero for output in AXIS], axis=1)
+        predictions, zero = self.predict(rows), np.zeros(rows.n_rows)
+        return np.stack([predictions[a].mean if a in predictions else zero for a in AXIS], axis=1)
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """The same for a controller or a plant. part: which of several models, where there are several."""

@@ -1,9 +1,19 @@
-"""Blade-element coefficients from a recorded flight (Lei & Li 2017, section 3): recursively, and from all samples.
+"""The blade-element model (Lei & Li 2017): its residual, and its coefficients from a recorded flight (section 3).
 
-The flight needs rotor speeds and specific force. The recursive estimator (rls.py) processes the samples as it would in
-flight, which gives a time series of estimates. The result with its 95 % intervals is the fit of all samples at once:
-the final recursive estimate depends on its initial values, neglects the accelerometer's bias and, as published, the
-dependence of the induced velocity on C_la; an interval about it contains the truth in 0 to 15 of 40 flights.
+The residual has the forces and torques of rotors and airframe minus those of the nominal rigid body,
+
+    y = [F / m - (0, 0, sum u) / m_nominal,  Gamma - G u]        F, Gamma: quadexp.physics.blade_element, (4)-(17)
+
+The command u (N) is a static thrust, so w = sqrt(u / k_T,static); at V = 0 with the true coefficients y is zero. The
+induced velocity is computed by a few Newton steps at every evaluation: held constant over a horizon it would be wrong
+within a tenth of a second. Its derivative is that of the equation g = 0 it solves, dV_I/dz = -g_z / g_V, not of the
+steps. Below the idle speed the residual keeps its value there, so that it stays differentiable for u -> 0.
+
+A flight is identified recursively, and from all samples; it needs rotor speeds and specific force. The recursive
+estimator (rls.py) processes the samples as it would in flight, which gives a time series of estimates. The result with
+its 95 % intervals is the fit of all samples at once: the final recursive estimate depends on its initial values,
+neglects the accelerometer's bias and, as published, the dependence of the induced velocity on C_la; an interval about
+it contains the truth in 0 to 15 of 40 flights.
 
 The fit of all samples is Gauss-Newton least squares,
 
@@ -31,17 +41,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
-from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
-from quadexp.models.rls import ITERATIONS, SLOWEST, BladeElementRLS, RLSSettings
 from quadexp.log.schema import Flight
-from quadexp.physics.blade_element import ADOPTED, PRINTED, aerodynamic_wrench, rotor_flow
-from quadexp.physics.induced_velocity import balance, safe_newton
-from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients
+from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
+from quadexp.models.residual import AXES, Residual, feature_names, symbolic_residual
+from quadexp.models.rls import ITERATIONS as SAFE_ITERATIONS
+from quadexp.models.rls import SLOWEST, BladeElementRLS, RLSSettings
+from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
+from quadexp.physics.expression import Expression
+from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
+from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.physics.vehicle import Vehicle
+
+ITERATIONS = 4  # Newton steps; three reach 1e-9 m/s in cruise, idling rotors and steep descents need a fourth
 
 COUNT = len(THETA) + 3  # unknowns, including the bias
 LEAST_SAMPLES = 2 * (COUNT + LEAST_BLOCKS)
@@ -52,6 +67,58 @@ MOST_STEPS = 60
 CONVERGED = 1e-4  # step size in standard errors
 FIRST_VALUES = BladeCoefficients(lift_slope=1.66, profile_drag=0.11, body_drag=(0.005, 0.005, 0.01))  # half of Table 1
 OFFLINE = RLSSettings.scaled(gauss_newton=True)
+
+
+def blade_element_residual(
+    vehicle: Vehicle, coefficients: BladeCoefficients, source: str = "", *, iterations: int = ITERATIONS
+) -> Residual:
+    """Residual with theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz) as runtime parameters, (5,).
+
+    vehicle: with rotor and thrust_coefficient. coefficients: initial values. source: for the record.
+    iterations: Newton steps for V_I.
+    Raises UsageError where the vehicle has no rotor geometry.
+    """
+    z, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", len(THETA))
+    y, dy_dz = blade_element_correction(vehicle, z, theta, iterations=iterations)
+    return symbolic_residual("blade_element", y, z, theta, coefficients.parameters(), source=source, slope=dy_dz)
+
+
+def blade_element_correction(
+    vehicle: Vehicle,
+    z: Expression,
+    theta: Expression,
+    *,
+    lift_scale: Expression = 1.0,
+    payload: Expression = 0.0,
+    rotor_local_velocity: bool = False,
+    terms: CrossTerms = ADOPTED,
+    iterations: int = ITERATIONS,
+    rotor_speed_min: float = IDLE_SPEED,
+) -> tuple[Expression, Expression]:
+    """y (6,) and dy/dz (6, 6 + n) as SX expressions.
+
+    z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
+    """
+    rotor, thrust_coefficient = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
+    velocity, rate = z[:3], z[3:6] if rotor_local_velocity else None
+    command = ca.fmax(z[6:], thrust_coefficient * rotor_speed_min**2)
+    w = static_rotor_speed(command, thrust_coefficient)
+    flow = rotor_flow(vehicle, velocity, rate)
+    lift_slope = theta[C_LA] * lift_scale
+    equation = balance(rotor, lift_slope, w, flow.in_plane_squared, flow.axial, terms)
+    solution = newton(equation, starting_point(equation), iterations)
+
+    induced = ca.SX.sym("V_I", vehicle.n_rotors)
+    force, torque = aerodynamic_wrench(
+        vehicle, theta, velocity, w, induced, rate=rate, lift_scale=lift_scale, terms=terms
+    )
+    acceleration = force / (vehicle.mass + payload) - ca.vertcat(0, 0, ca.sum1(command) / vehicle.mass)
+    y = ca.vertcat(acceleration, torque - ca.mtimes(ca.sparsify(ca.DM(vehicle.allocation[1:])), command))
+    dg_dz, slope = ca.jacobian(equation.value(induced), z), equation.slope(induced)
+    d_induced = -ca.mtimes(ca.diag(1 / slope), dg_dz)
+    dy_dz = ca.jacobian(y, z) + ca.mtimes(ca.jacobian(y, induced), d_induced)
+    y, dy_dz = ca.substitute([y, dy_dz], [induced], [solution])
+    return y, dy_dz
 
 
 @dataclass(frozen=True)
@@ -76,21 +143,18 @@ def fit_blade_element(
     rotor_speed: np.ndarray,
     specific_force: np.ndarray,
     initial: BladeCoefficients,
-    *,
     stretch: np.ndarray | None = None,
-    printed_coefficients: bool = False,
 ) -> BladeFit:
     """Fit one flight.
 
     velocity: air-relative, (k, 3) body FLU (m/s). rotor_speed: (k, n) (rad/s), all turning. specific_force: (k, 3) body
     FLU (m/s^2). initial: start of the search. stretch: (k,), number of the uninterrupted stretch of each sample, None
-    for one. printed_coefficients: the paper's misprinted cross terms. Raises DataError for too few samples, and where
-    the search does not converge.
+    for one. Raises DataError for too few samples, and where the search does not converge.
     """
     k = len(velocity)
     if k < LEAST_SAMPLES:
         raise DataError(f"blade element: {k} samples, at least {LEAST_SAMPLES} are needed for intervals")
-    function = _force_function(vehicle, printed_coefficients)
+    function = _force_function(vehicle)
     first = np.r_[initial.parameters(), np.zeros(3)]
     spread = np.r_[PRIOR_SPREAD * np.maximum(np.abs(first[:5]), 1e-3), np.full(3, PRIOR_OFFSET)]
     low, high = LIFT_RANGE[0] * first[C_LA], LIFT_RANGE[1] * first[C_LA]
@@ -105,11 +169,15 @@ def fit_blade_element(
     def cost(c: np.ndarray, left: np.ndarray, noise: float) -> float:
         return float(np.sum(left**2) / noise**2 + np.sum(((c - first) / spread) ** 2))
 
+    def linearised(left: np.ndarray, design: np.ndarray) -> tuple[float, np.ndarray]:
+        """sigma and H."""
+        noise = max(float(np.sqrt(np.mean(left**2))), 1e-9)
+        return noise, np.einsum("kai,kaj->ij", design, design) / noise**2 + np.diag(1 / spread**2)
+
     c = first.copy()
     left, design = at(c)
     for _ in range(MOST_STEPS):
-        noise = max(float(np.sqrt(np.mean(left**2))), 1e-9)
-        information = np.einsum("kai,kaj->ij", design, design) / noise**2 + np.diag(1 / spread**2)
+        noise, information = linearised(left, design)
         slope = np.einsum("kai,ka->i", design, left) / noise**2 + (first - c) / spread**2
         step = np.linalg.solve(information, slope)
         size = float(np.sqrt(step @ information @ step))  # in standard errors
@@ -127,8 +195,7 @@ def fit_blade_element(
     else:
         raise DataError("blade element: the fit does not converge on this flight")
 
-    noise = max(float(np.sqrt(np.mean(left**2))), 1e-9)
-    information = np.einsum("kai,kaj->ij", design, design) / noise**2 + np.diag(1 / spread**2)
+    noise, information = linearised(left, design)
     scores = np.einsum("kai,ka->ki", design, left) / noise**2
     runs = np.zeros(k, int) if stretch is None else stretch
     covariance, count = over_blocks(scores, information, runs, np.zeros(k, int), prior=np.diag(1 / spread**2))
@@ -138,21 +205,20 @@ def fit_blade_element(
 
 
 @lru_cache(maxsize=8)
-def _force_function(vehicle: Vehicle, printed_coefficients: bool) -> ca.Function:
+def _force_function(vehicle: Vehicle) -> ca.Function:
     """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5).
 
     With the balance g(V_I, theta) = 0, dV_I/dtheta = -(dg/dtheta) / (dg/dV_I): the iterations are not differentiated.
     """
     n = vehicle.n_rotors
     v, w, theta, induced = (ca.SX.sym(name, size) for name, size in (("v", 3), ("w", n), ("theta", 5), ("V_I", n)))
-    terms = PRINTED if printed_coefficients else ADOPTED
     flow = rotor_flow(vehicle, v)
-    equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, terms)
-    force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=terms)
+    equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
+    force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
     through = -ca.jacobian(equation.value(induced), theta) / ca.repmat(equation.slope(induced), 1, 5)
     slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), through)
     solved = ca.substitute(
-        [force / vehicle.mass, ca.densify(slope) / vehicle.mass], [induced], [safe_newton(equation, ITERATIONS)]
+        [force / vehicle.mass, ca.densify(slope) / vehicle.mass], [induced], [safe_newton(equation, SAFE_ITERATIONS)]
     )
     return ca.Function("specific_force", [v, w, theta], ca.cse(solved))
 
@@ -184,7 +250,7 @@ class Identification:
         columns = {"t": self.t}
         for prefix, values in (("", self.theta), ("raw_", self.raw), ("std_", self.standard_error)):
             columns |= {f"{prefix}{name}": values[:, i].copy() for i, name in enumerate(THETA)}
-        return columns | {f"error_{axis}": self.error[:, i].copy() for i, axis in enumerate("xyz")}
+        return columns | {f"error_{axis}": self.error[:, i].copy() for i, axis in enumerate(AXES)}
 
     def metadata(self) -> dict[str, object]:
         """Metadata of the table; the estimates are those of the fit to all samples where there is one."""
@@ -225,11 +291,7 @@ class Identification:
 
 
 def identify_flight(
-    flight: Flight,
-    vehicle: Vehicle,
-    settings: RLSSettings | None = None,
-    *,
-    name: str | None = None,
+    flight: Flight, vehicle: Vehicle, settings: RLSSettings | None = None, *, name: str | None = None
 ) -> Identification:
     """Run the recursive estimator over a flight, and fit all its samples at once.
 
@@ -268,8 +330,7 @@ def identify_flight(
     try:
         fit = fit_blade_element(
             vehicle, velocity[turning], speed[turning], force[turning], FIRST_VALUES,
-            stretch=np.concatenate([[0], np.cumsum(stretch[1:] != stretch[:-1])])[turning],
-            printed_coefficients=estimator.settings.printed_coefficients,
+            np.concatenate([[0], np.cumsum(stretch[1:] != stretch[:-1])])[turning],
         )  # fmt: skip
     except DataError as reason:
         note = str(reason)

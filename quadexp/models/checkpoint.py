@@ -30,11 +30,7 @@ LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand induci
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
 STORED = GPModel | LinearDrag | NeuralModel | VehicleModel  # the models that have a checkpoint
-COMMANDS = (
-    "`quadexp fit-gp DATASET --out {path}`, `quadexp fit-drag DATASET --out {path}`,"
-    " `quadexp fit-nn DATASET --out {path}` or `quadexp identify FLIGHT..."
-    " --out {path}`"
-)
+COMMANDS = "`quadexp fit-gp`, `fit-drag` or `fit-nn DATASET --out {path}`, or `quadexp identify FLIGHT... --out {path}`"
 
 
 def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None = None, force: bool = False) -> Path:
@@ -95,14 +91,11 @@ def load_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a checkpoint directory, {} if it has none."""
     file = Path(path) / REPORT_FILE
     try:
-        report = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        return msgspec.json.decode(file.read_bytes(), type=dict[str, Any]) if file.is_file() else {}
     except (ValueError, RecursionError) as error:
         raise DataError(f"{file}: damaged ({_line(error)})") from None
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
-    if not isinstance(report, dict):
-        raise DataError(f"{file}: damaged (holds a {type(report).__name__}, not a mapping)")
-    return report
 
 
 def _line(error: Exception) -> str:

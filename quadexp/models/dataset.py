@@ -29,15 +29,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
+from quadexp.models.residual import AXES, THRUST
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import rigid_body_function
+from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns
 from quadexp.physics.vehicle import Vehicle
 
-FRAMES = ("midpoint", "start")
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive
-THRUST = "thrust"
 BATCH = 20_000  # samples evaluated per call
 WIND = ("wind_x", "wind_y", "wind_z")
 
@@ -86,6 +89,11 @@ class ResidualDataset(NamedTuple):
         return column
 
     @property
+    def rotor_thrusts(self) -> np.ndarray:
+        """u_0, u_1, ... of the rows, (k, n) (N)."""
+        return self.matrix(sorted((name for name in self.columns if name.startswith("u_")), key=lambda u: int(u[2:])))
+
+    @property
     def sha256(self) -> str:
         """Hash of every column's name, type and bytes (in the order of the names)."""
         digest = hashlib.sha256()
@@ -106,17 +114,9 @@ class ResidualDataset(NamedTuple):
         timing = {key: self.metadata[key] for key in ("timing", "known_noise") if self.metadata.get(key)}
         if recorded:
             recorded["names"] = sorted(set(map(str, self.columns["flight_name"])))
-        return (
-            timing
-            | recorded
-            | {
-                "sha256": self.sha256,
-                "rows": self.n_rows,
-                "flights": len(self.flights),
-                "duration": float(np.sum(self.columns["dt"])) if "dt" in self.columns else None,
-                "frame": self.metadata.get("frame"),
-            }
-        )
+        duration = float(np.sum(self.columns["dt"])) if "dt" in self.columns else None
+        record = {"sha256": self.sha256, "rows": self.n_rows, "flights": len(self.flights), "duration": duration}
+        return timing | recorded | record | {"frame": self.metadata.get("frame")}
 
 
 def transitions(
@@ -132,10 +132,10 @@ def transitions(
     Samples whose dt lies outside 0.5 .. 1.5 of the median, or whose segment differs, are not consecutive.
     Raises DataError for a missing column or a value that is not finite (column and row), UsageError for the frame.
     """
-    from quadexp.physics.rotation import air_velocity  # imports CasADi, which loading a model does without
+    from scipy.spatial.transform import Rotation
 
-    if frame not in FRAMES:
-        raise UsageError(f"collect.frame: '{frame}' is none of {', '.join(FRAMES)}")
+    if frame not in ("midpoint", "start"):
+        raise UsageError(f"collect.frame: '{frame}' is neither midpoint nor start")
     inputs = input_columns(vehicle.n_rotors)
     t = _read(flight, ("t",))[:, 0]
     state = _read(flight, STATE_COLUMNS)
@@ -150,7 +150,7 @@ def transitions(
 
     predicted = _predict(vehicle, before, u, dt)
     point = before if frame == "start" else (before + after) / 2
-    to_body = _rotation(point[:, ATTITUDE] / np.linalg.norm(point[:, ATTITUDE], axis=1, keepdims=True))
+    to_body = Rotation.from_quat(point[:, ATTITUDE], scalar_first=True).as_matrix() if len(k) else np.empty((0, 3, 3))
     air = np.zeros((len(t), 3)) if flight.wind is None else _read(flight, WIND)
     wind = air[k] if frame == "start" else (air[k] + air[k + 1]) / 2
     velocity = air_velocity(point[:, ATTITUDE], point[:, VELOCITY], wind)
@@ -165,7 +165,7 @@ def transitions(
 
     columns = {"t": (t[k] + dt / 2 if frame == "midpoint" else t[k]), "dt": dt}
     for prefix, values in (("v", velocity), ("w", point[:, RATE]), ("a", acceleration), ("tau", torque)):
-        columns |= {f"{prefix}_{axis}": values[:, i].copy() for i, axis in enumerate("xyz")}
+        columns |= {f"{prefix}_{axis}": values[:, i].copy() for i, axis in enumerate(AXES)}
     columns |= {column: u[:, i].copy() for i, column in enumerate(inputs)}
     columns[THRUST] = u.sum(axis=1)
     return columns
@@ -274,13 +274,6 @@ def _unit(quaternion: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return quaternion / norm[:, None]
 
 
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices body to world, (k, 3, 3), of unit quaternions (k, 4), w first."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix() if len(quaternion) else np.empty((0, 3, 3))
-
-
 def evaluate_rows(function: Any, arguments: Sequence[np.ndarray], result: np.ndarray) -> None:
     """Write into the rows of `result`, (k, m), what a CasADi function of dense vectors makes of the rows of its
     arguments, (k, ..) each.
@@ -305,11 +298,6 @@ def evaluate_rows(function: Any, arguments: Sequence[np.ndarray], result: np.nda
 
 def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
     """State of the nominal rigid body after dt, (k, 13)."""
-    import casadi as ca
-
-    from quadexp.physics.integrator import rk4_step
-    from quadexp.physics.rigid_body import rigid_body_function
-
     if not len(state):
         return state.copy()
     rigid_body = rigid_body_function(vehicle)
@@ -330,7 +318,7 @@ def read_dataset(path: str | Path) -> ResidualDataset:
 
 def feature_rows(velocity: np.ndarray, rate: np.ndarray, thrust: np.ndarray) -> ResidualDataset:
     """Features as a data set: velocity (m/s) and rate (rad/s), (k, 3), rotor thrusts, (k, n) (N)."""
-    columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"w_{axis}": rate[:, i] for i, axis in enumerate("xyz")}
+    columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate(AXES)}
+    columns |= {f"w_{axis}": rate[:, i] for i, axis in enumerate(AXES)}
     columns |= {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
     return ResidualDataset(columns | {"thrust": thrust.sum(axis=1), "flight": np.zeros(len(velocity), int)}, {})

@@ -10,7 +10,6 @@ error.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,10 +22,6 @@ from quadexp.models.support import outside_shares
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 
 Row = dict[str, Any]
-SAMPLE_SPLIT = (
-    "gp.split=sample: a held-out sample lies 10 ms from one that was fitted, in the same gust, with the same battery;"
-    " the error then measures how well a flexible model interpolates these flights, not how it predicts the next one"
-)
 
 
 class Fit(NamedTuple):
@@ -49,14 +44,13 @@ def fit_with_report(
 ) -> Fit:
     """Fit a model without the held-out flights, report on these, then refit to all rows from there (settings.refit).
 
-    settings: of `kind.fit`, with holdout, seed and, where there is a choice, refit and split.
+    settings: of `kind.fit`, with holdout, seed and, where there is a choice, refit.
     Raises DataError as `kind.fit` does, and where a single flight cannot be split.
     """
     if settings.holdout == 0:
         model = kind.fit(dataset, settings, callback=callback)
         return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
-    by_sample = getattr(settings, "split", "flight") == "sample"
-    train, test = (split_by_sample if by_sample else split_by_flight)(dataset, settings.holdout, settings.seed)
+    train, test = split_by_flight(dataset, settings.holdout, settings.seed)
     refit = getattr(settings, "refit", True) and getattr(settings, "method", "") != "exact"
     share = 0.8 if refit else 1.0
     first = kind.fit(train, settings, callback=_scaled(callback, 0.0, share), intervals=not refit)
@@ -67,18 +61,7 @@ def fit_with_report(
         "refitted": refit,
         "out_of_range": outside_shares(first.feature_range, test),
     }
-    if by_sample:
-        by_flight = fit_with_report(dataset, kind, replace(settings, split="flight", refit=False))
-        report |= {"rows_by_flight": by_flight.report["rows"], "misleading": SAMPLE_SPLIT}
     return Fit(model, first, train, test, report)
-
-
-def split_by_sample(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
-    """Train and test rows, drawn from all flights."""
-    count = int(np.clip(round(share * dataset.n_rows), 1, dataset.n_rows - 1))
-    test = np.zeros(dataset.n_rows, bool)
-    test[np.random.default_rng(seed).permutation(dataset.n_rows)[:count]] = True
-    return dataset.rows(~test), dataset.rows(test)
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
@@ -108,13 +91,12 @@ def evaluate(model: Model, train: ResidualDataset, test: ResidualDataset) -> lis
     drag = model if isinstance(model, LinearDrag) else drag_baseline(train)
     baseline = {} if drag is model else drag.predict(test)
     rows = []
-    for output, found in model.predict(test).items():
+    for output, of_model in model.predict(test).items():
         target = test.matrix([output])[:, 0]
         zero = Prediction(np.zeros(len(target)), None, float(np.mean(train.matrix([output]) ** 2)))
-        every = (model.predictor, found), (drag.predictor, baseline.get(output)), ("zero", zero)
-        for name, one in every:
-            if one is not None:
-                rows.append({"output": output, "predictor": name} | score(target, one.mean, one.std))
+        for name, prediction in ((model.predictor, of_model), (drag.predictor, baseline.get(output)), ("zero", zero)):
+            if prediction is not None:
+                rows.append({"output": output, "predictor": name} | score(target, prediction.mean, prediction.std))
     return rows
 
 
@@ -135,9 +117,8 @@ def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
 
 def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
     """Linear drag of the train rows, the baseline of every comparison; options go to `fit_linear_drag`."""
-    recorded = has_thrust_scale(train)
-    rows = with_common_scale(train).dataset if recorded else train
-    return fit_linear_drag(rows, **({"thrust": not recorded, "intervals": False} | options))
+    options = {"thrust": not has_thrust_scale(train), "intervals": False} | options
+    return fit_linear_drag(with_common_scale(train).dataset, **options)
 
 
 def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:

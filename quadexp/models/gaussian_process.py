@@ -1,54 +1,60 @@
 """Gaussian processes of the residual: one scalar GP per output (Torrente et al. 2021, section III-C).
 
-Posterior of one output at features z, in physical units, with e_j = exp(-1/2 sum_i ((z_i - Z_ji) / l_i)^2):
+Posterior of one output at features phi (B_z selects them among body velocity, rates, rotor thrusts and their sum), in
+physical units, with e_j = exp(-1/2 sum_i ((phi_i - Z_ji) / l_i)^2):
 
-    mean(z)     = sum_j alpha_j e_j + prior mean(z)
-    variance(z) = sigma_f^2 - ||F e||^2             of the function; add sigma_n^2 for a new measurement
+    mean     = sum_j alpha_j e_j + prior mean
+    variance = sigma_f^2 - ||F e||^2             of the function; add sigma_n^2 for a new measurement
 
-Kernel: Torrente et al. 2021, eq. 8; posterior: Titsias 2009, eqs 6 and 10. numpy only.
+Kernel: Torrente et al. 2021, eq. 8; posterior: Titsias 2009, eqs 6 and 10; the fit: quadexp.models.sgpr. The prior mean
+is linear drag, a sum of identified terms (quadexp.models.terms), a constant, or zero.
 
-Steps of the fit, for each output: scaling (features to mean 0 and standard deviation 1, the target by its root mean
-square) -> hyperparameters of an exact GP on a few rows -> inducing points where the remaining variance is largest ->
-both optimised together by the variational bound (sgpr.py), first on part of the rows, then on all -> posterior in
-physical units. Recorded flights are first brought to a common thrust scale (quadexp.models.thrust_scale).
+The residual is written in matrix operations with the analytic derivative; the cost is linear in the number of points.
+Points and weights are parameters, so fits of the same size share one function. With s = 1 / (sqrt(2) l) the code
+evaluates d = s phi - s Z, k = exp(-sum d^2), dy/dphi = -2 s (alpha k)^T d.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 from msgspec.structs import replace
 
-from quadexp.parts.learning import GPKeys
+from quadexp.compile.backend import handwritten
+from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, Output, Positive, Prediction, Record, Shape, Share
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.linear_drag import LinearDrag, constant_mean, fit_linear_drag
-from quadexp.models.support import feature_ranges
-from quadexp.models.terms import MEANS, TermMean, fit_term_mean
+from quadexp.models.linear_drag import (
+    N_PARAMETERS,
+    LinearDrag,
+    constant_mean,
+    fit_linear_drag,
+    linear_drag_acceleration,
+)
+from quadexp.models.neural import one_thread
+from quadexp.models.online import Adapting, Block
+from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, feature_names, feature_places
+from quadexp.models.support import library_versions, origin, require_variation
+from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
-from quadexp.physics.correction import OUTPUTS
-
-if TYPE_CHECKING:
-    from quadexp.air.adapting import Adapting
-    from quadexp.air.base import Residual
-    from quadexp.physics.vehicle import Vehicle
+from quadexp.parts.learning import GPKeys
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
 
 CHUNK = 4096  # rows predicted at a time, to limit memory
-PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
-CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
-PILOT_ITERATIONS = 60
-STAGE_ITERATIONS = 150
-LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")
-
-RELATIVE_FLOOR = 1e-10  # of the prior variance; below it a further point is redundant
+JITTER = 1e-8  # added to K of weights that adapt, as in the fit
 DEFAULT_FEATURES = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z", "thrust")}
+SUMS = Path(__file__).with_name("gp_sums.c")
+
+Sums = tuple[list[Expression], list[Expression]]  # over the points: one value per output, one slope per feature
+Structure = tuple[tuple[str, tuple[str, ...], int], ...]  # output, its features, its number of points
 
 
 @dataclass(frozen=True)
@@ -73,11 +79,8 @@ class GPSettings(GPKeys):
                 raise UsageError(f"gp.features.{output}: {', '.join(names)} names a feature twice")
 
     def as_dict(self) -> dict[str, Any]:
-        record = {"features": {output: list(names) for output, names in self.features.items()}}
-        record = record | {name: value for name, value in asdict(self).items() if name not in record}
-        if self.split == "flight":
-            del record["split"]
-        return record
+        features = {output: list(names) for output, names in self.features.items()}
+        return {"features": features} | {name: value for name, value in asdict(self).items() if name != "features"}
 
 
 class OutputPosterior(Record, frozen=True):
@@ -104,6 +107,15 @@ class OutputPosterior(Record, frozen=True):
         super().__post_init__()
         if not len(self.alpha) or not np.all(self.lengthscale > 0):
             raise ValueError("inducing points and a lengthscale above 0 are needed")
+
+    @classmethod
+    def mean_only(
+        cls, output: str, features: tuple[str, ...], inducing: np.ndarray, alpha: np.ndarray, lengthscale: np.ndarray,
+        signal_variance: float = 1.0,
+    ) -> OutputPosterior:  # fmt: skip
+        """The posterior mean with these numbers, not fitted."""
+        factor = np.zeros((len(alpha), len(alpha)))
+        return cls(output, features, inducing, alpha, lengthscale, signal_variance, 0.0, factor, 0.0, 0)
 
     def predict(self, features: np.ndarray) -> Prediction:
         """Without the prior mean; features (k, d) in physical units."""
@@ -142,24 +154,21 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         prior = None if self.mean is None else self.mean.acceleration(rows)
         predictions = {}
         for posterior in self.outputs:
-            found = posterior.predict(rows.matrix(posterior.features))
+            prediction = posterior.predict(rows.matrix(posterior.features))
             if prior is not None and posterior.output in AXIS:
-                found = found._replace(mean=found.mean + prior[:, AXIS[posterior.output]])
-            predictions[posterior.output] = found
+                prediction = prediction._replace(mean=prediction.mean + prior[:, AXIS[posterior.output]])
+            predictions[posterior.output] = prediction
         return predictions
 
     def acceleration(self, rows: ResidualDataset) -> np.ndarray:
         """See Model.acceleration; where an axis has no output, the prior mean."""
         value = np.zeros((rows.n_rows, 3)) if self.mean is None else self.mean.acceleration(rows)
-        for output, found in self.predict(rows).items():
+        for output, prediction in self.predict(rows).items():
             if output in AXIS:
-                value[:, AXIS[output]] = found.mean
+                value[:, AXIS[output]] = prediction.mean
         return value
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        """See Model.residual."""
-        from quadexp.air.gaussian_process import gaussian_process_residual
-
         if part not in ("best", "gaussian_process"):
             raise UsageError(f"{source}: holds a Gaussian process, not '{part}'")
         parameters = None if self.mean is None else self.mean.parameters
@@ -167,30 +176,140 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         return gaussian_process_residual(vehicle, self.outputs, parameters, source, mean_terms=terms)
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        """See Model.adapting."""
-        from quadexp.air.adapting import adapting_process
-
         return adapting_process(residual, self.outputs, deviation)
 
     @classmethod
     def fit(cls, rows: ResidualDataset, settings: GPSettings, **options: Any) -> GPModel:
-        """See Model.fit."""
         return fit_gp(rows, settings, **options)
 
     @property
     def summary(self) -> str:
-        """See Model.summary."""
         chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in self.outputs)
         return f"Gaussian processes {chosen} ({self.settings['inducing']} points, {self.settings['method']})"
 
 
-@dataclass(frozen=True)
-class _Scale:
-    """Features x = (z - centre) / spread, target y = a / unit."""
+def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], deviation: float | None) -> Adapting:
+    """Weights alpha that adapt. deviation: s of quadexp.models.online, m/s^2; None: that of each fit."""
+    sizes = [len(output.alpha) for output in outputs]
+    ends = len(residual.theta) - sum(sizes) + np.cumsum([0, *sizes])
+    blocks = []
+    for output, first, end in zip(outputs, ends[:-1], ends[1:], strict=True):
+        if output.output in AXIS:
+            s = float(np.sqrt(output.signal_variance)) if deviation is None else deviation
+            scaled = output.inducing / output.lengthscale
+            distance = ((scaled[:, None] - scaled[None]) ** 2).sum(axis=2)
+            lower = np.linalg.cholesky(np.exp(-0.5 * distance) + JITTER * np.eye(end - first))
+            at = np.arange(first, end)
+            blocks.append(Block(AXIS[output.output], at, residual.theta[at], s * np.linalg.inv(lower).T, s**2))
+    return Adapting(residual, tuple(blocks))
 
-    centre: np.ndarray
-    spread: np.ndarray
-    unit: float
+
+def gaussian_process_residual(
+    vehicle: Vehicle,
+    outputs: Sequence[OutputPosterior],
+    mean_parameters: npt.ArrayLike | None = None,
+    source: str = "",
+    *,
+    mean_terms: TermStructure | None = None,
+) -> Residual:
+    """Residual of one or more GP outputs.
+
+    mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (quadexp.models.linear_drag), or None.
+    mean_terms: the mean function as terms, whose coefficients are then mean_parameters.
+    Raises UsageError for an unknown feature.
+    """
+    n_mean = N_PARAMETERS if mean_terms is None else mean_terms.n_parameters
+    mean = np.zeros(n_mean) if mean_parameters is None else np.asarray(mean_parameters, float)
+    scales = [1.0 / (np.sqrt(2.0) * o.lengthscale) for o in outputs]
+    points = [(o.inducing * scale).T.ravel() for o, scale in zip(outputs, scales, strict=True)]
+    theta = np.concatenate([mean, *scales, *points, *(o.alpha for o in outputs)])
+
+    names = feature_names(vehicle.n_rotors)
+    structure = tuple((o.output, tuple(o.features), len(o.alpha)) for o in outputs)
+    n_alpha, n_point = _sizes(structure)
+    z_, theta_ = ca.MX.sym("z", len(names)), ca.MX.sym("theta", len(theta))
+    mean_, scale_, points_, alpha_ = _split(theta_, [n_mean, len(n_point), sum(n_point), sum(n_alpha)])
+    select, assemble = _scalar_functions(names, structure, n_mean, with_mean=bool(np.any(mean)), mean_terms=mean_terms)
+
+    def posterior_mean(sums: Callable[..., Sums]) -> ca.Function:
+        values, slopes = sums(structure, select(z_, scale_), points_, alpha_)
+        results = assemble(z_, mean_, scale_, ca.vertcat(*values), ca.vertcat(*slopes))
+        return ca.Function("residual_gaussian_process", [z_, theta_], [*results], ["z", "theta"], ["y", "dy_dz"])
+
+    function, to_compile = posterior_mean(_matrix_sums), posterior_mean(_compiled_sums)
+    return Residual("gaussian_process", function, theta, source, to_compile)
+
+
+def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
+    """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations."""
+    n_alpha, n_point = _sizes(structure)
+    distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), _split(points, n_point), strict=True)]
+    of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
+    exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
+    kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
+    weighted = _split(alpha * kernel, n_alpha)
+    values = [ca.dot(a, k) for a, k in zip(_split(alpha, n_alpha), _split(kernel, n_alpha), strict=True)]
+    return values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
+
+
+def _compiled_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
+    """As _matrix_sums, by gp_sums.c, one call per output."""
+    n_alpha, _ = _sizes(structure)
+    n_features = [len(features) for _, features, _ in structure]
+    kernels = {shape: _sums_function(*shape) for shape in zip(n_alpha, n_features, strict=True)}
+    arguments = zip(
+        _split(scaled, n_features),
+        _split(points, [m * d for m, d in zip(n_alpha, n_features, strict=True)]),
+        _split(alpha, n_alpha),
+        strict=True,
+    )
+    shapes = zip(n_alpha, n_features, strict=True)
+    results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
+    return [value for value, _ in results], [slope for _, slope in results]
+
+
+def _sums_function(m: int, d: int) -> ca.Function:
+    """(scaled features (d,), scaled points (m d,), alpha (m,)) -> (alpha k) 1, (alpha k)^T d of one output."""
+    scalar, feature, alpha, points = (ca.Sparsity.dense(size, 1) for size in (1, d, m, m * d))
+    inputs = {"feature": feature, "points": points, "alpha": alpha}
+    sizes = {"POINTS": m, "FEATURES": d}
+    return handwritten(f"gp_sums_{m}_{d}", SUMS, sizes, inputs, {"value": scalar, "slope": feature})
+
+
+def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
+    """Number of points of every output, and of every feature."""
+    return [m for _, _, m in structure], [m for _, features, m in structure for _ in features]
+
+
+def _split(vector: Expression, sizes: Sequence[int]) -> list[Expression]:
+    return ca.vertsplit(vector, np.cumsum([0, *sizes]).tolist())
+
+
+def _scalar_functions(
+    names: Sequence[str], structure: Structure, n_mean: int, *, with_mean: bool, mean_terms: TermStructure | None
+) -> tuple[ca.Function, ca.Function]:
+    """The functions before and after the sums over points.
+
+    (z, s) -> s phi of all features; (z, mean, s, (alpha k) 1, (alpha k)^T d) -> y, dy/dz with structural zeros. mean:
+    parameters of the mean function.
+    """
+    z, mean = ca.SX.sym("z", len(names)), ca.SX.sym("mean", n_mean)
+    n_features = sum(len(features) for _, features, _ in structure)
+    scale, slope = ca.SX.sym("scale", n_features), ca.SX.sym("slope", n_features)
+    value = ca.SX.sym("value", len(structure))
+    y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
+    if with_mean:
+        y[:3] = linear_drag_acceleration(z, mean) if mean_terms is None else mean_terms.acceleration(z, mean)
+        dy_dz[:3, :] = ca.jacobian(y[:3], z)
+    phi: list[Expression] = []
+    for i, (output, features, _) in enumerate(structure):
+        row = OUTPUTS.index(output)
+        y[row] += value[i]
+        for columns in feature_places(names, features, "gp"):
+            dy_dz[row, columns] -= 2 * scale[len(phi)] * slope[len(phi)]
+            phi.append(ca.sum1(z[columns]))
+    select = ca.Function("select", [z, scale], [scale * ca.vertcat(*phi)])
+    return select, ca.Function("assemble", [z, mean, scale, value, slope], [ca.sparsify(y), ca.sparsify(dy_dz)])
 
 
 def fit_gp(
@@ -208,21 +327,18 @@ def fit_gp(
     Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
     than an exact GP can take, or where a feature is constant.
     """
+    from quadexp.models.sgpr import fit_output  # imports PyTorch
+
     settings = settings or GPSettings()
     iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
-    if not dataset.n_rows:
-        raise DataError("dataset: it has no rows")
     rng = np.random.default_rng(settings.seed)
     if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
         dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
     _check(dataset, settings)
-    recorded = has_thrust_scale(dataset)
-    scale_variance = 0.0
-    if recorded:
-        scaled = with_common_scale(dataset)
-        dataset, scale_variance = scaled.dataset, scaled.variance
-    thrust = not recorded  # under a thrust curve the thrust term would duplicate the curve's scale
-    drag = fit_linear_drag(dataset, thrust=thrust, intervals=intervals)
+    scaled = with_common_scale(dataset)
+    dataset = scaled.dataset
+    # Under a thrust curve the thrust term would duplicate the curve's scale.
+    drag = fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=intervals)
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
     posteriors: list[OutputPosterior] = []
@@ -231,28 +347,25 @@ def fit_gp(
             target = dataset.matrix([output])[:, 0]
             if prior is not None and output in AXIS:
                 target = target - prior[:, AXIS[output]]
-            before = _matching(start, output, features, settings)
+            alike = (output, features, settings.inducing)
+            earlier = [o for o in start.outputs if (o.output, o.features, len(o.alpha)) == alike] if start else []
 
             def report(done: float, output: str = output, i: int = i) -> None:
                 if callback is not None:
                     callback(f"fit {output}", (i + done) / len(settings.features))
 
-            fitted = _fit_output(output, features, dataset, target, settings, iterations, rng, before, report)
+            before = earlier[0] if earlier else None
+            given = dataset.matrix(features), target, settings, iterations, rng, before, report
+            posterior = OutputPosterior(output, features, *fit_output(*given))
             if output == "a_z":
-                fitted = replace(fitted, noise_variance=fitted.noise_variance + scale_variance)
-            posteriors.append(fitted)
+                posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
+            posteriors.append(posterior)
     if callback is not None:
         callback("fit done", 1.0)
-    used = [name for features in settings.features.values() for name in features]
+    used = [name for names in settings.features.values() for name in names]
+    versions = library_versions("numpy", "scipy", "torch", "gpytorch")
     return GPModel(
-        tuple(posteriors),
-        mean,
-        drag,
-        vehicle=dict(dataset.metadata.get("vehicle") or {}),
-        dataset=dataset.summary(),
-        settings=settings.as_dict(),
-        feature_range=feature_ranges(dataset, used),
-        versions={library: version(library) for library in LIBRARIES},
+        tuple(posteriors), mean, drag, settings=settings.as_dict(), versions=versions, **origin(dataset, used)
     )
 
 
@@ -263,136 +376,15 @@ def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
             f"gp.method=exact: {n} rows are more than gp.max_exact_rows={settings.max_exact_rows};"
             " use gp.method=sgpr, or draw fewer with gp.max_rows"
         )
+    for output, features in settings.features.items():
+        require_variation(dataset, [*features, output], len(features), f"gp.features.{output}")
     if settings.method != "exact" and n < settings.inducing:
         raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
-    for output, features in settings.features.items():
-        values = dataset.matrix([*features, output])
-        constant = [name for name, std in zip(features, values.std(axis=0), strict=False) if std < 1e-9]
-        if constant:
-            raise DataError(f"gp.features.{output}: '{constant[0]}' never changes over the {n} rows; leave it out")
 
 
 def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
     if settings.mean in MEANS:
         return fit_term_mean(dataset, settings.mean)
-    if settings.mean == "linear_drag":
-        return drag
     if settings.mean == "constant":
         return constant_mean(dataset.matrix(["a_x", "a_y", "a_z"]).mean(axis=0))
-    return None
-
-
-def _matching(
-    start: GPModel | None, output: str, features: tuple[str, ...], settings: GPSettings
-) -> OutputPosterior | None:
-    """The posterior of this output in `start`, None if it has other features or another number of inducing points."""
-    for posterior in start.outputs if start is not None else ():
-        if (posterior.output, posterior.features, len(posterior.alpha)) == (output, features, settings.inducing):
-            return posterior
-    return None
-
-
-def _fit_output(
-    output: str,
-    features: tuple[str, ...],
-    dataset: ResidualDataset,
-    target: np.ndarray,
-    settings: GPSettings,
-    iterations: int,
-    rng: np.random.Generator,
-    start: OutputPosterior | None,
-    report: Callable[[float], None],
-) -> OutputPosterior:
-    from quadexp.models import sgpr
-
-    z = dataset.matrix(features)
-    unit = float(np.sqrt(np.mean(target**2))) or 1.0
-    scale = _Scale(z.mean(axis=0), z.std(axis=0), unit)
-    x, y = (z - scale.centre) / scale.spread, target / scale.unit
-    order = rng.permutation(len(x))
-
-    if start is not None and settings.method == "sgpr":
-        points = (start.inducing - scale.centre) / scale.spread
-        guess = sgpr.Hyperparameters(
-            start.lengthscale / scale.spread,
-            start.signal_variance / scale.unit**2,
-            start.noise_variance / scale.unit**2,
-        )
-    else:
-        few = order if settings.method == "exact" else order[:PILOT_ROWS]
-        first = sgpr.Hyperparameters(np.ones(x.shape[1]), 1.0, 0.01)
-        pilot = sgpr.GPRegression(x[few], y[few], first, None, settings.jitter)
-        bound = sgpr.maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
-        guess = pilot.hyperparameters
-        candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
-        if settings.method != "exact":
-            chosen = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
-            points = x[chosen]
-
-    if settings.method == "sgpr":
-        if start is None and len(x) > CANDIDATE_ROWS:
-            part = sgpr.GPRegression(x[candidates], y[candidates], guess, points, settings.jitter)
-            sgpr.maximise(part, STAGE_ITERATIONS, lambda k: report(0.15 + 0.25 * k / STAGE_ITERATIONS))
-            points, guess = part.inducing_points, part.hyperparameters
-        whole = sgpr.GPRegression(x, y, guess, points, settings.jitter)
-        bound = sgpr.maximise(whole, iterations, lambda k: report(0.4 + 0.6 * k / iterations))
-        points, guess = whole.inducing_points, whole.hyperparameters
-        alpha, factor = sgpr.sparse_posterior(x, y, points, guess, settings.jitter)
-    else:
-        rows = order if settings.method == "exact" else chosen
-        points = x[rows]
-        alpha, factor = sgpr.exact_posterior(points, y[rows], guess)
-
-    return OutputPosterior(
-        output, features,
-        points * scale.spread + scale.centre,
-        alpha * scale.unit,
-        guess.lengthscale * scale.spread,
-        guess.signal_variance * scale.unit**2,
-        guess.noise_variance * scale.unit**2,
-        factor * scale.unit,
-        bound - float(np.log(scale.unit)),
-        len(alpha) if settings.method == "subset" else len(x),
-    )  # fmt: skip
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """torch on one thread, so that the order of summation, and with it the result, does not depend on the machine."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def greedy_points(x: np.ndarray, lengthscale: np.ndarray, count: int) -> np.ndarray:
-    """Indices (count,) of the chosen rows, most informative first: greedily, where the prior variance is largest.
-
-    Each step takes argmax_i k_ii - q_ii, q = K_XZ K_ZZ^-1 K_ZX, by a partial pivoted Cholesky factorisation, O(n M^2)
-    (Burt, Rasmussen & van der Wilk 2020, "Convergence of sparse variational inference in GP regression", section 6.2).
-    x: rows to choose from, (n, d), n >= count. lengthscale: (d,), same units. Where fewer rows reduce the variance to
-    zero, the remaining ones are taken in their order.
-    """
-    n = len(x)
-    if count > n:
-        raise ValueError(f"{count} points of {n} rows")
-    scaled = x / lengthscale
-    variance = np.ones(n)
-    factor = np.empty((count, n))
-    chosen: list[int] = []
-    while len(chosen) < count:
-        pivot = int(np.argmax(variance))
-        if variance[pivot] < RELATIVE_FLOOR:
-            rest = np.setdiff1d(np.arange(n), chosen, assume_unique=True)
-            return np.concatenate([chosen, rest[: count - len(chosen)]]).astype(int)
-        k = np.exp(-0.5 * np.sum((scaled - scaled[pivot]) ** 2, axis=1))
-        row = (k - factor[: len(chosen), pivot] @ factor[: len(chosen)]) / np.sqrt(variance[pivot])
-        factor[len(chosen)] = row
-        variance = np.maximum(variance - row**2, 0.0)
-        variance[pivot] = 0.0
-        chosen.append(pivot)
-    return np.array(chosen)
+    return drag if settings.mean == "linear_drag" else None

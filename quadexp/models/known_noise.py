@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 
 from quadexp.models.dataset import ResidualDataset
+from quadexp.models.residual import OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 
-OUTPUTS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
-UNITS = {name: "m/s^2" if name.startswith("a_") else "N m" for name in OUTPUTS}
 ESTIMATE = ("velocity_noise", "rate_noise", "attitude_noise")
 SILENT = ("from_model", "blade_element", "simplified")  # plants whose only noise is that of their densities
 
@@ -44,8 +43,8 @@ def known_noise(
         plant, estimator = world.get("plant") or {}, (world.get("estimator") or {}) if of_estimate else {}
         if plant.get("kind") not in SILENT or (estimator and not all(name in estimator for name in ESTIMATE)):
             return None
-        own = flight == index
-        squares += np.sum(_variances(vehicle, plant, estimator, thrust[own], dt[own, None]), axis=0)
+        rows = flight == index
+        squares += np.sum(_variances(vehicle, plant, estimator, thrust[rows], dt[rows, None]), axis=0)
     return dict(zip(OUTPUTS, np.sqrt(squares / max(dataset.n_rows, 1)).tolist(), strict=True))
 
 
@@ -70,23 +69,21 @@ def explained(rows: Sequence[Mapping[str, Any]], noise: Mapping[str, float]) -> 
 
     rows: of quadexp.models.evaluation; the first predictor of an output is the model.
     """
-    found: dict[str, dict[str, float]] = {}
+    shares: dict[str, dict[str, float]] = {}
     for row in rows:
-        if row["output"] in noise and row["output"] not in found:
+        if row["output"] in noise and row["output"] not in shares:
             rmse, known = float(row["rmse"]), float(noise[row["output"]])
-            left = float(np.sqrt(max(rmse**2 - known**2, 0.0)))
-            found[row["output"]] = {"rmse": rmse, "known_noise": known, "unexplained": left}
-    return found
+            unexplained = float(np.sqrt(max(rmse**2 - known**2, 0.0)))
+            shares[row["output"]] = {"rmse": rmse, "known_noise": known, "unexplained": unexplained}
+    return shares
 
 
-def explained_lines(found: Mapping[str, Mapping[str, float]]) -> list[str]:
+def explained_lines(shares: Mapping[str, Mapping[str, float]]) -> list[str]:
     """As text."""
-    if not found:
-        return []
-    lines = ["held-out error against the noise that the world states (motors, forces, estimate):"]
-    for output, one in found.items():
-        lines.append(
-            f"  {output}  rmse {one['rmse']:.3g}, known noise {one['known_noise']:.3g}, unexplained"
-            f" {one['unexplained']:.3g} {UNITS[output]}"
-        )
-    return lines
+    lines = [
+        f"  {output}  rmse {share['rmse']:.3g}, known noise {share['known_noise']:.3g}, unexplained"
+        f" {share['unexplained']:.3g} {'m/s^2' if output.startswith('a_') else 'N m'}"
+        for output, share in shares.items()
+    ]
+    head = "held-out error against the noise that the world states (motors, forces, estimate):"
+    return [head, *lines] if lines else []

@@ -1,9 +1,9 @@
-"""Linear rotor drag fitted to residuals (RDRv: Faessler et al. 2018; Torrente et al. 2021, sec. IV).
+"""Linear rotor drag with an intercept and a thrust term (RDRv: Faessler et al. 2018; Torrente et al. 2021, sec. IV).
 
-    a_x = -d_x v_x + b_x        a_y = -d_y v_y + b_y        a_z = -d_z v_z + b_z + kappa T
+    a_body = -D v + b + (0, 0, kappa T)                                m/s^2
 
-v the body velocity (m/s), T the collective thrust (N). The published fit has b = 0 and kappa = 0; on z, the drag then
-absorbs the motors' loss, which is proportional to the thrust.
+v the body velocity (m/s), T the collective thrust (N), D diagonal (1/s), b (m/s^2), kappa (1/kg). The published fit has
+b = 0 and kappa = 0; on z, the drag then absorbs the motors' loss, which is proportional to the thrust.
 
 loss="huber" (default) is Huber's loss (regression.py): where the true drag is not linear, it reduces the influence of
 the few fastest rows, and the controller that uses the fit tracks better. loss="squares" is the published fit.
@@ -15,25 +15,27 @@ are 7 to 10 times too small on flights.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.models.base import AXIS, Model, Prediction, Shape, Three
-from quadexp.models.dataset import THRUST, ResidualDataset
-from quadexp.models.regression import LOSSES, half_width, regress
-from quadexp.models.support import feature_ranges
+from quadexp.models.dataset import ResidualDataset
+from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
+from quadexp.models.regression import half_width, regress
+from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
+from quadexp.models.support import origin
 from quadexp.models.thrust_scale import with_common_scale
+from quadexp.parts.learning import DragConfig
+from quadexp.physics.drag import linear_drag_force
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from quadexp.air.adapting import Adapting
-    from quadexp.air.base import Residual
-    from quadexp.parts.learning import DragConfig
-    from quadexp.physics.vehicle import Vehicle
-
-AXES = "xyz"
+N_PARAMETERS = 7
 LABELS = {
     "flight": "95 % interval over {flights} flights",
     "hc1": "95 % interval as if rows were independent, too narrow for flights",  # of earlier versions
@@ -67,7 +69,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
 
     @property
     def parameters(self) -> np.ndarray:
-        """[drag (3,), intercept (3,), thrust_gain], (7,), in the order of quadexp/air/linear_drag.py."""
+        """theta of the residual: [drag (3,), intercept (3,), thrust_gain], (7,)."""
         return np.concatenate([self.drag, self.intercept, [self.thrust_gain]])
 
     @property
@@ -76,35 +78,26 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         return self
 
     def acceleration(self, dataset: ResidualDataset) -> np.ndarray:
-        """Predicted residual acceleration, body frame, (k, 3) (m/s^2)."""
-        value = self.intercept - self.drag * dataset.matrix(["v_x", "v_y", "v_z"])
+        value = self.intercept - self.drag * dataset.matrix(VELOCITY)
         if self.thrust_gain:
             value[:, 2] += self.thrust_gain * dataset.matrix([THRUST])[:, 0]
         return value
 
     def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
-        """See Model.predict."""
         mean = self.acceleration(rows)
         return {output: Prediction(mean[:, i], None, self.residual_std[i] ** 2) for output, i in AXIS.items()}
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        """See Model.residual."""
-        from quadexp.air.linear_drag import linear_drag_residual
-
         if part not in ("best", "linear"):
             raise UsageError(f"{source}: holds linear drag, not '{part}'")
         return linear_drag_residual(vehicle, self.drag, self.intercept, self.thrust_gain, source=source)
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        """See Model.adapting."""
-        from quadexp.air.adapting import adapting_drag
-
         assert deviation is not None
         return adapting_drag(vehicle, residual, deviation)
 
     @classmethod
     def fit(cls, rows: ResidualDataset, settings: DragConfig, *, intervals: bool = True, **_: Any) -> LinearDrag:
-        """See Model.fit."""
         return fit_linear_drag(
             rows, intercept=settings.intercept, thrust=settings.thrust, loss=settings.loss, intervals=intervals
         )
@@ -115,12 +108,10 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
 
     @property
     def summary(self) -> str:
-        """See Model.summary."""
         return f"linear drag {self}"
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """See Model.numbers."""
         half = [None if np.isnan(value) else float(value) for value in self.half_width[:3]]
         drag = {"drag": self.drag.tolist(), "error": self.drag_error.tolist(), "half_width_95": half}
         return {"drag": {**drag, "intervals": self.label}}
@@ -154,6 +145,37 @@ def _ends(value: float, half: float, digits: int) -> str:
     return f" [{value - half:.{digits}f}, {value + half:.{digits}f}]" if np.isfinite(half) else ""
 
 
+def linear_drag_acceleration(features: Expression, theta: Expression) -> Expression:
+    """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta = [D (3,), b (3,), kappa]."""
+    thrust = ca.sum1(features[6:])
+    return linear_drag_force(features[:3], theta[:3]) + theta[3:6] + ca.vertcat(0, 0, theta[6] * thrust)
+
+
+def linear_drag_residual(
+    vehicle: Vehicle,
+    drag: npt.ArrayLike,
+    intercept: npt.ArrayLike = (0.0, 0.0, 0.0),
+    thrust_gain: float = 0.0,
+    source: str = "",
+) -> Residual:
+    """Linear-drag residual; drag (3,) 1/s, intercept (3,) m/s^2, thrust_gain 1/kg."""
+    features, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", N_PARAMETERS)
+    outputs = ca.vertcat(linear_drag_acceleration(features, theta), ca.SX(3, 1))
+    values = np.concatenate([np.asarray(drag), np.asarray(intercept), [thrust_gain]])
+    return symbolic_residual("linear_drag", outputs, features, theta, values, source=source)
+
+
+def adapting_drag(vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
+    """The residual of linear drag with parameters that adapt. deviation: s of quadexp.models.online, m/s^2."""
+    thrust = vehicle.mass * vehicle.gravity
+    typical = {0: [TYPICAL_SPEED, 1.0], 1: [TYPICAL_SPEED, 1.0], 2: [TYPICAL_SPEED, 1.0, thrust]}
+    blocks = []
+    for axis, sizes in typical.items():
+        at = np.array([axis, 3 + axis, 6])[: len(sizes)]
+        blocks.append(Block(axis, at, residual.theta[at], deviation * np.diag(1 / np.array(sizes))))
+    return Adapting(residual, tuple(blocks))
+
+
 def constant_mean(value: np.ndarray) -> LinearDrag:
     """A constant acceleration, (3,) (m/s^2), as a drag model with zero drag."""
     zero = np.zeros(3)
@@ -174,35 +196,27 @@ def fit_linear_drag(
     see the module. intervals: False computes no errors. Raises DataError for fewer than two rows more than
     coefficients, and where the rows do not determine the coefficients (for instance with a constant velocity).
     """
-    if loss not in LOSSES:
-        raise UsageError(f"drag.loss: '{loss}' is none of {', '.join(LOSSES)}")
-    n = dataset.n_rows
-    drag, offset, gain = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    value, error, freedom = np.zeros((3, N_PARAMETERS))
     std, r_squared = np.zeros(3), np.zeros(3)
     flight = np.asarray(dataset.columns["flight"])
     for i, axis in enumerate(AXES):
         names = [f"v_{axis}"] + [THRUST] * (thrust and axis == "z")
+        places = [i] + [6] * (len(names) - 1) + [3 + i] * intercept
         design = dataset.matrix(names) * np.array([-1.0, 1.0])[: len(names)]
         if intercept:
-            design = np.column_stack([design, np.ones(n)])
+            design = np.column_stack([design, np.ones(dataset.n_rows)])
             names.append("intercept")
         target = dataset.matrix([f"a_{axis}"])[:, 0]
         fit = regress(
             design, target, names, flight, flight, what=f"drag fit of a_{axis}", loss=loss, intervals=intervals,
             over="flights",
         )  # fmt: skip
-        found = np.stack([fit.coefficients, fit.errors, fit.freedom])
-        drag[:, i] = found[:, 0]
-        if intercept:
-            offset[:, i] = found[:, -1]
-        if THRUST in names:
-            gain[:] = found[:, 1]
+        value[places], error[places], freedom[places] = fit.coefficients, fit.errors, fit.freedom
         std[i] = np.sqrt(np.mean(fit.residual**2))
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
         r_squared[i] = 1 - np.sum(fit.residual**2) / spread if spread > 0 else 0.0
     return LinearDrag(
-        drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]), std, r_squared, n, "flight", loss,
-        np.concatenate([drag[2], offset[2], [gain[2]]]), len(np.unique(flight)),
-        vehicle=dict(dataset.metadata.get("vehicle") or {}), dataset=dataset.summary(),
-        feature_range=feature_ranges(dataset, [THRUST] if thrust else []),
+        value[:3], value[3:6], float(value[6]), error[:3], error[3:6], float(error[6]), std, r_squared, dataset.n_rows,
+        "flight", loss, freedom, len(np.unique(flight)),
+        **origin(dataset, [THRUST] if thrust else []),
     )  # fmt: skip

@@ -17,7 +17,7 @@ In hover V_k = nu w_k (Remark 4). With y_k = V_k + v_z - nu w_k, the flow throug
 
 which is the blade-element model exactly, with lumped coefficients. Rotor speeds are not needed: w = sqrt(a / k), with a
 the thrust curve's acceleration of a rotor and k = k_T,static/m. For a logged rotor speed this is exact, for a command
-an approximation. The terms of quadexp.air.terms therefore have the coefficients (k in 1/m; sqrt(k) converts w from
+an approximation. The terms of quadexp.models.terms therefore have the coefficients (k in 1/m; sqrt(k) converts w from
 rad/s to sqrt(m/s^2))
 
     thrust     correction of the curve's scale           hub         h_1 / (m sqrt(k))
@@ -45,14 +45,13 @@ import math
 from functools import cache, lru_cache
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
-from quadexp.air.terms import ITERATIONS, TERMS, Inflow, OperatingPoint, thrust_balance
+from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
 from quadexp.models.dataset import BATCH
 from quadexp.models.regression import HUBER, MAD_TO_STD
-from quadexp.models.terms import Z_TERMS
+from quadexp.models.terms import ITERATIONS, TERMS, Z_TERMS, Inflow, OperatingPoint
 from quadexp.physics.induced_velocity import safe_newton
 from quadexp.physics.vehicle import Vehicle
 
@@ -89,8 +88,8 @@ def _force_function(rotors: int, kappa: float) -> ca.Function:
     v, a, theta = ca.SX.sym("v", 3), ca.SX.sym("a", rotors), ca.SX.sym("theta", len(Z_TERMS))
     V = ca.SX.sym("V", rotors)
     point = OperatingPoint(v, a, Inflow(kappa, theta[1], theta[2], theta[0]), V)
-    equation = thrust_balance(point)
-    force = sum(theta[j] * TERMS[name](point, 2) for j, name in enumerate(Z_TERMS))
+    equation = point.balance
+    force = sum(theta[j] * TERMS[name].phi(point, 2) for j, name in enumerate(Z_TERMS))
     g = equation.value(V)
     dV_dtheta = -ca.jacobian(g, theta) / ca.repmat(equation.slope(V), 1, len(Z_TERMS))
     slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, V), dV_dtheta)

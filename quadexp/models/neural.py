@@ -1,8 +1,17 @@
-"""A neural network of the residual, its predictions in numpy, and its fit. Equations: quadexp/air/neural.py.
+"""A neural network of the residual: a small multilayer perceptron with its analytic Jacobian.
 
-Features are scaled to mean 0 and standard deviation 1, every output by its root mean square. The mean squared error,
-and a small penalty on the weights, is minimised over all rows at once by L-BFGS: residuals of simulated flights have so
-little noise that stochastic steps with batches stop at ten times the error.
+    x_0 = B z,   x_l = s(W_l x_{l-1} + b_l),  l = 1 .. L,      y = W_o x_L + b_o,      s(t) = t / sqrt(1 + t^2)
+    dy/dz = W_o D_L W_L .. D_1 W_1 B,          D_l = diag(s'),  s'(t) = (1 + t^2)^(-3/2)
+
+B selects the features among body velocity, rates, rotor thrusts and their sum (B_z of Torrente et al. 2021). s is
+smooth, bounded by 1 and has slopes of at most 1, so the outputs are bounded outside the data too, and the product of
+the layers' spectral norms bounds the slope of y. It needs a square root and a division and no exponential, so that
+compilers vectorise it. All weights are parameters: networks of the same sizes share one compiled function. The Jacobian
+is computed backwards, with one row per output.
+
+In the fit features are scaled to mean 0 and standard deviation 1, every output by its root mean square. The mean
+squared error, and a small penalty on the weights, is minimised over all rows at once by L-BFGS: residuals of simulated
+flights have so little noise that stochastic steps with batches stop at ten times the error.
 
 With nn.spectral = G, every one of the L + 1 weight matrices W is W' min(1, g / |W'|_2), g = G^(1 / (L + 1)), and W' is
 what is optimised (Miyato et al. 2018; Shi et al. 2019): the scaled network then has slopes of at most G, because those
@@ -14,31 +23,65 @@ The same seed gives the same weights on one machine: double precision, one threa
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
-from quadexp.air.network import Network, evaluated
+from quadexp.compile.backend import handwritten
+from quadexp.compile.symbolic import ca
+from quadexp.errors import UsageError
+from quadexp.models.base import AXIS, Callback, Model, Output, Prediction, Shape
+from quadexp.models.dataset import ResidualDataset
+from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
+from quadexp.models.online import Adapting, Block
+from quadexp.models.residual import OUTPUTS, Residual, feature_names, feature_places
+from quadexp.models.support import library_versions, origin, require_variation
+from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 from quadexp.parts.learning import NNKeys
 from quadexp.parts.settings import record
-from quadexp.errors import DataError, UsageError
-from quadexp.models.base import Callback, Model, Output, Prediction, Shape
-from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import one_thread
-from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
-from quadexp.models.support import feature_ranges
-from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
-from quadexp.physics.correction import OUTPUTS
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
 
 if TYPE_CHECKING:
     import torch
 
-    from quadexp.air.adapting import Adapting
-    from quadexp.air.base import Residual
-    from quadexp.physics.vehicle import Vehicle
+LAYER, BACKWARD = (Path(__file__).with_name(name) for name in ("neural_layer.c", "neural_backward.c"))
+
+Layer = Callable[[Expression, Expression, Expression], tuple[Expression, Expression]]  # W, b, x -> s, s'
+Backward = Callable[[Expression, Expression, Expression], Expression]  # G, s', W -> G diag(s') W
+
+
+class Network(NamedTuple):
+    """features, outputs: names. weights: W_1 .. W_L, W_o, (rows, columns) each. biases: b_1 .. b_L, b_o; SI units."""
+
+    features: tuple[str, ...]
+    outputs: tuple[str, ...]
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of features, of the units of every hidden layer, and of outputs."""
+        return (len(self.features), *(len(b) for b in self.biases))
+
+    def __call__(self, features: np.ndarray) -> np.ndarray:
+        """Outputs (k, o) at features (k, d)."""
+        x = features
+        for w, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            t = x @ w.T + b
+            x = t / np.sqrt(1 + t * t)
+        return x @ self.weights[-1].T + self.biases[-1]
+
+
+def activation(t: Expression) -> tuple[Expression, Expression]:
+    """s(t) and s'(t), elementwise; for numpy arrays and CasADi expressions."""
+    q = 1 / (1 + t * t) ** 0.5
+    return t * q, q * q * q
 
 
 @dataclass(frozen=True)
@@ -83,9 +126,10 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         super().__post_init__()
         if len(set(self.outputs)) < len(self.outputs):
             raise ValueError(f"outputs are {', '.join(self.outputs)}; each is allowed once")
-        if not all(b.ndim == 1 for b in self.biases) or len(self.biases) < 2 or self.sizes[-1] != len(self.outputs):
+        sizes = self.network.sizes
+        if not all(b.ndim == 1 for b in self.biases) or len(self.biases) < 2 or sizes[-1] != len(self.outputs):
             raise ValueError("biases must be one list for every layer, the last as long as the outputs")
-        right = [(rows, columns) for columns, rows in pairwise(self.sizes)]
+        right = [(rows, columns) for columns, rows in pairwise(sizes)]
         if [w.shape for w in self.weights] != right:
             shapes = ", ".join(str(w.shape) for w in self.weights)
             raise ValueError(f"weights are of the shapes {shapes}; features, biases and outputs need {right}")
@@ -95,29 +139,17 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         """The network alone."""
         return Network(self.features, self.outputs, self.weights, self.biases)
 
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Numbers of features, of the units of every hidden layer, and of outputs."""
-        return self.network.sizes
-
     def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
-        """See Model.predict."""
-        means = evaluated(self.network, rows.matrix(self.features)).T
+        means = self.network(rows.matrix(self.features)).T
         parts = zip(self.outputs, means, self.residual_std**2, strict=True)
         return {output: Prediction(mean, None, float(variance)) for output, mean, variance in parts}
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        """See Model.residual."""
-        from quadexp.air.neural import neural_residual
-
         if part not in ("best", "neural"):
             raise UsageError(f"{source}: holds a network, not '{part}'")
         return neural_residual(vehicle, self.network, source)
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        """See Model.adapting."""
-        from quadexp.air.adapting import adapting_network
-
         assert deviation is not None
         return adapting_network(residual, self.network, deviation)
 
@@ -128,8 +160,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
 
     @property
     def summary(self) -> str:
-        """See Model.summary."""
-        layers = "-".join(map(str, self.sizes))
+        layers = "-".join(map(str, self.network.sizes))
         return (
             f"neural network {layers}, {', '.join(self.outputs)} <- {', '.join(self.features)}, largest slope"
             f" of the scaled network at most {self.lipschitz:.3g},"
@@ -137,33 +168,101 @@ class NeuralModel(Model, frozen=True, tag="neural"):
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """See Model.numbers."""
         return {"lipschitz": self.lipschitz}
 
 
+def neural_residual(vehicle: Vehicle, network: Network, source: str = "") -> Residual:
+    """Residual of a network; theta holds W_1 (column by column), b_1, .., W_o, b_o.
+
+    Raises UsageError for an unknown feature.
+    """
+    function, to_compile = (
+        _network_function(feature_names(vehicle.n_rotors), network, *form)
+        for form in ((_layer, _backward), (_compiled_layer, _compiled_backward))
+    )
+    theta = [part for w, b in zip(network.weights, network.biases, strict=True) for part in (w.T.ravel(), b)]
+    return Residual("neural", function, np.concatenate(theta), source, to_compile)
+
+
+def adapting_network(residual: Residual, network: Network, deviation: float) -> Adapting:
+    """The last layer's weights that adapt. deviation: s of quadexp.models.online, m/s^2."""
+    outputs, units = np.shape(network.weights[-1])
+    first = len(residual.theta) - outputs * (units + 1)
+    root = deviation / np.sqrt(units + 1) * np.eye(units + 1)
+    blocks = []
+    for row, output in enumerate(network.outputs):
+        if output in AXIS:
+            at = np.append(first + row + outputs * np.arange(units), first + outputs * units + row)
+            blocks.append(Block(AXIS[output], at, residual.theta[at], root))
+    return Adapting(residual, tuple(blocks))
+
+
+def _network_function(names: tuple[str, ...], network: Network, layer: Layer, backward: Backward) -> ca.Function:
+    """(z, theta) -> y, dy/dz for a network of these sizes."""
+    sizes = network.sizes
+    lengths = [length for columns, rows in pairwise(sizes) for length in (rows * columns, rows)]
+    z, theta = ca.MX.sym("z", len(names)), ca.MX.sym("theta", sum(lengths))
+    parts = ca.vertsplit(theta, np.cumsum([0, *lengths]).tolist())
+    weights = [ca.reshape(w, rows, columns) for w, (columns, rows) in zip(parts[::2], pairwise(sizes), strict=True)]
+    places = feature_places(names, network.features, "network")
+    select = _zeros_and_ones(places, len(names))
+    place = _zeros_and_ones([[OUTPUTS.index(output)] for output in network.outputs], len(OUTPUTS)).T
+    x, slopes = ca.mtimes(select, z), []
+    for w, b in zip(weights[:-1], parts[1:-1:2], strict=True):
+        x, slope = layer(w, b, x)
+        slopes.append(slope)
+    y, gradient = ca.mtimes(weights[-1], x) + parts[-1], weights[-1]
+    for w, slope in zip(reversed(weights[:-1]), reversed(slopes), strict=True):
+        gradient = backward(gradient, slope, w)
+    results = [ca.mtimes(place, y), ca.mtimes(place, ca.mtimes(gradient, select))]
+    return ca.Function("residual_neural", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
+
+
+def _zeros_and_ones(places: list[list[int]], columns: int) -> ca.DM:
+    """A sparse matrix with a row for each list, and ones at its places."""
+    return ca.sparsify(ca.DM([[float(column in ones) for column in range(columns)] for ones in places]))
+
+
+def _layer(w: Expression, b: Expression, x: Expression) -> tuple[Expression, Expression]:
+    return activation(ca.mtimes(w, x) + b)
+
+
+def _backward(gradient: Expression, slope: Expression, w: Expression) -> Expression:
+    return ca.mtimes(gradient * ca.repmat(slope.T, gradient.size1(), 1), w)
+
+
+def _compiled_layer(w: Expression, b: Expression, x: Expression) -> tuple[Expression, Expression]:
+    """As _layer, by neural_layer.c."""
+    (rows, columns), dense = w.shape, ca.Sparsity.dense
+    given = {"weight": dense(rows, columns), "bias": dense(rows), "x": dense(columns)}
+    sizes, results = {"ROWS": rows, "COLUMNS": columns}, {"value": dense(rows), "slope": dense(rows)}
+    value, slope = handwritten(f"neural_layer_{rows}_{columns}", LAYER, sizes, given, results)(w, b, x)
+    return value, slope
+
+
+def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -> Expression:
+    """As _backward, by neural_backward.c; the gradient is stored with its outputs along the columns."""
+    (rows, columns), outputs, dense = w.shape, gradient.size1(), ca.Sparsity.dense
+    sizes = {"OUTPUTS": outputs, "ROWS": rows, "COLUMNS": columns}
+    given = {"gradient": dense(outputs, rows), "slope": dense(rows), "weight": dense(rows, columns)}
+    name, results = "_".join(map(str, ["neural_backward", *sizes.values()])), {"product": dense(outputs, columns)}
+    return handwritten(name, BACKWARD, sizes, given, results)(gradient, slope, w)
+
+
 def fit_network(
-    dataset: ResidualDataset,
-    settings: NNSettings | None = None,
-    *,
-    callback: Callback | None = None,
+    dataset: ResidualDataset, settings: NNSettings | None = None, *, callback: Callback | None = None
 ) -> NeuralModel:
-    """Train a network on all rows of the dataset; callback: called with a message and the completed share, 0 .. 1.
+    """Train a network on all rows of the dataset; callback: see Model.fit.
 
     Raises DataError where the dataset is empty or lacks a feature or output, or where a feature is constant; UsageError
     where nn.device=cuda and there is none.
     """
     settings = settings or NNSettings()
-    if not dataset.n_rows:
-        raise DataError("dataset: it has no rows")
     device = _device(settings.device)
-    recorded = has_thrust_scale(dataset)
-    if recorded:
-        dataset = with_common_scale(dataset).dataset
+    dataset = with_common_scale(dataset).dataset
+    require_variation(dataset, settings.features, len(settings.features), "nn.features")
     x, y = dataset.matrix(settings.features), dataset.matrix(settings.outputs)
     centre, spread = x.mean(axis=0), x.std(axis=0)
-    constant = [name for name, std in zip(settings.features, spread, strict=True) if std < 1e-9]
-    if constant:
-        raise DataError(f"nn.features: '{constant[0]}' never changes over the {len(x)} rows; leave it out")
     unit = np.sqrt(np.mean(y**2, axis=0))
     unit[unit == 0] = 1.0
     with one_thread():
@@ -172,23 +271,26 @@ def fit_network(
     weights[0] = weights[0] / spread
     biases[0] = biases[0] - weights[0] @ centre
     weights[-1], biases[-1] = unit[:, None] * weights[-1], unit * biases[-1]
-    model = NeuralModel(
-        settings.features,
-        settings.outputs,
-        tuple(weights),
-        tuple(biases),
-        np.zeros(len(settings.outputs)),
-        lipschitz,
-        fit_linear_drag(dataset, thrust=not recorded, intervals=False),
-        vehicle=dict(dataset.metadata.get("vehicle") or {}),
-        dataset=dataset.summary(),
-        settings=settings.as_dict(),
-        feature_range=feature_ranges(dataset, settings.features),
-        versions={library: version(library) for library in ("numpy", "scipy", "torch")},
-    )
-    left = y - evaluated(model.network, x)
-    model.residual_std[:] = np.sqrt(np.mean(left**2, axis=0))
-    return model
+    network = Network(settings.features, settings.outputs, tuple(weights), tuple(biases))
+    return NeuralModel(
+        *network, np.sqrt(np.mean((y - network(x)) ** 2, axis=0)), lipschitz,
+        fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=False),
+        settings=settings.as_dict(), versions=library_versions("numpy", "scipy", "torch"),
+        **origin(dataset, settings.features),
+    )  # fmt: skip
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """torch on one thread, so that the order of summation, and with it the result, does not depend on the machine."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _device(name: str) -> torch.device:
@@ -244,8 +346,8 @@ def _train(
         options={"maxiter": settings.max_iterations, "maxfun": 2 * settings.max_iterations, "maxcor": 30,
                  "ftol": 1e-12, "gtol": 1e-8},
     )  # fmt: skip
-    found = [[part.detach().cpu().numpy().copy() for part in some] for some in parts(torch.tensor(result.x))]
-    return found[0], found[1]
+    weights, biases = ([part.numpy().copy() for part in layers] for layers in parts(torch.tensor(result.x)))
+    return weights, biases
 
 
 def _forward(x: torch.Tensor, weights: list[torch.Tensor], biases: list[torch.Tensor]) -> torch.Tensor:

@@ -2,8 +2,8 @@
 
 attitude   v' = R(t) f_model(R(t)^T v, w(t), a(t)) + g,  p' = v        R, w and the rotors' signal as measured
 held       all 13 states; constant body rates
-torque     all 13 states; angular acceleration by the fitted torque (quadexp.models.torque) with its offset at the start;
-           constant rates on rejected axes
+torque     all 13 states; angular acceleration by the fitted torque (quadexp.models.torque) with its offset at the
+           start; constant rates on rejected axes
 full       all 13 states of the rigid body (quadexp.physics.rigid_body) under the rotors' thrusts and arms
 
 In all modes the model gives the specific force. "full" needs the thrust of every rotor and uses the vehicle's inertia,
@@ -22,11 +22,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
-from quadexp.models.samples import FlightRows
+from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.models.thrust_scale import tracked_scale
 from quadexp.models.torque import geometric_acceleration, gyroscopic
 from quadexp.models.validation import Predictor
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import state_derivative
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import GRAVITY, Vehicle
@@ -35,8 +38,7 @@ LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is 
 TURNING = ("held", "torque", "full")
 Turning = Callable[[np.ndarray, np.ndarray], np.ndarray]
 STARTS = 120  # per flight at most, spread evenly
-QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-POINT, WORLD_VELOCITY, RATES = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z"), ("w_x", "w_y", "w_z")
+POINT, WORLD_VELOCITY = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z")
 
 
 class Track:
@@ -124,23 +126,12 @@ def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Tu
 
 
 def full_rollout(
-    track: Track,
-    starts: np.ndarray,
-    steps: int,
-    vehicle: Vehicle,
-    *,
-    tracked: bool,
-    mode: str = "full",
+    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool, mode: str = "full"
 ) -> np.ndarray:
     """States, (steps + 1, starts, 13): the rigid body under the rotors' thrusts and the model's acceleration.
 
     mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
     """
-    import casadi as ca
-
-    from quadexp.physics.integrator import rk4_step
-    from quadexp.physics.rigid_body import state_derivative
-
     x, u, y, h = ca.SX.sym("x", 13), ca.SX.sym("u", vehicle.n_rotors), ca.SX.sym("y", 6), ca.SX.sym("h")
     step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
     turn = turning(track, mode, vehicle, starts)

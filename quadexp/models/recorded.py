@@ -17,17 +17,18 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
+from quadexp.models.base import rms
 from quadexp.models.checkpoint import plain
-from quadexp.models.dataset import THRUST, ResidualDataset, joined, transitions
+from quadexp.models.dataset import ResidualDataset, joined, transitions
 from quadexp.models.linear_drag import fit_linear_drag
+from quadexp.models.residual import AXES, THRUST
 from quadexp.models.samples import choose_signal, read_rows, rotor_columns
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import Vehicle
 
 TARGETS = ("auto", "specific_force", "velocity")
 THRUST_SIGNALS = ("u", "thrust_acceleration")  # in units of force or acceleration, usable without a thrust curve
-AXES = "xyz"
 
 
 def is_recorded(flight: Flight) -> bool:
@@ -67,20 +68,15 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
         raise DataError(f"{name}: {rotors.shape[1]} rotors, vehicle '{vehicle.name}' has {vehicle.n_rotors}")
     residual = samples.force.copy()
     residual[:, 2] -= rotors.sum(axis=1)
-    columns = {"t": samples.time, "dt": _steps(samples.time, samples.segment)}
+    steps = np.diff(samples.time)  # to the next row within a segment, the median step at its end
+    together = samples.segment[1:] == samples.segment[:-1]
+    usual = float(np.median(steps[together])) if together.any() else 0.0
+    columns = {"t": samples.time, "dt": np.append(np.where(together, steps, usual), usual)}
     for prefix, values in (("v", samples.velocity), ("w", rate), ("a", residual)):
         columns |= {f"{prefix}_{axis}": values[:, i].copy() for i, axis in enumerate(AXES)}
     columns |= {f"u_{i}": vehicle.mass * rotors[:, i] for i in range(vehicle.n_rotors)}
     columns[THRUST] = vehicle.mass * rotors.sum(axis=1)
     return columns
-
-
-def _steps(time: np.ndarray, segment: np.ndarray) -> np.ndarray:
-    """Time step of every row, (k,) (s): to the next row within a segment, the median step at its end."""
-    steps = np.diff(time)
-    together = segment[1:] == segment[:-1]
-    usual = float(np.median(steps[together])) if together.any() else 0.0
-    return np.append(np.where(together, steps, usual), usual)
 
 
 def velocity_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, *, frame: str) -> dict[str, np.ndarray]:
@@ -148,8 +144,6 @@ def target_cost(flights: Sequence[Flight], vehicle: Vehicle, curve: ThrustCurve,
     errors = []
     for target in ("specific_force", "velocity"):
         data = recorded_dataset(flights, vehicle, curve, target=target, frame=frame)
-        residual = data.matrix(["a_x", "a_y", "a_z"]) - fit_linear_drag(
-            data, loss="squares", intervals=False
-        ).acceleration(data)
-        errors.append(float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))))
+        drag = fit_linear_drag(data, loss="squares", intervals=False)
+        errors.append(rms(data.matrix(["a_x", "a_y", "a_z"]) - drag.acceleration(data)))
     return TargetCost(*errors)

@@ -62,16 +62,14 @@ CONDITION_LIMIT = {"blocks": 1000.0, "flights": 1e8}
 
 @dataclass(frozen=True)
 class Regression:
-    """coefficients: (p,). covariance: (p, p), see the module. plain: (p, p), for independent errors, for comparison.
-
-    residual: (n,). freedom: degrees of freedom of Student's t, () or (p,); 0 where there is no interval. condition:
-    condition number of the columns at unit length.
+    """coefficients: (p,). covariance: (p, p), see the module. residual: (n,).
+    freedom: degrees of freedom of Student's t, () or (p,); 0 where there is no interval. condition:
+       condition number of the columns at unit length.
     """
 
     names: tuple[str, ...]
     coefficients: np.ndarray
     covariance: np.ndarray
-    plain: np.ndarray
     residual: np.ndarray
     freedom: np.ndarray
     condition: float
@@ -127,23 +125,21 @@ def regress(
     condition = _condition(x, names, what, CONDITION_LIMIT[over])
     coefficients, limit = solve(x, target, loss)
     residual = target - x @ coefficients
-    inside = x if np.isinf(limit) else x * (np.abs(residual) <= limit)[:, None]
-    information = inside.T @ x
     if over == "flights":
-        none = np.zeros((p, p)), np.zeros(p)
-        covariance, freedom = _over_flights(x, target, flight, coefficients, loss) if intervals else none
-        plain = covariance
+        covariance, freedom = np.zeros((p, p)), np.zeros(p)
+        if intervals:
+            covariance, freedom = _over_flights(x, target, flight, coefficients, loss)
     else:
-        plain = np.linalg.inv(information) * (residual @ residual / (n - p))
-        covariance, freedom = plain, np.array(n - p)
-    if intervals and over == "blocks":
-        scores = x * np.clip(residual, -limit, limit)[:, None]
-        covariance, blocks = over_blocks(scores, information, stretch, flight)
-        freedom = np.array(max(blocks - p, 1))
-    unit = np.outer(length, length)
-    return Regression(
-        tuple(names), coefficients / length, covariance / unit, plain / unit, residual, freedom, condition
-    )
+        inside = x if np.isinf(limit) else x * (np.abs(residual) <= limit)[:, None]
+        information = inside.T @ x
+        if intervals:
+            scores = x * np.clip(residual, -limit, limit)[:, None]
+            covariance, blocks = over_blocks(scores, information, stretch, flight)
+            freedom = np.array(max(blocks - p, 1))
+        else:
+            covariance, freedom = np.linalg.inv(information) * (residual @ residual / (n - p)), np.array(n - p)
+    covariance = covariance / np.outer(length, length)
+    return Regression(tuple(names), coefficients / length, covariance, residual, freedom, condition)
 
 
 def solve(

@@ -36,14 +36,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-import casadi as ca
 import numpy as np
 
-from quadexp.air.blade_element import require_rotor
 from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.parts.settings import Setting, Settings, part
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.physics.blade_element import ADOPTED, PRINTED, aerodynamic_wrench, rotor_flow
+from quadexp.parts.settings import Setting, Settings, part
+from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
@@ -54,9 +53,7 @@ AXES = ((C_D0, C_LA, C_DX), (C_D0, C_LA, C_DY), (C_LA, C_DZ))  # coefficients th
 ITERATIONS = 16  # of the safeguarded Newton method, from its upper bound
 
 
-def rls_step_function(
-    vehicle: Vehicle, *, gauss_newton: bool = False, printed_coefficients: bool = False
-) -> ca.Function:
+def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Function:
     """One update of the three estimators.
 
     Inputs: v (3,) body FLU (m/s); w (n,) (rad/s); y (3,) specific force (m/s^2); used (5,) coefficients in use;
@@ -73,11 +70,10 @@ def rls_step_function(
     covariances = [ca.SX.sym(f"P_{a}", len(at), len(at)) for a, at in zip("xyz", AXES, strict=True)]
     priors = [ca.SX.sym(f"prior_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
 
-    terms = PRINTED if printed_coefficients else ADOPTED
     flow = rotor_flow(vehicle, v)
-    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial, terms)
+    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     induced = ca.SX.sym("V_I", n)
-    force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced, terms=terms)
+    force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced, terms=ADOPTED)
     regressors = ca.jacobian(force, coefficients) / vehicle.mass
     gain_regressors = regressors
     if gauss_newton:
@@ -109,15 +105,8 @@ def rls_step_function(
         "rls_step",
         [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight],
         ca.cse(
-            [
-                *new_thetas,
-                *new_covariances,
-                raw,
-                ca.vertcat(*errors),
-                safe_newton(equation, ITERATIONS),
-                ca.densify(regressors),
-                weight,
-            ]
+            [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]
+            + [safe_newton(equation, ITERATIONS), ca.densify(regressors), weight]
         ),
         ["v", "w", "y", "used", *(f"theta_{a}" for a in "xyz"), *(f"P_{a}" for a in "xyz")]
         + [*(f"prior_{a}" for a in "xyz"), "sigma", "forgetting", "lift_weight"],
@@ -136,10 +125,7 @@ def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expr
 
 @dataclass(frozen=True)
 class RLSSettings(Settings):
-    """How the estimators are started and weighted; the defaults are the paper's, with clipping.
-
-    printed_coefficients: the misprinted cross terms.
-    """
+    """How the estimators are started and weighted; the defaults are the paper's, with clipping."""
 
     prefix: ClassVar[str] = "controller.rls."
 
@@ -157,8 +143,7 @@ class RLSSettings(Settings):
     noise: Annotated[float, Setting("assumed standard deviation of the accelerometer", "(0, 100]", "m/s^2")] = 1.0
     forgetting: Annotated[float, Setting("forgetting factor; 1 forgets nothing", "[0.5, 1]")] = 1.0
     lift_weight: Annotated[
-        float,
-        Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]"),
+        float, Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]")
     ] = 1.0
     gauss_newton: Annotated[bool, Setting("include the induced velocity in the derivative of the z equation")] = False
     rotor_range: Annotated[
@@ -171,8 +156,6 @@ class RLSSettings(Settings):
     clip: Annotated[
         bool, Setting("clip the estimates to their bounds where they are used; clipped samples are counted")
     ] = True
-
-    printed_coefficients: bool = False
 
     @classmethod
     def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others: Any) -> RLSSettings:
@@ -217,12 +200,12 @@ class BladeElementRLS:
         *,
         backend: str = "interpreted",
     ) -> None:
-        require_rotor(vehicle)
+        _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
         self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
         theta_0, s = initial.parameters(), self.settings
         if not (np.isfinite(theta_0).all() and min(theta_0[:2]) > 0):
             raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
-        function = rls_step_function(vehicle, gauss_newton=s.gauss_newton, printed_coefficients=s.printed_coefficients)
+        function = rls_step_function(vehicle, gauss_newton=s.gauss_newton)
         self._step = BufferedFunction(realise(function, resolve(backend)))
         rotor = theta_0[: C_LA + 1]
         self.lower = np.r_[s.rotor_range[0] * rotor, [s.drag_range[0]] * 3]
@@ -299,13 +282,8 @@ class BladeElementRLS:
         P_x, P_y, P_z = self.covariance
         b, c = self.weight, self.settings.lift_weight
         horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
-        variance = [
-            horizontal[0, 0],
-            c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1],
-            P_x[2, 2],
-            P_y[2, 2],
-            P_z[1, 1],
-        ]
+        lift = c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1]
+        variance = [horizontal[0, 0], lift, P_x[2, 2], P_y[2, 2], P_z[1, 1]]
         scale = 1.0 if noise is None else noise / self.settings.noise
         return scale * np.sqrt(np.maximum(variance, 0.0))
 

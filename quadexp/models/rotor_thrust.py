@@ -29,9 +29,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.models.dataset import consecutive
-from quadexp.models.samples import rotor_columns
 from quadexp.log.schema import Flight
+from quadexp.models.dataset import consecutive
+from quadexp.models.residual import VELOCITY
+from quadexp.models.samples import rotor_columns
 from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns
 from quadexp.physics.vehicle import Vehicle
 
@@ -140,22 +141,17 @@ class HeldCommands:
 
 
 def held_commands(flight: Flight, vehicle: Vehicle, timing: Timing) -> HeldCommands:
-    """The commands of a flight, and before the first what the rotors gave when it began."""
+    """The commands of a flight. Before the first one acts a simulated flight has the thrusts of its reference where
+    that begins in motion (experiment.rollout), else those of hover; of a recorded one they are not known."""
     command = flight.stack(input_columns(vehicle.n_rotors)).astype(float)
-    return HeldCommands(np.asarray(flight.t, float), command, timing, _before(flight, vehicle, command[0]))
-
-
-def _before(flight: Flight, vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
-    """Thrusts (n,) (N) before the first command acts: of a recorded flight they are not known; a simulated one begins
-    with those of its reference where that begins in motion (experiment.rollout), else in hover."""
-    if flight.metadata.get("recorded", False):
-        return command
-    columns = [f"ref_{name}" for name in (*STATE_COLUMNS, *input_columns(vehicle.n_rotors))]
-    if all(name in flight.columns for name in columns):
-        state, thrust = np.split(flight.stack(columns)[0].astype(float), [N_STATE])
-        if in_motion(state):
-            return np.clip(thrust, vehicle.thrust_min, vehicle.thrust_max)
-    return np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    before = command[0]
+    if not flight.metadata.get("recorded", False):
+        before = np.full(vehicle.n_rotors, vehicle.hover_thrust)
+        columns = [f"ref_{name}" for name in (*STATE_COLUMNS, *input_columns(vehicle.n_rotors))]
+        if all(name in flight.columns for name in columns):
+            state, thrust = np.split(flight.stack(columns)[0].astype(float), [N_STATE])
+            before = np.clip(thrust, vehicle.thrust_min, vehicle.thrust_max) if in_motion(state) else before
+    return HeldCommands(np.asarray(flight.t, float), command, timing, before)
 
 
 def mean_thrust(flight: Flight, vehicle: Vehicle, timing: Timing) -> np.ndarray:
@@ -220,17 +216,6 @@ class TimingFit:
         )
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """A flight's transitions under the commands as thrusts: index k (r,), targets (r, 3), terms (r, 3, q)."""
-
-    flight: Flight
-    k: np.ndarray
-    u: np.ndarray
-    target: np.ndarray
-    terms: np.ndarray
-
-
 def fit_timing(
     flights: Sequence[Flight],
     vehicle: Vehicle,
@@ -242,65 +227,66 @@ def fit_timing(
 
     noise: known standard deviations of the targets, which no timing can take away; None: not known.
     """
-    rows = [_rows(flight, vehicle, table) for flight, table in zip(flights, tables, strict=True)]
-    rows = _some([one for one in rows if len(one.k)])
-    score = _Score(rows, vehicle, noise or {})
-    before = score.rms(Timing())
-    measured = [measured_thrust(one.flight, vehicle) for one in rows]
-    if rows and all(thrust is not None for thrust in measured):
-        found = _by_rotor_speed(rows, measured, vehicle, score)
+    score = _Score(flights, vehicle, tables, noise or {})
+    measured = [measured_thrust(flight, vehicle) for flight in score.flights]
+    if measured and all(thrust is not None for thrust in measured):
+        timing = _by_rotor_speed(score.flights, measured, vehicle, score)
     else:
-        found = _search(score)
-    return TimingFit(found, before, score.rms(found))
+        timing = _search(score)
+    return TimingFit(timing, score.rms(Timing()), score.rms(timing))
 
 
-def _rows(flight: Flight, vehicle: Vehicle, table: Mapping[str, np.ndarray]) -> _Rows:
-    t = np.asarray(flight.t, float)
-    k = consecutive(t, flight.columns.get("segment"))
-    settled = t[k] > t[0] + SETTLING
-    u = np.stack([table[name] for name in input_columns(vehicle.n_rotors)], axis=1)
-    v = np.stack([table[f"v_{axis}"] for axis in "xyz"], axis=1)
-    target = np.stack([table[name] for name in TARGETS], axis=1)
-    drag = np.stack([np.ones(len(k)), *v.T, *(v * np.abs(v)).T], axis=1)
-    terms = np.repeat(drag[:, None, :], 3, axis=1)
-    return _Rows(flight, k[settled], u[settled], target[settled], terms[settled])
-
-
-def _some(rows: Sequence[_Rows]) -> list[_Rows]:
-    """Flights of LONGEST (s) altogether, evenly chosen."""
-    seconds = [float(one.flight.t[-1] - one.flight.t[0]) for one in rows]
-    step = max(1, round(sum(seconds) / LONGEST))
-    return list(rows[::step])
+def _settled(flight: Flight) -> np.ndarray:
+    """Which samples come after the thrusts of before the flight have died away, (k,)."""
+    return np.asarray(flight.t, float) > flight.t[0] + SETTLING
 
 
 class _Score:
-    """What remains of the targets under a timing, after the regression on simple terms."""
+    """What remains of the targets under a timing, after the regression on simple terms.
 
-    def __init__(self, rows: Sequence[_Rows], vehicle: Vehicle, noise: Mapping[str, float]) -> None:
-        self._rows, self._vehicle = rows, vehicle
-        self._noise = np.array([noise.get(name, 0.0) for name in TARGETS])
+    flights: of LONGEST (s) altogether, evenly chosen. Of their settled transitions under the commands as thrusts: index
+    k (r,), u (r, n), targets (r, 3), terms (r, q).
+    """
+
+    def __init__(
+        self,
+        flights: Sequence[Flight],
+        vehicle: Vehicle,
+        tables: Sequence[Mapping[str, np.ndarray]],
+        noise: Mapping[str, float],
+    ) -> None:
+        rows = [(flight, table, *self._rows(flight)) for flight, table in zip(flights, tables, strict=True)]
+        rows = [row for row in rows if row[3].any()]
+        rows = rows[:: max(1, round(sum(float(flight.t[-1] - flight.t[0]) for flight, *_ in rows) / LONGEST))]
+        self.flights, self._k = [flight for flight, *_ in rows], [k[settled] for _, _, k, settled in rows]
+        self._vehicle, self._noise = vehicle, np.array([noise.get(name, 0.0) for name in TARGETS])
         # Per thrust: acceleration along z, torque about x and y.
         self._effect = np.vstack([np.full(vehicle.n_rotors, 1 / vehicle.mass), vehicle.allocation[1:3]])
-        self._target = np.concatenate([one.target for one in rows])
-        self._terms = np.concatenate([one.terms for one in rows])
+        u, v, self._target = (
+            np.concatenate([np.stack([table[name] for name in names], axis=1)[rest] for _, table, _, rest in rows])
+            for names in (input_columns(vehicle.n_rotors), VELOCITY, TARGETS)
+        )
+        self._u, self._terms = u, np.stack([np.ones(len(v)), *v.T, *(v * np.abs(v)).T], axis=1)
+
+    @staticmethod
+    def _rows(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+        """Index of every transition, and which of them are settled."""
+        k = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))
+        return k, _settled(flight)[k]
 
     def rms(self, timing: Timing) -> tuple[float, float, float]:
-        change, thrust = [], []
-        for one in self._rows:
-            delivered = mean_thrust(one.flight, self._vehicle, timing)[one.k]
-            change.append(one.u - delivered)
-            thrust.append(delivered)
-        target = self._target + np.concatenate(change) @ self._effect.T
-        powers = np.concatenate(thrust)
-        found = []
+        """Of every target."""
+        delivered = [
+            mean_thrust(flight, self._vehicle, timing)[k] for flight, k in zip(self.flights, self._k, strict=True)
+        ]
+        thrust = np.concatenate(delivered)
+        target = self._target + (self._u - thrust) @ self._effect.T
+        remaining = []
         for axis, effect in enumerate(self._effect):
-            own = np.stack([powers @ effect, powers**2 @ effect], axis=1)
-            design = np.concatenate([self._terms[:, axis], own], axis=1)
-            design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
-            normal = design.T @ design + 1e-9 * len(design) * np.eye(design.shape[1])
-            left = target[:, axis] - design @ np.linalg.solve(normal, design.T @ target[:, axis])
-            found.append(float(np.sqrt(np.mean(left**2))))
-        return found[0], found[1], found[2]
+            powers = np.stack([thrust @ effect, thrust**2 @ effect], axis=1)
+            error = target[:, axis] - _explained(np.concatenate([self._terms, powers], axis=1), target[:, axis])
+            remaining.append(float(np.sqrt(np.mean(error**2))))
+        return remaining[0], remaining[1], remaining[2]
 
     def __call__(self, timing: Timing) -> float:
         square = np.square(self.rms(timing))
@@ -308,42 +294,41 @@ class _Score:
         return float(np.mean(np.log(np.maximum(beyond, 1e-24)) / 2))
 
 
+def _explained(design: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """What the columns (k, p) explain of the target (k,), also where some are nearly alike."""
+    design = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
+    normal = design.T @ design + 1e-9 * len(design) * np.eye(design.shape[1])
+    return np.asarray(design @ np.linalg.solve(normal, design.T @ target))
+
+
 def _by_rotor_speed(
-    rows: Sequence[_Rows], measured: Sequence[np.ndarray | None], vehicle: Vehicle, score: _Score
+    flights: Sequence[Flight], measured: Sequence[np.ndarray | None], vehicle: Vehicle, score: _Score
 ) -> Timing:
     """Lag and delay of the commands by the measured thrusts; the delay of the state by the residual."""
-    streams = [(one.flight, thrust) for one, thrust in zip(rows, measured, strict=True) if thrust is not None]
+    streams = [(flight, thrust) for flight, thrust in zip(flights, measured, strict=True) if thrust is not None]
 
     def beside(timing: Timing, scaled: bool = True) -> float:
         """rms (N) of what is measured beside the commands; scaled: by the factors that fit, see `_scaled`."""
         error = []
         for flight, thrust in streams:
-            t = np.asarray(flight.t, float)
-            settled = t > t[0] + SETTLING
-            model, own = held_commands(flight, vehicle, timing).value(t)[settled], thrust[settled]
-            error.append((own - (_scaled(model, own, t[settled]) if scaled else model)).ravel())
+            t, rest = np.asarray(flight.t, float), _settled(flight)
+            model = held_commands(flight, vehicle, timing).value(t)[rest]
+            error.append((thrust[rest] - (_scaled(model, thrust[rest], t[rest]) if scaled else model)).ravel())
         return float(np.sqrt(np.mean(np.concatenate(error) ** 2)))
 
-    if beside(Timing(), scaled=False) <= MEASURED_APART * vehicle.hover_thrust:
-        found = Timing()
-    else:
+    timing = Timing()
+    if beside(timing, scaled=False) > MEASURED_APART * vehicle.hover_thrust:
         floor = 1e-4 * vehicle.hover_thrust  # below it no difference counts
-        found = replace(_search(lambda timing: float(np.log(beside(timing) + floor))), measured=True)
-    late, least = _least(lambda at: score(replace(found, state_delay=at[0])), LARGEST_DELAY)
-    return replace(found, state_delay=late) if least < score(found) - WORTH else found
+        timing = replace(_search(lambda at: float(np.log(beside(at) + floor))), measured=True)
+    late, least = _least(lambda at: score(replace(timing, state_delay=at[0])), LARGEST_DELAY)
+    return replace(timing, state_delay=late) if least < score(timing) - WORTH else timing
 
 
 def _scaled(model: np.ndarray, measured: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Thrusts (k, n) times the factors of each rotor that fit the measured ones best: a constant, a share of the
     collective thrust, whose current a battery's voltage follows, and a drift over the time t, (k,)."""
-    found = np.empty_like(model)
     factors = np.stack([np.ones(len(t)), model.mean(axis=1), t - t.mean()], axis=1)
-    for i in range(model.shape[1]):
-        design = model[:, i, None] * factors
-        design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
-        normal = design.T @ design + 1e-9 * len(t) * np.eye(design.shape[1])
-        found[:, i] = design @ np.linalg.solve(normal, design.T @ measured[:, i])
-    return found
+    return np.stack([_explained(u[:, None] * factors, y) for u, y in zip(model.T, measured.T, strict=True)], axis=1)
 
 
 def _search(score: Callable[[Timing], float]) -> Timing:
@@ -358,22 +343,20 @@ def _search(score: Callable[[Timing], float]) -> Timing:
         return lambda at: score(timing(kind, at))
 
     delay = _least(lambda at: score(Timing(delay=at[0])), LARGEST_DELAY)[0]
-    alone, both, apart = [Timing(delay=delay)], [], []
-    for kind in ("thrust", "rotor_speed"):
-        alone.append(timing(kind, (_least(scored(kind), LARGEST_LAG)[0], 0.0)))
+    kinds, both, apart = ("thrust", "rotor_speed"), [], []
+    alone = [Timing(delay=delay), *(timing(kind, (_least(scored(kind), LARGEST_LAG)[0], 0.0)) for kind in kinds)]
     if min(map(score, alone)) > score(Timing()) - WORTH:
         return Timing()
     for first in alone[1:]:
-        own = scored(first.lag_of)
-        one = _descent(own, (first.lag / 2, delay / 2))
-        two = _descent(own, (one[0], one[0], one[1]))
-        both.append(timing(first.lag_of, one))
-        apart += [Timing(two[0], two[1], first.lag_of), timing(first.lag_of, two)]
-    found = [[Timing()], alone, both, apart]
-    scores = [[score(one) for one in group] for group in found]
+        lag, late = _descent(scored(first.lag_of), (first.lag / 2, delay / 2))
+        up, down, behind = _descent(scored(first.lag_of), (lag, lag, late))
+        both.append(Timing(lag, lag, first.lag_of, late))
+        apart += [Timing(up, down, first.lag_of), Timing(up, down, first.lag_of, behind)]
+    groups = [[Timing()], alone, both, apart]
+    scores = [[score(candidate) for candidate in group] for group in groups]
     least = min(map(min, scores))
     simplest = next(i for i, values in enumerate(scores) if min(values) <= least + WORTH)
-    return found[simplest][int(np.argmin(scores[simplest]))]
+    return groups[simplest][int(np.argmin(scores[simplest]))]
 
 
 def _descent(score: Callable[[Sequence[float]], float], start: tuple[float, ...]) -> tuple[float, ...]:
@@ -387,8 +370,8 @@ def _descent(score: Callable[[Sequence[float]], float], start: tuple[float, ...]
 
     simplex = np.array(start) + np.vstack([np.zeros(len(start)), 0.006 * np.eye(len(start))])
     options = {"initial_simplex": simplex, "xatol": 3e-5, "fatol": 1e-5, "maxfev": 60 * len(start)}
-    found = np.clip(minimize(inside, np.array(start), method="Nelder-Mead", options=options).x, 0.0, largest)
-    return tuple(float(value) if value > 1e-4 else 0.0 for value in found)
+    best = np.clip(minimize(inside, np.array(start), method="Nelder-Mead", options=options).x, 0.0, largest)
+    return tuple(float(value) if value > 1e-4 else 0.0 for value in best)
 
 
 def _least(score: Callable[[Sequence[float]], float], largest: float) -> tuple[float, float]:
@@ -400,5 +383,5 @@ def _least(score: Callable[[Sequence[float]], float], largest: float) -> tuple[f
     scores = [score((float(at), 0.0)) for at in grid]
     k = int(np.argmin(scores))
     bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
-    found = minimize_scalar(lambda at: score((at, 0.0)), bounds=bounds, method="bounded", options={"xatol": 2e-5})
-    return (float(found.x), float(found.fun)) if found.fun < scores[k] else (float(grid[k]), float(scores[k]))
+    best = minimize_scalar(lambda at: score((at, 0.0)), bounds=bounds, method="bounded", options={"xatol": 2e-5})
+    return (float(best.x), float(best.fun)) if best.fun < scores[k] else (float(grid[k]), float(scores[k]))

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.models.dataset import name_of
 from quadexp.log.schema import Flight
+from quadexp.models.dataset import name_of
 
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
@@ -34,6 +34,7 @@ HELD = ("u", "motor_command")  # commands, held over an interval
 LARGEST_DELAY = 0.12  # s
 WORTH = 0.05  # decrease of the log rms of f_z from which a delay is taken to be real
 RATES = ("w_x", "w_y", "w_z")
+READINGS = ("acc_x", "acc_y", "acc_z")
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
@@ -53,11 +54,11 @@ class Samples:
     force: np.ndarray
     velocity: np.ndarray
     signal: np.ndarray
-    voltage: np.ndarray | None
+    held: np.ndarray
     kind: str
     names: tuple[str, ...]
-    rate: np.ndarray | None
-    held: np.ndarray
+    voltage: np.ndarray | None = None
+    rate: np.ndarray | None = None
     delay: float = 0.0
 
     def __len__(self) -> int:
@@ -70,11 +71,8 @@ class Samples:
 
     def rows(self, selection: np.ndarray) -> Samples:
         """The samples of a mask or index array; the flights keep their numbers."""
-        names = ("time", "flight", "segment", "force", "velocity", "signal", "held")
-        chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
-        for name in ("voltage", "rate"):
-            values = getattr(self, name)
-            chosen[name] = None if values is None else values[selection]
+        arrays = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        chosen: dict[str, Any] = {name: values[selection] for name, values in arrays.items()}
         return replace(self, **chosen)
 
     def delayed(self, delay: float) -> Samples:
@@ -123,41 +121,38 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
     different numbers of rotors.
     """
     names = tuple(names or [name_of(flight, i) for i, flight in enumerate(flights)])
-    parts: list[tuple[np.ndarray, ...]] = []
     with_voltage = all("battery_voltage" in flight.columns for flight in flights)
-    with_rate = all(_has_rates(flight) for flight in flights)
-    rates: list[np.ndarray] = []
+    with_rate = all(name in f.columns and np.isfinite(f[name]).all() for f in flights for name in RATES)
+    parts: list[dict[str, np.ndarray]] = []
     segments = 0
     for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
-        columns = ["t", *QUATERNION, "v_x", "v_y", "v_z", "acc_x", "acc_y", "acc_z", *rotor_columns(flight, kind)]
+        rotors = rotor_columns(flight, kind)
+        columns = ["t", *QUATERNION, "v_x", "v_y", "v_z", *READINGS, *rotors]
         columns += [f"wind_{a}" for a in "xyz"] if "wind_x" in flight.columns else []
         columns += ["battery_voltage"] if with_voltage else []
         simulated = not flight.metadata.get("recorded", False)
         _check(flight, name, columns, first=int(simulated))
         k = np.arange(int(simulated), len(flight))
-        signal = flight.stack(rotor_columns(flight, kind)).astype(float)
-        signal = signal[k - 1] if simulated and kind in HELD else signal[k]
-        if parts and signal.shape[1] != parts[0][5].shape[1]:
-            raise DataError(f"{name}: {signal.shape[1]} rotors, {names[0]} has {parts[0][5].shape[1]}")
+        held = simulated and kind in HELD
+        signal = flight.stack(rotors).astype(float)[k - held]
+        if parts and signal.shape[1] != parts[0]["signal"].shape[1]:
+            raise DataError(f"{name}: {signal.shape[1]} rotors, {names[0]} has {parts[0]['signal'].shape[1]}")
         number = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[k]
         segment = segments + np.concatenate([[0], np.cumsum(number[1:] != number[:-1])]).astype(int)
         segments = segment[-1] + 1
-        voltage = flight["battery_voltage"][k] if with_voltage else np.empty(len(k))
-        if with_voltage and not voltage.min() > 0:
-            row = int(k[np.argmin(voltage)])
-            raise DataError(f"{name}: battery_voltage is {voltage.min():g} V in row {row}, it must be positive")
-        force = flight.stack(["acc_x", "acc_y", "acc_z"])[k]
+        part = {"time": flight.t[k], "flight": np.full(len(k), index), "segment": segment}
+        part |= {"force": flight.stack(READINGS)[k], "velocity": flight.air_velocity[k], "signal": signal}
+        part["held"] = np.full(len(k), held)
+        if with_voltage:
+            voltage = part["voltage"] = flight["battery_voltage"][k]
+            if not voltage.min() > 0:
+                row = int(k[np.argmin(voltage)])
+                raise DataError(f"{name}: battery_voltage is {voltage.min():g} V in row {row}, it must be positive")
         if with_rate:
-            rates.append(flight.stack(RATES)[k].astype(float))
-        held = np.full(len(k), simulated and kind in HELD)
-        parts.append(
-            (flight.t[k], np.full(len(k), index), segment, force, flight.air_velocity[k], signal, voltage, held)
-        )
-    time, flight_index, segment, force, velocity, signal, voltage, held = map(np.concatenate, zip(*parts, strict=True))
-    rate = np.concatenate(rates) if with_rate else None
-    return Samples(
-        time, flight_index, segment, force, velocity, signal, voltage if with_voltage else None, kind, names, rate, held
-    )  # fmt: skip
+            part["rate"] = flight.stack(RATES)[k].astype(float)
+        parts.append(part)
+    arrays: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return Samples(kind=kind, names=names, **arrays)
 
 
 def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: Sequence[str] | None = None) -> Samples:
@@ -210,18 +205,8 @@ def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> Fli
     too, or where these are not finite."""
     samples = gather([flight], signal, [name]).delayed(delay)
     first = len(flight) - len(samples)
-    missing = [column for column in RATES if column not in flight.columns]
-    if missing:
-        raise DataError(f"{name}: column '{missing[0]}' is missing in the flight")
-    rate = flight.stack(RATES)[first:]
-    bad = np.flatnonzero(~np.isfinite(rate).all(axis=1))
-    if len(bad):
-        raise DataError(f"{name}: a body rate is not finite in row {bad[0] + first} ({len(bad)} such rows)")
-    return FlightRows(name, flight, samples, rate, first)
-
-
-def _has_rates(flight: Flight) -> bool:
-    return all(name in flight.columns and np.isfinite(flight[name]).all() for name in RATES)
+    _check(flight, name, RATES, first)
+    return FlightRows(name, flight, samples, flight.stack(RATES)[first:], first)
 
 
 def _check(flight: Flight, name: str, columns: Sequence[str], first: int) -> None:

@@ -14,11 +14,10 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.models.base import rms
+from quadexp.models.residual import AXES
 from quadexp.models.samples import Samples
-from quadexp.models.terms import AXES
 from quadexp.models.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
-from quadexp.models.vehicle_fit import LEVEL_NAMES, LEVELS, FitSettings, fit_level
-from quadexp.models.vehicle_model import KINDS
+from quadexp.models.vehicle_model import KINDS, LEVEL_NAMES, LEVELS, FitSettings, fit_level
 
 MOST_FOLDS = 10
 HOVER_INFLOW = "blade_element_still"  # key of the blade-element model whose induced velocity is that of hover
@@ -48,7 +47,7 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
     chosen = [level for level in LEVELS if level not in KINDS or level in ("linear", *settings.kinds)]
     rungs = [(level, level, LEVEL_NAMES[level], momentum) for level in chosen]
     if momentum and "blade_element" in chosen:
-        rungs[-1] = (*rungs[-1][:2], "blade element, with V_I", momentum)
+        rungs[-1] = ("blade_element", "blade_element", "blade element, with V_I", momentum)
         rungs.append((HOVER_INFLOW, "blade_element", "blade element, no V_I", 0.0))
     rows: list[dict[str, Any]] = []
     for rung, level, name, momentum in rungs:
@@ -123,11 +122,7 @@ def _second_half(flight: np.ndarray) -> np.ndarray:
 
 def _curve_residual(train: Samples, test: Samples, settings: FitSettings) -> tuple[ThrustCurve, np.ndarray]:
     """A curve fitted together with d_z to some samples, and its residual along z on others, (k,) (m/s^2)."""
-    curve, regression = fit_thrust_samples(
-        train, reference_voltage=settings.reference_voltage, voltage_exponent=settings.voltage_exponent,
-        powers=settings.powers, intercept=settings.thrust_intercept, per_rotor=settings.per_rotor,
-        loss=settings.loss, intervals=False,
-    )  # fmt: skip
+    curve, regression = fit_thrust_samples(train, settings, intervals=False)
     return curve, test.force[:, 2] - thrust_columns(curve, test, drag=True) @ regression.coefficients
 
 
@@ -150,12 +145,11 @@ def flight_by_flight(samples: Samples, settings: FitSettings) -> list[dict[str, 
     """Linear drag fitted to every flight alone: {flight, rows, coefficients, thrust} or {flight, rows, note}."""
     records = []
     for index, name in enumerate(samples.names):
-        own = samples.rows(samples.flight == index)
+        alone = replace(samples.rows(samples.flight == index), names=(name,))
+        record: dict[str, Any] = {"flight": name, "rows": len(alone)}
         try:
-            fit = fit_level("linear", replace(own, names=(name,)), settings)
-            records.append(
-                {"flight": name, "rows": len(own), "coefficients": fit.terms.records(), "thrust": str(fit.curve)}
-            )
+            fit = fit_level("linear", alone, settings)
+            records.append(record | {"coefficients": fit.terms.records(), "thrust": str(fit.curve)})
         except DataError as error:
-            records.append({"flight": name, "rows": len(own), "note": str(error)})
+            records.append(record | {"note": str(error)})
     return records

@@ -1,4 +1,9 @@
-"""Hyperparameters and inducing points by maximum marginal likelihood with gpytorch, in scaled coordinates.
+"""The fit of Gaussian processes: maximum marginal likelihood with gpytorch, in scaled coordinates.
+
+Steps for each output: scaling (features to mean 0 and standard deviation 1, the target by its root mean square) ->
+hyperparameters of an exact GP on a few rows -> inducing points where the remaining variance is largest -> both
+optimised together, first on part of the rows, then on all -> posterior in physical units. Recorded flights are first
+brought to a common thrust scale (quadexp.models.thrust_scale).
 
 Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variational bound (2009, eq. 9),
 
@@ -21,15 +26,24 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import gpytorch
 import numpy as np
 import torch
 from linear_operator.utils.errors import NanError, NotPSDError
 from linear_operator.utils.warnings import NumericalWarning
+from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
 
+from quadexp.parts.learning import GPKeys
+
+PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
+CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
+PILOT_ITERATIONS = 60
+STAGE_ITERATIONS = 150
+RELATIVE_FLOOR = 1e-10  # of the prior variance; below it a further point is redundant
 NOISE_FLOOR = 1e-8  # of the output's mean square
 EXACT_LIMIT = 5000  # rows up to which gpytorch uses a Cholesky factorisation instead of conjugate gradients
 FAILED = 1e10  # objective where the covariance cannot be factorised
@@ -45,6 +59,86 @@ class Hyperparameters:
     noise_variance: float
 
 
+def fit_output(
+    z: np.ndarray,
+    target: np.ndarray,
+    settings: GPKeys,
+    iterations: int,
+    rng: np.random.Generator,
+    start: Any,
+    report: Callable[[float], None],
+) -> tuple[Any, ...]:
+    """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
+
+    start: the same output's posterior, whose values replace the first stages. report: called with the completed share.
+    """
+    centre, spread = z.mean(axis=0), z.std(axis=0)
+    unit = float(np.sqrt(np.mean(target**2))) or 1.0
+    x, y = (z - centre) / spread, target / unit
+    order = rng.permutation(len(x))
+
+    if start is not None and settings.method == "sgpr":
+        points = (start.inducing - centre) / spread
+        guess = Hyperparameters(
+            start.lengthscale / spread, start.signal_variance / unit**2, start.noise_variance / unit**2
+        )
+    else:
+        few = order if settings.method == "exact" else order[:PILOT_ROWS]
+        pilot = GPRegression(x[few], y[few], Hyperparameters(np.ones(x.shape[1]), 1.0, 0.01), None, settings.jitter)
+        bound = maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
+        guess = pilot.hyperparameters
+        candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
+        rows = order
+        if settings.method != "exact":
+            rows = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
+        points = x[rows]
+
+    if settings.method == "sgpr":
+        if start is None and len(x) > CANDIDATE_ROWS:
+            part = GPRegression(x[candidates], y[candidates], guess, points, settings.jitter)
+            maximise(part, STAGE_ITERATIONS, lambda k: report(0.15 + 0.25 * k / STAGE_ITERATIONS))
+            points, guess = part.inducing_points, part.hyperparameters
+        whole = GPRegression(x, y, guess, points, settings.jitter)
+        bound = maximise(whole, iterations, lambda k: report(0.4 + 0.6 * k / iterations))
+        points, guess = whole.inducing_points, whole.hyperparameters
+        alpha, factor = sparse_posterior(x, y, points, guess, settings.jitter)
+    else:
+        alpha, factor = exact_posterior(points, y[rows], guess)
+
+    return (
+        points * spread + centre, alpha * unit, guess.lengthscale * spread, guess.signal_variance * unit**2,
+        guess.noise_variance * unit**2, factor * unit, bound - float(np.log(unit)),
+        len(alpha) if settings.method == "subset" else len(x),
+    )  # fmt: skip
+
+
+def greedy_points(x: np.ndarray, lengthscale: np.ndarray, count: int) -> np.ndarray:
+    """Indices (count,) of the chosen rows, most informative first: greedily, where the prior variance is largest.
+
+    Each step takes argmax_i k_ii - q_ii, q = K_XZ K_ZZ^-1 K_ZX, by a partial pivoted Cholesky factorisation, O(n M^2)
+    (Burt, Rasmussen & van der Wilk 2020, "Convergence of sparse variational inference in GP regression", section 6.2).
+    x: rows to choose from, (n, d), n >= count. lengthscale: (d,), same units. Where fewer rows reduce the variance to
+    zero, the remaining ones are taken in their order.
+    """
+    n = len(x)
+    scaled = x / lengthscale
+    variance = np.ones(n)
+    factor = np.empty((count, n))
+    chosen: list[int] = []
+    while len(chosen) < count:
+        pivot = int(np.argmax(variance))
+        if variance[pivot] < RELATIVE_FLOOR:
+            rest = np.setdiff1d(np.arange(n), chosen, assume_unique=True)
+            return np.concatenate([chosen, rest[: count - len(chosen)]]).astype(int)
+        k = np.exp(-0.5 * np.sum((scaled - scaled[pivot]) ** 2, axis=1))
+        row = (k - factor[: len(chosen), pivot] @ factor[: len(chosen)]) / np.sqrt(variance[pivot])
+        factor[len(chosen)] = row
+        variance = np.maximum(variance - row**2, 0.0)
+        variance[pivot] = 0.0
+        chosen.append(pivot)
+    return np.array(chosen)
+
+
 class GPRegression(gpytorch.models.ExactGP):
     """Zero-mean GP with an RBF kernel with one length scale per feature, exact or sparse.
 
@@ -58,15 +152,14 @@ class GPRegression(gpytorch.models.ExactGP):
             noise_constraint=gpytorch.constraints.GreaterThan(NOISE_FLOOR)
         )
         super().__init__(torch.as_tensor(x), torch.as_tensor(y), likelihood)
-        self.mean_module = gpytorch.means.ZeroMean()
         base = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1]))
-        self.covar_module, self.jitter = base, jitter
+        self.mean_module, self.jitter = gpytorch.means.ZeroMean(), jitter
+        self.covar_module = self.base = base
         self.points = None if inducing is None else torch.nn.Parameter(torch.tensor(inducing))
         self.double()
         base.base_kernel.lengthscale = torch.as_tensor(start.lengthscale)
         base.outputscale = torch.tensor(start.signal_variance, dtype=torch.float64)
         likelihood.noise = torch.tensor(max(start.noise_variance, 2 * NOISE_FLOOR), dtype=torch.float64)
-        self.base = base
 
     def forward(self, x: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
@@ -104,8 +197,7 @@ class GPRegression(gpytorch.models.ExactGP):
 
         chunks = list(zip(x.split(CHUNK), y.split(CHUNK), strict=True))
         again = partial(checkpoint, sums, use_reentrant=False) if len(chunks) > 1 else sums
-        parts = [again(*chunk) for chunk in chunks]
-        s, b = (torch.stack(one).sum(dim=0) for one in zip(*parts, strict=True))
+        s, b = (torch.stack(parts).sum(dim=0) for parts in zip(*(again(*chunk) for chunk in chunks), strict=True))
         n, factor = len(x), torch.linalg.cholesky(s + noise * eye)
         whitened = torch.linalg.solve_triangular(factor, b[:, None], upper=False)
         quadratic = (y @ y - whitened.square().sum()) / noise
@@ -173,8 +265,6 @@ def sparse_posterior(
     With L L' = K_ZZ + jitter, A = L^-1 K_ZX / sigma_n, B = I + A A': alpha = sigma_f^2 L^-T B^-1 A y / sigma_n and
     F'F = sigma_f^4 L^-T (I - B^-1) L^-1. All through L, whose condition number is the square root of that of K_ZZ.
     """
-    from scipy.linalg import cholesky, eigh, solve_triangular
-
     m, sf2, sn = len(inducing), p.signal_variance, np.sqrt(p.noise_variance)
     lower = cholesky(sf2 * (rbf(inducing, inducing, p.lengthscale) + jitter * np.eye(m)), lower=True)
     a = solve_triangular(lower, sf2 * rbf(inducing, x, p.lengthscale), lower=True) / sn
@@ -189,8 +279,6 @@ def sparse_posterior(
 
 def exact_posterior(x: np.ndarray, y: np.ndarray, p: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
     """Weights alpha (n,) and variance factor F (n, n) of the exact GP: (K + sigma_n^2 I)^-1 y and its root."""
-    from scipy.linalg import cholesky, solve_triangular
-
     n, sf2 = len(x), p.signal_variance
     lower = cholesky(sf2 * rbf(x, x, p.lengthscale) + p.noise_variance * np.eye(n), lower=True)
     inverse = solve_triangular(lower, np.eye(n), lower=True)

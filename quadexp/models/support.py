@@ -13,12 +13,15 @@ speed), gaps inside a range, and quantities that are not features. A sample insi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
+from quadexp.errors import DataError
 from quadexp.models.dataset import ResidualDataset
+from quadexp.models.residual import VELOCITY
 
-VELOCITY = ("v_x", "v_y", "v_z")
 SPEED = "speed"
 REPORTED_SHARE = 0.01  # least share of samples outside that is reported for a flight
 Ranges = Mapping[str, Sequence[float]]
@@ -54,3 +57,26 @@ def outside_shares(ranges: Ranges, dataset: ResidualDataset) -> dict[str, float]
     masks = outside(ranges, dataset)
     anywhere = np.logical_or.reduce(list(masks.values()))
     return {name: float(mask.mean()) for name, mask in masks.items()} | {"any": float(anywhere.mean())}
+
+
+def origin(dataset: ResidualDataset, features: Sequence[str] = ()) -> dict[str, Any]:
+    """What a model's record says of the rows of its fit: vehicle, dataset and feature_range."""
+    vehicle = dict(dataset.metadata.get("vehicle") or {})
+    return {"vehicle": vehicle, "dataset": dataset.summary(), "feature_range": feature_ranges(dataset, features)}
+
+
+def library_versions(*libraries: str) -> dict[str, str]:
+    """Library -> version, for a model's record."""
+    return {library: version(library) for library in libraries}
+
+
+def require_variation(dataset: ResidualDataset, names: Sequence[str], features: int, key: str) -> None:
+    """Raise DataError unless the rows have the columns named, of which so many are features that vary.
+
+    key: of the configuration, for the message.
+    """
+    if not dataset.n_rows:
+        raise DataError("dataset: it has no rows")
+    for name, spread in zip(names[:features], dataset.matrix(names).std(axis=0), strict=False):
+        if spread < 1e-9:
+            raise DataError(f"{key}: '{name}' never changes over the {dataset.n_rows} rows; leave it out")

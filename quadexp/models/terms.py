@@ -1,9 +1,22 @@
 """Acceleration of the air on the vehicle as a sum of named terms, axis by axis: every model beyond the thrust curve.
 
-    a_i = sum_j c_ij phi_ij(v, a_rotor)                body FLU, m/s^2
+    a_i = sum_j c_ij phi_ij(v, a)                body FLU, m/s^2
 
-of the air-relative body velocity v (m/s) and of the acceleration that each rotor's thrust gives (m/s^2). The terms phi
-are defined in quadexp.air.terms. LINEAR and QUADRATIC are the drag models (blade element: quadexp.models.lumped):
+of the air-relative body velocity v (m/s) and of the acceleration a_k = u_k / m that each rotor's thrust gives (m/s^2),
+so that a model fitted to a log serves a plant or a controller too. The coefficients c are runtime parameters; the set
+of terms, the mass and the inflow parameters are structure. Each phi is written here once, in CasADi. With n rotors,
+w_k = sqrt(a_k) (sqrt(m/s^2): rotor speed times sqrt(k_T / m)), V_h^2 = v_x^2 + v_y^2, and V_k the induced velocity of
+momentum theory at that thrust:
+
+    linear      -v_i                offset      1
+    quadratic   -v_i |v_i|          body        -v_i ||v||
+    hub         -v_i sum_k w_k      hub_climb   -v_i n v_z
+    thrust      sum_k a_k           climb       -v_z sum_k w_k
+    advance     n V_h^2             induced     -sum_k w_k (V_k - V_k,hover)
+    hub_inflow  -v_i sum_k y_k      inflow      -sum_k w_k y_k
+    hub_square  -v_i sum_k y_k^2 / w_k          y_k = V_k + v_z - V_k,hover
+
+LINEAR and QUADRATIC are the drag models (lumped blade element: quadexp.models.lumped):
 
     linear       a_i = -d_i v_i + b_i                            Faessler et al. 2018
     quadratic    a_i = -d_i v_i - e_i v_i |v_i| + b_i
@@ -16,22 +29,32 @@ scale, the term `thrust`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.compile.symbolic import ca
+from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
+from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.regression import Regression, half_width, regress
+from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
+from quadexp.physics.blade_element import TINY_SPEED
+from quadexp.physics.expression import Expression
+from quadexp.physics.induced_velocity import Balance, safe_newton
+from quadexp.physics.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from quadexp.air.terms import TermStructure
+Axes = tuple[tuple[str, ...], ...]  # names of the terms, per axis
+Momentum = float | tuple[float, ...]  # kappa (1/m), 0 where unknown, or the four numbers of an `Inflow`
 
-AXES = "xyz"
+LEAST_ACCELERATION = 1e-6  # m/s^2 per rotor: lower bound under the square root, which keeps it differentiable
+ITERATIONS = 16  # of the safeguarded Newton method, started at its upper bound
 MEANS = ("quadratic", "blade_element")  # kinds that are mean functions
-VELOCITY = ("v_x", "v_y", "v_z")
 HUB = ("hub", "hub_climb", "body", "offset")
 HUB_INFLOW = ("hub", "hub_inflow", "hub_square", "body", "offset")
 Z_TERMS = ("thrust", "inflow", "advance", "body")
@@ -39,33 +62,162 @@ LINEAR = (("linear", "offset"), ("linear", "offset"), ("linear",))
 QUADRATIC = (("linear", "quadratic", "offset"), ("linear", "quadratic", "offset"), ("thrust", "linear", "quadratic"))
 WITHOUT_RADIUS = (HUB, HUB, ("thrust", "climb", "advance", "body"))  # see quadexp.models.lumped
 SELF_CONSISTENT = (HUB_INFLOW, HUB_INFLOW, Z_TERMS)
+ADAPTING = (*[("linear", "quadratic", "offset")] * 2, ("linear", "quadratic", "offset", "thrust"))
+
+
+class Inflow(NamedTuple):
+    """Parameters of the induced velocity: kappa V sqrt(V_h^2 + u^2) = a (1 + scale) + advance V_h^2 - loss w y.
+
+    u = V + v_z: flow through the rotor (m/s); y = u - V_hover: its excess over that in hover (m/s), with
+    V_hover^2 = a (1 + scale) / kappa. kappa = 2 rho pi r^2 / m (1/m), 0 where unknown. loss (1/sqrt(m)), advance (1/m),
+    scale: the z coefficients of the model itself. All three zero: the thrust is taken as the static one.
+    """
+
+    kappa: float = 0.0
+    loss: float = 0.0
+    advance: float = 0.0
+    scale: float = 0.0
+
+
+class OperatingPoint(NamedTuple):
+    """v: (3,) m/s. a: (n,) m/s^2. induced: velocity V, (n,) (m/s); None: solved for."""
+
+    v: ca.SX
+    a: ca.SX
+    inflow: Inflow
+    induced: ca.SX | None = None
+
+    @property
+    def rotor_speed(self) -> Expression:
+        """w = sqrt(a), (n,) (sqrt(m/s^2))."""
+        return ca.sqrt(ca.fmax(self.a, LEAST_ACCELERATION))
+
+    @property
+    def hover_inflow(self) -> Expression:
+        """Induced velocity in hover, (n,) (m/s)."""
+        return ca.sqrt(ca.fmax(self.a, LEAST_ACCELERATION) * (1 + self.inflow.scale) / self.inflow.kappa)
+
+    @property
+    def balance(self) -> Balance:
+        """The equation of V, per mass, as `Inflow` states it."""
+        w, (kappa, loss, advance, scale) = self.rotor_speed, self.inflow
+        squared = self.v[0] ** 2 + self.v[1] ** 2
+        a = ca.fmax(self.a, LEAST_ACCELERATION)
+        unloaded = a * (1 + scale) + advance * squared + loss * w * self.hover_inflow
+        return Balance(kappa, unloaded, loss * w, squared, -self.v[2])
+
+    @property
+    def over_hover(self) -> Expression:
+        """V - V_hover, (n,) (m/s)."""
+        return (safe_newton(self.balance, ITERATIONS) if self.induced is None else self.induced) - self.hover_inflow
+
+    @property
+    def excess(self) -> Expression:
+        """y = V + v_z - V_hover, (n,) (m/s)."""
+        return self.over_hover + self.v[2]
+
+
+class Term(NamedTuple):
+    """unit: of the coefficient. phi: of an operating point p and the axis i. flow: whether it needs kappa."""
+
+    unit: str
+    phi: Callable[[OperatingPoint, int], Expression]
+    flow: bool = False
+
+
 _ROOT = "1/sqrt(m)"  # (m/s^2) / (m/s sqrt(m/s^2))
-UNITS = {
-    "linear": "1/s", "offset": "m/s^2", "quadratic": "1/m", "body": "1/m", "hub": _ROOT, "hub_climb": "1/m",
-    "thrust": "1", "climb": _ROOT, "advance": "1/m", "induced": _ROOT,
-    "inflow": _ROOT, "hub_inflow": "1/m", "hub_square": "m^-3/2",
-}  # fmt: skip
+TERMS = {
+    "linear": Term("1/s", lambda p, i: -p.v[i]),
+    "offset": Term("m/s^2", lambda p, i: ca.SX(1)),
+    "quadratic": Term("1/m", lambda p, i: -p.v[i] * ca.fabs(p.v[i])),
+    "body": Term("1/m", lambda p, i: -p.v[i] * ca.sqrt(ca.dot(p.v, p.v) + TINY_SPEED**2)),
+    "hub": Term(_ROOT, lambda p, i: -p.v[i] * ca.sum1(p.rotor_speed)),
+    "hub_climb": Term("1/m", lambda p, i: -p.v[i] * p.a.numel() * p.v[2]),
+    "thrust": Term("1", lambda p, i: ca.sum1(p.a)),
+    "climb": Term(_ROOT, lambda p, i: -p.v[2] * ca.sum1(p.rotor_speed)),
+    "advance": Term("1/m", lambda p, i: p.a.numel() * (p.v[0] ** 2 + p.v[1] ** 2)),
+    "induced": Term(_ROOT, lambda p, i: -ca.dot(p.rotor_speed, p.over_hover), flow=True),
+    "inflow": Term(_ROOT, lambda p, i: -ca.dot(p.rotor_speed, p.excess), flow=True),
+    "hub_inflow": Term("1/m", lambda p, i: -p.v[i] * ca.sum1(p.excess), flow=True),
+    "hub_square": Term("m^-3/2", lambda p, i: -p.v[i] * ca.sum1(p.excess**2 / p.rotor_speed), flow=True),
+}
+
+
+def term_expressions(terms: Axes, v: Expression, a: Expression, momentum: Momentum = 0.0) -> list[list[Expression]]:
+    """The phi of every axis, scalars; v (3,) m/s, a (n,) m/s^2.
+
+    Raises UsageError for a term with induced velocity where kappa is unknown.
+    """
+    point = OperatingPoint(v, a, Inflow(*momentum) if isinstance(momentum, tuple | list) else Inflow(momentum))
+    for name in (name for names in terms for name in names):
+        if TERMS[name].flow and not point.inflow.kappa > 0:
+            raise UsageError(f"term '{name}' needs the rotors' radius and the vehicle's mass")
+    return [[TERMS[name].phi(point, axis) for name in names] for axis, names in enumerate(terms)]
+
+
+@cache
+def _columns_function(terms: Axes, rotors: int, momentum: Momentum) -> ca.Function:
+    """(v (3,), a (n,)) -> the phi of all axes one after the other."""
+    v, a = ca.SX.sym("v", 3), ca.SX.sym("a", rotors)
+    phi = sum(term_expressions(terms, v, a, momentum), [])
+    return ca.Function("terms", [v, a], [ca.densify(ca.cse(ca.vertcat(*phi)))])
 
 
 def all_columns(
-    terms: tuple[tuple[str, ...], ...],
-    velocity: np.ndarray,
-    rotor_acceleration: np.ndarray,
-    momentum: float | tuple[float, ...] = 0.0,
+    terms: Axes, velocity: np.ndarray, rotor_acceleration: np.ndarray, momentum: Momentum = 0.0
 ) -> list[np.ndarray]:
-    """The phi of all axes at k samples; the induced velocity is then solved once for all. terms: names per axis."""
-    from quadexp.air.terms import columns_function  # imports CasADi, which loading a model does without
-
+    """The phi of all axes at k samples; the induced velocity is then solved once for all."""
     counts = [len(names) for names in terms]
     columns = np.empty((len(velocity), sum(counts)))
     if columns.size:
-        function = columns_function(tuple(map(tuple, terms)), rotor_acceleration.shape[1], momentum)
+        function = _columns_function(tuple(map(tuple, terms)), rotor_acceleration.shape[1], momentum)
         evaluate_rows(function, (velocity, rotor_acceleration), columns)
-    ends = np.cumsum(counts)
-    return [columns[:, end - count : end] for end, count in zip(ends, counts, strict=True)]
+    return np.split(columns, np.cumsum(counts)[:-1], axis=1)
 
 
-Axes = msgspec.Meta(min_length=3, max_length=3)
+class TermStructure(NamedTuple):
+    """terms: names per axis. mass: kg. momentum: see Momentum."""
+
+    terms: Axes
+    mass: float
+    momentum: Momentum = 0.0
+
+    @property
+    def n_parameters(self) -> int:
+        return sum(map(len, self.terms))
+
+    def acceleration(self, features: Expression, theta: Expression) -> Expression:
+        """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta, the coefficients of all axes one after the other."""
+        phi = term_expressions(self.terms, features[:3], features[6:] / self.mass, self.momentum)
+        components, k = [], 0
+        for of_axis in phi:
+            components.append(sum((theta[k + j] * term for j, term in enumerate(of_axis)), ca.SX(0)))
+            k += len(of_axis)
+        return ca.vertcat(*components)
+
+
+def term_residual(vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "") -> Residual:
+    """Residual of the terms; coefficients of all axes, (p,). source: for the record."""
+    features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))
+    theta = ca.SX.sym("theta", structure.n_parameters)
+    outputs = ca.vertcat(structure.acceleration(features, theta), ca.SX(3, 1))
+    return symbolic_residual("identified", outputs, features, theta, coefficients, source=source)
+
+
+def adapting_terms(vehicle: Vehicle, deviation: float) -> Adapting:
+    """The terms ADAPTING with coefficients that adapt, from zero. deviation: s of quadexp.models.online, m/s^2."""
+    structure = TermStructure(ADAPTING, vehicle.mass)
+    residual = term_residual(vehicle, structure, np.zeros(structure.n_parameters), "adapted in flight")
+    hover = np.full((1, vehicle.n_rotors), vehicle.gravity / vehicle.n_rotors)
+    blocks, first = [], 0
+    for axis, phi in enumerate(all_columns(ADAPTING, np.full((1, 3), TYPICAL_SPEED), hover)):
+        at = np.arange(first, first + phi.size)
+        blocks.append(Block(axis, at, np.zeros(len(at)), deviation * np.diag(1 / np.abs(phi[0]))))
+        first += phi.size
+    return Adapting(replace(residual, name="terms"), tuple(blocks))
+
+
+PerAxis = msgspec.Meta(min_length=3, max_length=3)
 
 
 class TermModel(Record, frozen=True):
@@ -73,27 +225,26 @@ class TermModel(Record, frozen=True):
 
     kind: "linear", "quadratic" or "blade_element". terms: names. coefficients: (p_i,). covariance: (p_i, p_i). freedom:
     degrees of freedom of Student's t. residual_std: root mean square of the fit's residuals, m/s^2. condition:
-    condition numbers. momentum: kappa (1/m), or the four numbers of quadexp.air.terms.Inflow. loss: "squares" or
-    "huber".
+    condition numbers. momentum: see Momentum. loss: "squares" or "huber".
     """
 
     kind: str
-    terms: Annotated[tuple[tuple[str, ...], ...], Axes]
-    coefficients: Annotated[tuple[np.ndarray, ...], Axes]
-    covariance: Annotated[tuple[np.ndarray, ...], Axes]
-    freedom: Annotated[tuple[int, ...], Axes]
+    terms: Annotated[Axes, PerAxis]
+    coefficients: Annotated[tuple[np.ndarray, ...], PerAxis]
+    covariance: Annotated[tuple[np.ndarray, ...], PerAxis]
+    freedom: Annotated[tuple[int, ...], PerAxis]
     residual_std: Three
     condition: Three
     rotors: Rotors
-    momentum: float | tuple[float, ...] = 0.0
+    momentum: Momentum = 0.0
     loss: str = "squares"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for names, value, covariance in zip(self.terms, self.coefficients, self.covariance, strict=True):
-            unknown = [name for name in names if name not in UNITS]
+            unknown = [name for name in names if name not in TERMS]
             if unknown:
-                raise ValueError(f"terms holds {', '.join(unknown)}; allowed are {', '.join(UNITS)}")
+                raise ValueError(f"terms holds {', '.join(unknown)}; allowed are {', '.join(TERMS)}")
             p = len(names)
             if value.shape != (p,) or covariance.size != p * p:
                 raise ValueError(f"coefficients and covariance are not those of the terms {', '.join(names)}")
@@ -120,20 +271,18 @@ class TermModel(Record, frozen=True):
     def records(self) -> list[dict[str, Any]]:
         """One record per coefficient: axis, term, value, error, low, high (95 %), unit."""
         records = []
-        for i, axis in enumerate(AXES):
-            for name in self.terms[i]:
+        for axis, names, freedom in zip(AXES, self.terms, self.freedom, strict=True):
+            for name in names:
                 value, error = self.coefficient(axis, name)
-                half = float(half_width(error, self.freedom[i]))
-                records.append(
-                    {"axis": axis, "term": name, "value": value, "error": error}
-                    | {"low": value - half, "high": value + half, "unit": UNITS[name]}
-                )
+                half = float(half_width(error, freedom))
+                record = {"axis": axis, "term": name, "value": value, "error": error}
+                records.append(record | {"low": value - half, "high": value + half, "unit": TERMS[name].unit})
         return records
 
 
 def fit_terms(
     kind: str,
-    terms: tuple[tuple[str, ...], ...],
+    terms: Axes,
     velocity: np.ndarray,
     rotors: np.ndarray,
     target: np.ndarray,
@@ -141,7 +290,7 @@ def fit_terms(
     flight: np.ndarray,
     *,
     what: str,
-    momentum: float | tuple[float, ...] = 0.0,
+    momentum: Momentum = 0.0,
     z: Regression | tuple[np.ndarray, np.ndarray] | None = None,
     **options: Any,
 ) -> TermModel:
@@ -151,21 +300,21 @@ def fit_terms(
     or a regression whose last columns they are.
     Raises DataError where the rows do not determine the coefficients.
     """
-    columns = all_columns(terms if z is None else (*terms[:2], ()), velocity, rotors, momentum)
-    fits: list[Regression] = []
-    for i, names in enumerate(terms):
-        design, y = columns[i], target[:, i]
-        if i == 2 and z is not None:
-            if isinstance(z, Regression):
-                fits.append(z)
-                continue
-            design, y = z
-        along = [f"{name}_{AXES[i]}" for name in names]
-        fits.append(regress(design, y, along, stretch, flight, what=f"{what} along {AXES[i]}", **options))
-    own = [slice(len(fit.coefficients) - len(names), None) for fit, names in zip(fits, terms, strict=True)]
+    designs = all_columns(terms if z is None else (*terms[:2], ()), velocity, rotors, momentum)
+    targets = list(target.T)
+    if isinstance(z, tuple):
+        designs[2], targets[2] = z
+    fits = [
+        z if i == 2 and isinstance(z, Regression) else regress(
+            designs[i], targets[i], [f"{name}_{AXES[i]}" for name in names], stretch, flight,
+            what=f"{what} along {AXES[i]}", **options,
+        )
+        for i, names in enumerate(terms)
+    ]  # fmt: skip
+    last = [slice(len(fit.coefficients) - len(names), None) for fit, names in zip(fits, terms, strict=True)]
     return TermModel(
-        kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in zip(fits, own, strict=True)),
-        tuple(fit.covariance[k, k] for fit, k in zip(fits, own, strict=True)),
+        kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in zip(fits, last, strict=True)),
+        tuple(fit.covariance[k, k] for fit, k in zip(fits, last, strict=True)),
         tuple(int(fit.freedom) for fit in fits), np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]),
         np.array([fit.condition for fit in fits]), rotors.shape[1], momentum, options.get("loss", "squares"),
     )  # fmt: skip
@@ -182,8 +331,6 @@ class TermMean(Record, frozen=True, tag_field="kind", tag="terms"):
 
     @property
     def structure(self) -> TermStructure:
-        from quadexp.air.terms import TermStructure  # imports CasADi, which loading a model does without
-
         return TermStructure(self.model.terms, self.mass, self.model.momentum)
 
     @property
@@ -193,13 +340,7 @@ class TermMean(Record, frozen=True, tag_field="kind", tag="terms"):
 
     def acceleration(self, dataset: ResidualDataset) -> np.ndarray:
         """Mean function at the rows of a dataset, (k, 3) (m/s^2)."""
-        return self.model.acceleration(dataset.matrix(VELOCITY), rotor_thrusts(dataset) / self.mass)
-
-
-def rotor_thrusts(dataset: ResidualDataset) -> np.ndarray:
-    """u_0, u_1, ... of the rows, (k, n) (N)."""
-    names = sorted((name for name in dataset.columns if name.startswith("u_")), key=lambda name: int(name[2:]))
-    return dataset.matrix(names)
+        return self.model.acceleration(dataset.matrix(VELOCITY), dataset.rotor_thrusts / self.mass)
 
 
 def fit_term_mean(dataset: ResidualDataset, kind: str) -> TermMean:
@@ -213,7 +354,7 @@ def fit_term_mean(dataset: ResidualDataset, kind: str) -> TermMean:
     terms = QUADRATIC if kind == "quadratic" else WITHOUT_RADIUS
     flight = np.asarray(dataset.columns["flight"])
     model = fit_terms(
-        kind, terms, dataset.matrix(VELOCITY), rotor_thrusts(dataset) / mass, dataset.matrix(["a_x", "a_y", "a_z"]),
+        kind, terms, dataset.matrix(VELOCITY), dataset.rotor_thrusts / mass, dataset.matrix(["a_x", "a_y", "a_z"]),
         flight, flight, what=f"gp.mean={kind}",
     )  # fmt: skip
     return TermMean(model, float(mass))

@@ -16,18 +16,19 @@ Baca, arXiv 2603.09908).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import msgspec
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
 from quadexp.models.regression import Regression, half_width, regress
 from quadexp.models.samples import SIGNALS, Samples, rotor_columns
-from quadexp.log.schema import Flight
 
 # Powers of the signal in the curve, and the signals with an intercept by default.
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
@@ -149,124 +150,108 @@ def thrust_design(
     return np.stack(columns, axis=1), names
 
 
-def default_voltage(samples: Samples) -> float:
-    """4 V per cell, with the number of cells from the median voltage; 0 for signals that need no voltage."""
-    if samples.kind != "motor_command" or samples.voltage is None:
-        return 0.0
-    return 4.0 * max(1, round(float(np.median(samples.voltage)) / 3.8))
+@dataclass(frozen=True)
+class CurveSettings:
+    """How a thrust curve is fitted.
+
+    reference_voltage: V; 0: the voltage is not used; None: 4 V per cell for motor commands, by the median voltage.
+    voltage_exponent: g, None to fit it. powers, thrust_intercept: None for the module's defaults. per_rotor: one curve
+    per rotor. loss: see `regress`.
+    """
+
+    reference_voltage: float | None = None
+    voltage_exponent: float | None = 1.0
+    powers: tuple[int, ...] | None = None
+    thrust_intercept: bool | None = None
+    per_rotor: bool = False
+    loss: str = "squares"
+
+    def voltage_for(self, samples: Samples) -> float:
+        """The reference voltage, V. Raises DataError where it needs a voltage that the samples lack."""
+        if self.reference_voltage is None:
+            if samples.kind != "motor_command" or samples.voltage is None:
+                return 0.0
+            return 4.0 * max(1, round(float(np.median(samples.voltage)) / 3.8))
+        if self.reference_voltage and samples.voltage is None:
+            raise DataError(f"{samples.names[0]}: column 'battery_voltage' is missing, which a reference voltage needs")
+        return float(self.reference_voltage)
 
 
 def fit_thrust_samples(
-    samples: Samples,
-    *,
-    reference_voltage: float | None = None,
-    voltage_exponent: float | None = 1.0,
-    powers: Sequence[int] | None = None,
-    intercept: bool | None = None,
-    per_rotor: bool = False,
-    drag: bool = True,
-    loss: str = "squares",
-    intervals: bool = True,
+    samples: Samples, settings: CurveSettings | None = None, *, drag: bool = True, intervals: bool = True
 ) -> tuple[ThrustCurve, Regression]:
     """Fit the curve to the specific force along body z; returns it with its regression.
 
-    samples: from `gather`. reference_voltage: V; 0: the voltage is not used; None: `default_voltage`. voltage_exponent:
-    g, None to fit it. powers, intercept: None for the module's defaults. per_rotor: one curve per rotor. drag: fit d_z
-    too. loss: see `regress`.
-    intervals: False computes errors for independent samples only, and none for g.
-    The regression's columns are those of `thrust_design`, then d_z.
+    samples: from `gather`. drag: fit d_z too. intervals: False computes errors for independent samples only, and none
+    for g. The regression's columns are those of `thrust_design`, then d_z.
     Raises DataError where a voltage is missing or the data do not determine the curve, UsageError for a curve per rotor
     of a signal that all rotors share.
     """
-    kind = samples.kind
+    settings = settings or CurveSettings()
+    kind, per_rotor = samples.kind, settings.per_rotor
     if per_rotor and kind == "thrust_acceleration":
         raise UsageError("a thrust curve per rotor needs a signal per rotor; thrust_acceleration is common to all")
-    powers = tuple(powers or POWERS[kind])
-    intercept = kind in INTERCEPT if intercept is None else intercept
-    if reference_voltage is None:
-        reference_voltage = default_voltage(samples)
-    if reference_voltage and samples.voltage is None:
-        raise DataError(f"{samples.names[0]}: column 'battery_voltage' is missing, which a reference voltage needs")
-    fit_exponent = voltage_exponent is None and bool(reference_voltage)
+    powers = tuple(settings.powers or POWERS[kind])
+    intercept = kind in INTERCEPT if settings.thrust_intercept is None else settings.thrust_intercept
+    reference = settings.voltage_for(samples)
 
-    def fit(g: float, slope: np.ndarray | None = None) -> Regression:
-        scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
+    def columns(part: Samples, g: float, slope: np.ndarray | None = None) -> tuple[np.ndarray, list[str]]:
+        """Regressors and their names. slope: da/dg, (k,), as a further column."""
+        scaled = scaled_signal(part.signal, part.voltage, reference, g)
         design, names = thrust_design(scaled, powers, intercept=intercept, per_rotor=per_rotor)
-        for name, column in (("g", slope), (DRAG_Z, -samples.velocity[:, 2] if drag else None)):
+        for name, column in (("g", slope), (DRAG_Z, -part.velocity[:, 2] if drag else None)):
             if column is not None:
                 design, names = np.column_stack([design, column]), [*names, name]
+        return design, names
+
+    def fit(design: np.ndarray, names: list[str]) -> Regression:
         return regress(
             design, samples.force[:, 2], names, samples.segment, samples.flight,
-            what=f"thrust curve on {kind}", loss=loss, intervals=intervals,
+            what=f"thrust curve on {kind}", loss=settings.loss, intervals=intervals,
         )  # fmt: skip
 
-    n = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
-    q = len(powers) * (n if per_rotor else 1)
-    g = 1.0 if voltage_exponent is None else float(voltage_exponent)
-    g_error = 0.0
-    if fit_exponent:
-        g = _search_exponent(samples, reference_voltage, powers, intercept=intercept, per_rotor=per_rotor, drag=drag)
-    regression = fit(g)
-    if fit_exponent and intervals:
-        regression, g_error = _exponent_error(g, regression, fit, samples, reference_voltage, powers, n, per_rotor)
-    shape = (n, len(powers)) if per_rotor else (len(powers),)
+    rotors = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
+    shape = (rotors, len(powers)) if per_rotor else (len(powers),)
+    q, g, g_error = math.prod(shape), settings.voltage_exponent, 0.0
+    fit_exponent = g is None and bool(reference)
+    if g is None:
+        g = _search_exponent(samples.thinned(SEARCH_SAMPLES), columns) if fit_exponent else 1.0
+    regression = fit(*columns(samples, g))
+    scaled = scaled_signal(samples.signal, samples.voltage, reference, g)
+    if fit_exponent and intervals:  # the regression linearised in g, with da/dg as a further column
+        rows = regression.coefficients[:q].reshape(-1, len(powers))
+        slope = sum(rows[:, j] * p * scaled**p for j, p in enumerate(powers)).sum(axis=1)
+        relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference)[:, 0]
+        joint = fit(*columns(samples, g, slope * np.log(relative_voltage)))
+        others = np.array([name != "g" for name in joint.names])
+        regression = replace(
+            regression, covariance=joint.covariance[np.ix_(others, others)], freedom=joint.freedom + 1,  # without g
+            condition=joint.condition,
+        )  # fmt: skip
+        g_error = float(joint.errors[~others][0])
     value, error = regression.coefficients, regression.errors
-    scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
     curve = ThrustCurve(
-        kind, np.array(powers, float), value[:q].reshape(shape), error[:q].reshape(shape), float(reference_voltage),
-        g, g_error, float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, n,
+        kind, np.array(powers, float), value[:q].reshape(shape), error[:q].reshape(shape), reference, float(g), g_error,
+        float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
         float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
         regression.condition, float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]),
-        loss, samples.delay,
+        settings.loss, samples.delay,
     )  # fmt: skip
     return curve, regression
 
 
-def _search_exponent(
-    samples: Samples, reference_voltage: float, powers: Sequence[int], *, drag: bool, **columns: bool
-) -> float:
-    """The g with the least sum of squared residuals, on thinned samples; columns: of `thrust_design`."""
+def _search_exponent(samples: Samples, columns: Callable[[Samples, float], tuple[np.ndarray, list[str]]]) -> float:
+    """The g with the least sum of squared residuals."""
     from scipy.optimize import minimize_scalar
 
-    some = samples.thinned(SEARCH_SAMPLES)
-    target = some.force[:, 2]
+    target = samples.force[:, 2]
 
     def squares(g: float) -> float:
-        scaled = scaled_signal(some.signal, some.voltage, reference_voltage, g)
-        design, _ = thrust_design(scaled, powers, **columns)
-        if drag:
-            design = np.column_stack([design, -some.velocity[:, 2]])
+        design, _ = columns(samples, g)
         residual = target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
         return float(residual @ residual)
 
     return float(minimize_scalar(squares, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
-
-
-def _exponent_error(
-    g: float,
-    first: Regression,
-    fit: Callable[..., Regression],
-    samples: Samples,
-    reference_voltage: float,
-    powers: Sequence[int],
-    rotors: int,
-    per_rotor: bool,
-) -> tuple[Regression, float]:
-    """The regression at g with its standard errors when g is fitted too, and g's standard error.
-
-    Both from the regression linearised in g, with da/dg as a further column.
-    """
-    scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
-    rows = first.coefficients[: len(powers) * (rotors if per_rotor else 1)].reshape(-1, len(powers))
-    slope = sum(rows[:, j] * p * scaled**p for j, p in enumerate(powers)).sum(axis=1)
-    relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference_voltage)[:, 0]
-    joint = fit(g, slope * np.log(relative_voltage))
-    keep = np.array([name != "g" for name in joint.names])
-    linearised = replace(
-        first, covariance=joint.covariance[np.ix_(keep, keep)], plain=joint.plain[np.ix_(keep, keep)],
-        freedom=joint.freedom + 1, condition=joint.condition,  # g is none of its coefficients
-    )  # fmt: skip
-    return linearised, float(joint.errors[~keep][0])
 
 
 def thrust_columns(curve: ThrustCurve, samples: Samples, *, drag: bool) -> np.ndarray:

@@ -22,7 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.models.dataset import THRUST, ResidualDataset
+from quadexp.models.dataset import ResidualDataset
+from quadexp.models.residual import THRUST
 
 MEMORY = 10.0  # s
 PRIOR = 0.5  # s
@@ -48,19 +49,20 @@ def has_thrust_scale(dataset: ResidualDataset) -> bool:
 
 
 def with_common_scale(dataset: ResidualDataset) -> CommonScale:
-    """Bring e_f, the least-squares scale of a_z on the thrust, to its mean over the flights."""
+    """Bring e_f, the least-squares scale of a_z on the thrust, to its mean over the flights, where these have one."""
+    if not has_thrust_scale(dataset):
+        return CommonScale(dataset, {}, 0.0)
     mass = dataset.metadata["vehicle"]["mass"]
     acceleration = dataset.matrix([THRUST])[:, 0] / mass
     a_z = dataset.matrix(["a_z"])[:, 0].copy()
     flight = np.asarray(dataset.columns["flight"])
     errors = {}
     for index in np.unique(flight):
-        own = flight == index
-        errors[int(index)] = float(acceleration[own] @ a_z[own] / (acceleration[own] @ acceleration[own]))
+        thrust = acceleration[flight == index]
+        errors[int(index)] = float(thrust @ a_z[flight == index] / (thrust @ thrust))
     mean = float(np.mean(list(errors.values())))
     for index, error in errors.items():
-        own = flight == index
-        a_z[own] -= (error - mean) * acceleration[own]
+        a_z[flight == index] -= (error - mean) * acceleration[flight == index]
     columns = dict(dataset.columns) | {"a_z": a_z}
     return CommonScale(ResidualDataset(columns, dataset.metadata), errors, float(acceleration.mean()))
 

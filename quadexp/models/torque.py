@@ -15,15 +15,16 @@ over the next HORIZON seconds better than zero, that is, than constant rates; ot
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadexp.log.signal import derivative
 from quadexp.models.base import Record, Three
 from quadexp.models.regression import FLIGHT_CLUSTERS
 from quadexp.models.samples import Samples
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.log.signal import derivative
 from quadexp.physics.vehicle import Vehicle
 
 AXES = ("roll", "pitch", "yaw")
@@ -94,32 +95,46 @@ def _tracked(t: np.ndarray, w: np.ndarray, model: np.ndarray, offset: np.ndarray
     return np.vstack([offset, after])
 
 
-@dataclass(frozen=True)
-class _Piece:
+class _Piece(NamedTuple):
     """A stretch without a gap: t (k,), rates, geometric and gyroscopic acceleration, (k, 3); number of its flight."""
 
     t: np.ndarray
     w: np.ndarray
     geometric: np.ndarray
-    own: np.ndarray
+    gyroscopic: np.ndarray
     flight: int
 
 
-@dataclass(frozen=True)
-class _Sums:
+class _Sums(NamedTuple):
     """Per block: n, and at every lag the sums of s (geometric, filtered) and y (measured), and of products about the
-    block's means (ss, sy, yy)."""
+    block's means (ss, sy, yy). n, flight: (blocks,). s, ss, sy: (blocks, lags, 3). y, yy: (blocks, 3)."""
 
-    n: np.ndarray  # (blocks,)
-    s: np.ndarray  # (blocks, lags, 3)
+    n: np.ndarray
+    s: np.ndarray
     ss: np.ndarray
     sy: np.ndarray
-    y: np.ndarray  # (blocks, 3)
+    y: np.ndarray
     yy: np.ndarray
-    flight: np.ndarray  # (blocks,)
+    flight: np.ndarray
 
-    def __getitem__(self, rows: np.ndarray) -> _Sums:
-        return _Sums(*(getattr(self, name)[rows] for name in ("n", "s", "ss", "sy", "y", "yy", "flight")))
+    def fit(self, weights: np.ndarray | None = None) -> np.ndarray:
+        """Gain, lag and offset, (3, d, 3), of weighted blocks, weights (d, blocks), None: of all once: least squares
+        at every lag, the best lag by a parabola."""
+        weights = np.ones((1, len(self.n))) if weights is None else weights
+        n = (weights @ self.n)[:, None, None]
+        s, ss, sy = (np.einsum("db,bla->dla", weights, x) for x in (self.s, self.ss, self.sy))
+        y, yy = ((weights @ x)[:, None, :] for x in (self.y, self.yy))
+        spread = np.maximum(ss, 1e-300)
+        gain = sy / spread
+        left = np.where(gain > 0, yy - gain**2 * spread, np.broadcast_to(yy, gain.shape))
+        k = np.clip(np.argmin(left, axis=1), 1, len(LAGS) - 2)
+        d, a = np.ogrid[: left.shape[0], : left.shape[2]]
+        before, at, after = left[d, k - 1, a], left[d, k, a], left[d, k + 1, a]
+        curve = before - 2 * at + after
+        shift = np.where(curve > 0, np.clip(0.5 * (before - after) / np.where(curve > 0, curve, 1.0), -1, 1), 0.0)
+        slope = gain[d, k, a]
+        offset = (y[:, 0] - slope * s[d, k, a]) / n[:, 0]
+        return np.stack([slope, LAGS[k] + shift * (LAGS[1] - LAGS[0]), offset])
 
 
 def geometric_acceleration(rotors: np.ndarray, vehicle: Vehicle) -> np.ndarray:
@@ -140,25 +155,19 @@ def fit_torque(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> Torque
     sums = _sums(pieces)
     if sums is None or len(sums.n) < LEAST_BLOCKS:
         return None
-    value = _solve(*_totals(sums, np.ones((1, len(sums.n)))))
-    low, high = np.percentile(_solve(*_totals(sums, _weights(sums.flight))), [2.5, 97.5], axis=1)
-    share, share_low = _held_out(pieces, sums)
-    made = {
-        f"{name}{end}": part[i]
-        for i, name in enumerate(("gain", "lag", "offset"))
-        for end, part in (("", value[:, 0]), ("_low", low), ("_high", high))
-    }
-    return TorqueModel(**made, share=share, share_low=share_low)
+    low, high = np.percentile(sums.fit(_weights(sums.flight)), [2.5, 97.5], axis=1)
+    estimates: Any = (part for values in zip(sums.fit()[:, 0], low, high, strict=True) for part in values)
+    return TorqueModel(*(*estimates, *_held_out(pieces, sums)))
 
 
 def explained(model: TorqueModel, samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> np.ndarray | None:
     """Share of the angular acceleration over HORIZON, (3,), that a fitted model predicts on flights."""
     parts = [_ahead(piece, model.gain, model.lag, model.offset) for piece in _cut(samples, vehicle, curve)]
-    parts = [one for one in parts if len(one[0])]
+    parts = [part for part in parts if len(part[0])]
     if not parts:
         return None
-    left, all_of_it = (np.concatenate([one[i] for one in parts]).sum(axis=0) for i in (0, 1))
-    return np.asarray(1 - left / np.maximum(all_of_it, 1e-300))
+    error, change = (np.concatenate(blocks).sum(axis=0) for blocks in zip(*parts, strict=True))
+    return np.asarray(1 - error / np.maximum(change, 1e-300))
 
 
 def _cut(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> list[_Piece]:
@@ -171,10 +180,10 @@ def _cut(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> list[_Piece]
         rows = slice(start, stop)
         rotors = curve.of_signal(samples.signal[rows], None if samples.voltage is None else samples.voltage[rows])
         w = samples.rate[rows]
-        geometric, own = geometric_acceleration(rotors, vehicle), gyroscopic(w, vehicle)
+        geometric = geometric_acceleration(rotors, vehicle)
         if samples.held[start]:  # over the interval that ends at each sample: at the sample, the mean of both sides
             geometric = np.vstack([(geometric[:-1] + geometric[1:]) / 2, geometric[-1:]])
-        pieces.append(_Piece(samples.time[rows], w, geometric, own, int(samples.flight[start])))
+        pieces.append(_Piece(samples.time[rows], w, geometric, gyroscopic(w, vehicle), int(samples.flight[start])))
     return pieces
 
 
@@ -192,11 +201,9 @@ def _pieces(time: np.ndarray, segment: np.ndarray) -> list[tuple[int, int]]:
     step = np.diff(time)
     breaks = np.flatnonzero((np.diff(segment) != 0) | (step > 1.5 * np.median(step)) | (step <= 0)) + 1
     bounds = np.concatenate([[0], breaks, [len(time)]])
-    found = []
-    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
-        rows = max(2, int(PIECE / np.median(step)))
-        found += [(int(a), int(min(a + rows, stop))) for a in range(start, stop, rows)]
-    return [(start, stop) for start, stop in found if stop - start >= LEAST_ROWS]
+    rows = max(2, int(PIECE / np.median(step)))
+    cuts = [(int(a), int(min(a + rows, stop))) for start, stop in pairwise(bounds) for a in range(start, stop, rows)]
+    return [(start, stop) for start, stop in cuts if stop - start >= LEAST_ROWS]
 
 
 def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
@@ -212,20 +219,20 @@ def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
         whole = np.concatenate([np.zeros((1, 3)), np.cumsum((x[1:] + x[:-1]) / 2, axis=0)]) * (grid[1] - grid[0])
         return derivative(grid, whole, window=WINDOW).values
 
-    y = derivative(grid, piece.w, window=WINDOW).values + filtered(piece.own)
+    y = derivative(grid, piece.w, window=WINDOW).values + filtered(piece.gyroscopic)
     smooth = filtered(piece.geometric)
     edge = int(np.ceil((WINDOW / 2 + reach) / (grid[1] - grid[0])))
     rows = np.arange(edge, len(grid) - edge)
     late = np.stack([np.stack([np.interp(grid[rows] - lag, grid, c) for c in smooth.T], axis=1) for lag in LAGS])
     y = y[rows]
     count = max(1, round(len(rows) * (grid[1] - grid[0]) / BLOCK))
-    found: list[tuple[np.ndarray, ...]] = []
+    blocks: list[tuple[np.ndarray, ...]] = []
     for part in np.array_split(np.arange(len(rows)), count):
         a, b = late[:, part], y[part]
         da, db = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=0)
         sums = (a.sum(axis=1), (da**2).sum(axis=1), (da * db).sum(axis=1), b.sum(axis=0), (db**2).sum(axis=0))
-        found.append((np.array(float(len(part))), *sums))
-    return found
+        blocks.append((np.array(float(len(part))), *sums))
+    return blocks
 
 
 def _weights(flight: np.ndarray) -> np.ndarray:
@@ -239,85 +246,47 @@ def _weights(flight: np.ndarray) -> np.ndarray:
     return drawn[:, np.searchsorted(flights, flight)].astype(float)
 
 
-def _totals(sums: _Sums, weights: np.ndarray) -> tuple[np.ndarray, ...]:
-    """n (d, 1, 1), s, ss, sy (d, lags, 3), y, yy (d, 1, 3) of weighted blocks, weights (d, blocks)."""
-    n = (weights @ sums.n)[:, None, None]
-    s, ss, sy = (np.einsum("db,bla->dla", weights, x) for x in (sums.s, sums.ss, sums.sy))
-    y, yy = ((weights @ x)[:, None, :] for x in (sums.y, sums.yy))
-    return n, s, ss, sy, y, yy
-
-
-def _solve(n: np.ndarray, s: np.ndarray, ss: np.ndarray, sy: np.ndarray, y: np.ndarray, yy: np.ndarray) -> np.ndarray:
-    """Gain, lag and offset, (3, d, 3): least squares at every lag, the best lag by a parabola."""
-    spread = np.maximum(ss, 1e-300)
-    gain = sy / spread
-    left = np.where(gain > 0, yy - gain**2 * spread, np.broadcast_to(yy, gain.shape))
-    k = np.clip(np.argmin(left, axis=1), 1, len(LAGS) - 2)
-    d, a = np.ogrid[: left.shape[0], : left.shape[2]]
-    before, at, after = left[d, k - 1, a], left[d, k, a], left[d, k + 1, a]
-    curve = before - 2 * at + after
-    shift = np.where(curve > 0, np.clip(0.5 * (before - after) / np.where(curve > 0, curve, 1.0), -1, 1), 0.0)
-    lag = LAGS[k] + shift * (LAGS[1] - LAGS[0])
-    slope = gain[d, k, a]
-    offset = (y[:, 0] - slope * s[d, k, a]) / n[:, 0]
-    return np.stack([slope, lag, offset])
-
-
-def _ahead(
-    piece: _Piece, gain: np.ndarray, lag: np.ndarray, offset: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _ahead(piece: _Piece, gain: np.ndarray, lag: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Squared error of the predicted rate change over HORIZON, and squared rate change, (blocks, 3) each, summed over
-    blocks of starts; and the number of blocks."""
+    blocks of starts."""
     t, w = piece.t, piece.w
     steps = max(1, round(HORIZON / float(np.median(np.diff(t)))))
     if len(t) <= 2 * steps:
-        return np.empty((0, 3)), np.empty((0, 3)), np.array(0)
-    model = _delayed(t, piece.geometric, gain, lag) - piece.own
+        return np.empty((0, 3)), np.empty((0, 3))
+    model = _delayed(t, piece.geometric, gain, lag) - piece.gyroscopic
     tracked = _tracked(t, w, model, offset)
     whole = np.vstack([np.zeros(3), np.cumsum((model[1:] + model[:-1]) / 2 * np.diff(t)[:, None], axis=0)])
     k = np.arange(len(t) - steps)
     change = w[k + steps] - w[k]
     predicted = whole[k + steps] - whole[k] + tracked[k] * (t[k + steps] - t[k])[:, None]
     edges = np.searchsorted(t[k], np.arange(t[0], t[k[-1]], BLOCK))
-    left, all_of_it = (np.add.reduceat(x**2, edges) for x in (change - predicted, change))
-    return left, all_of_it, np.array(len(edges))
+    return np.add.reduceat((change - predicted) ** 2, edges), np.add.reduceat(change**2, edges)
 
 
 def _held_out(pieces: list[_Piece], sums: _Sums) -> tuple[np.ndarray, np.ndarray]:
     """Share predicted on held-out data, (3,), and its lower limit: each flight in turn, or halves of a single one."""
-    flights = np.unique(sums.flight)
-    owner = np.array([piece.flight for piece in pieces])
-    fold, block_fold = owner, sums.flight
-    if len(flights) < 2:
+    fold, block_fold = np.array([piece.flight for piece in pieces]), sums.flight
+    if len(np.unique(sums.flight)) < 2:
         if len(pieces) < 2:
-            pieces = _halves(pieces[0])
-            owner = np.array([piece.flight for piece in pieces])
-        fold = (np.arange(len(pieces)) >= len(pieces) / 2).astype(int)
-        block_fold = (np.arange(len(sums.n)) >= len(sums.n) / 2).astype(int)
-    left, whole, flight = [], [], []
+            (t, w, geometric, own, flight), cut = pieces[0], len(pieces[0].t) // 2
+            halves = (slice(0, cut), slice(cut, None))
+            pieces = [_Piece(t[half], w[half], geometric[half], own[half], flight) for half in halves]
+        fold, block_fold = ((np.arange(count) >= count / 2).astype(int) for count in (len(pieces), len(sums.n)))
+    errors, changes, flights = [], [], []
     for number in np.unique(block_fold):
-        rest = sums[block_fold != number]
-        gain, lag, offset = _solve(*_totals(rest, np.ones((1, len(rest.n)))))[:, 0]
+        rest = _Sums(*(values[block_fold != number] for values in sums))
+        gain, lag, offset = rest.fit()[:, 0]
         for piece in (pieces[i] for i in np.flatnonzero(fold == number)):
-            one = _ahead(piece, gain, lag, offset)
-            left.append(one[0])
-            whole.append(one[1])
-            flight.append(np.full(len(one[0]), piece.flight))
-    error, size, owner = np.concatenate(left), np.concatenate(whole), np.concatenate(flight)
+            error, change = _ahead(piece, gain, lag, offset)
+            errors.append(error)
+            changes.append(change)
+            flights.append(np.full(len(error), piece.flight))
+    error, change = np.concatenate(errors), np.concatenate(changes)
     if not len(error):
         return np.zeros(3), np.zeros(3)
-    share = 1 - error.sum(axis=0) / np.maximum(size.sum(axis=0), 1e-300)
-    weights = _weights(owner)
-    return share, np.percentile(1 - (weights @ error) / np.maximum(weights @ size, 1e-300), 2.5, axis=0)
-
-
-def _halves(piece: _Piece) -> list[_Piece]:
-    """The two halves of a stretch."""
-    cut = len(piece.t) // 2
-    return [
-        _Piece(piece.t[rows], piece.w[rows], piece.geometric[rows], piece.own[rows], piece.flight)
-        for rows in (slice(0, cut), slice(cut, None))
-    ]
+    share = 1 - error.sum(axis=0) / np.maximum(change.sum(axis=0), 1e-300)
+    weights = _weights(np.concatenate(flights))
+    return share, np.percentile(1 - (weights @ error) / np.maximum(weights @ change, 1e-300), 2.5, axis=0)
 
 
 def torque_lines(model: TorqueModel) -> list[str]:

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from quadexp.models.base import Model, rms
 from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
 from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.residual import AXES
 from quadexp.models.samples import FlightRows
 from quadexp.models.support import outside_shares
 from quadexp.models.terms import TermModel
@@ -70,24 +72,25 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     """
     seen = tuple(model.dataset.get("names", ()))
     if isinstance(model, VehicleModel):
-        return [nominal(model.thrust, seen, model.torque)] + [
-            Predictor(_KIND_NAMES[kind], model.thrust, _of_terms(terms), seen, model.feature_range, torque=model.torque)
-            for kind, terms in model.models.items()
-        ]
+
+        def identified(kind: str, terms: TermModel) -> Predictor:
+            def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
+                return terms.acceleration(v, a)
+
+            return Predictor(_KIND_NAMES[kind], model.thrust, beyond, seen, model.feature_range, torque=model.torque)
+
+        own = [identified(kind, terms) for kind, terms in model.models.items()]
+        return [nominal(model.thrust, seen, model.torque), *own]
     record = model.dataset.get("thrust")
-    own = record_of(record, ThrustCurve) if record else curve
-    if own is None:
+    thrust = record_of(record, ThrustCurve) if record else curve
+    if thrust is None:
         raise UsageError(f"{label}: was not fitted to recorded flights; also give an identified vehicle (a folder of"
                          " `quadexp identify`) for its thrust curve")  # fmt: skip
 
     def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
         return model.acceleration(feature_rows(v, w, vehicle.mass * a))
 
-    return [Predictor(label, own, beyond, seen, model.feature_range, vehicle.mass)]
-
-
-def _of_terms(terms: TermModel) -> Acceleration:
-    return lambda v, w, a: terms.acceleration(v, a)
+    return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
 
 
 @dataclass(frozen=True)
@@ -136,26 +139,22 @@ def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[
     share: ratio to the baseline's RMS as fitted. share_alike: ratio to the baseline's RMS, tracked if this row is. Both
     with the interval of the ratio over the same resamples.
     """
-    base = next((one for one in results if one.predictor == baseline), None)
+    base = next((result for result in results if result.predictor == baseline), None)
     rows = []
-    for one in results:
+    for result in results:
+        draws = Draws(result)
         for tracked in (False, True):
-            error = one.tracked if tracked else one.error
-            draws = _draws(one)
-            limits = _resampled(error, draws)
-            row: Row = {"predictor": one.predictor, "thrust_tracked": tracked, "rows": len(error)}
-            row |= {
-                f"rms_{axis}": float(value)
-                for axis, value in zip("xyz", np.sqrt(np.mean(error**2, axis=0)), strict=True)
-            }
-            row |= {"rms": rms(error), "rms_low": limits[0], "rms_high": limits[1], "outside": one.outside}
-            row["rms_about_mean"] = rms(error - _flight_means(error, one.flight))
+            error = result.tracked if tracked else result.error
+            low, high = draws.limits(error)
+            row: Row = {"predictor": result.predictor, "thrust_tracked": tracked, "rows": len(error)}
+            row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
+            row |= {"rms": rms(error), "rms_low": low, "rms_high": high, "outside": result.outside}
+            row["rms_about_mean"] = rms(error - _flight_means(error, result.flight))
             if base is not None and len(base.error) == len(error):
-                row["share"] = rms(error) / rms(base.error)
-                row["share_low"], row["share_high"] = _ratio(error, base.error, draws)
                 alike = base.tracked if tracked else base.error
-                row["share_alike"] = rms(error) / rms(alike)
-                row["share_alike_low"], row["share_alike_high"] = _ratio(error, alike, draws)
+                for name, other in (("share", base.error), ("share_alike", alike)):
+                    low, high = draws.limits(error, other)
+                    row |= {name: rms(error) / rms(other), f"{name}_low": low, f"{name}_high": high}
             rows.append(row)
     return rows
 
@@ -167,55 +166,37 @@ def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
     return (sums / np.bincount(group)[:, None])[group]
 
 
-class Draws(NamedTuple):
-    """group: block of every sample, (k,). counts: of every block in each resample, (DRAWS, blocks)."""
+class Draws:
+    """Resamples of a predictor's errors: of flights, or of blocks where there are few. group: block of every sample,
+    (k,). counts: of every block in each resample, (DRAWS, blocks)."""
 
-    group: np.ndarray
-    counts: np.ndarray
+    def __init__(self, errors: Residuals) -> None:
+        groups = errors.flight if len(np.unique(errors.flight)) >= FLIGHT_CLUSTERS else errors.block
+        _, self.group = np.unique(groups, return_inverse=True)
+        count = int(self.group.max()) + 1
+        self.counts = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
 
+    def squares(self, error: np.ndarray) -> np.ndarray:
+        """Sum of the squared errors (k, 3) in every resample, (DRAWS,)."""
+        return self.counts @ np.bincount(self.group, np.sum(error**2, axis=1), self.counts.shape[1])
 
-def _draws(one: Residuals) -> Draws:
-    groups = one.flight if len(np.unique(one.flight)) >= FLIGHT_CLUSTERS else one.block
-    _, group = np.unique(groups, return_inverse=True)
-    count = int(group.max()) + 1
-    return Draws(group, np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS))
-
-
-def _sums(error: np.ndarray, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
-    count = draws.counts.shape[1]
-    square = np.bincount(draws.group, np.sum(error**2, axis=1), count)
-    return draws.counts @ square, draws.counts @ np.bincount(draws.group, minlength=count)
-
-
-def _resampled(error: np.ndarray, draws: Draws) -> list[float]:
-    square, number = _sums(error, draws)
-    return _limits(np.sqrt(square / number))
-
-
-def _ratio(error: np.ndarray, base: np.ndarray, draws: Draws) -> list[float]:
-    return _limits(np.sqrt(_sums(error, draws)[0] / _sums(base, draws)[0]))
-
-
-def _limits(values: np.ndarray) -> list[float]:
-    tail = 50 * (1 - CONFIDENCE)
-    return np.percentile(values, [tail, 100 - tail]).tolist()
-
-
-def speed_bands(speed: np.ndarray) -> np.ndarray:
-    """Edges of bands of equal width from standstill to the largest speed, rounded to 0.1 m/s, (BANDS + 1,)."""
-    return np.round(np.linspace(0.0, float(speed.max()) + 0.05, BANDS + 1), 1)
+    def limits(self, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
+        """Ends of the interval of the RMS, or of its ratio to that of other errors."""
+        number = self.counts @ np.bincount(self.group) if base is None else self.squares(base)
+        tail = 50 * (1 - CONFIDENCE)
+        return np.percentile(np.sqrt(self.squares(error) / number), [tail, 100 - tail]).tolist()
 
 
 def band_rows(results: Sequence[Residuals]) -> list[Row]:
     """RMS of the vector by speed, one row per predictor and band: {predictor, low, high, rows, rms, rms_tracked}."""
-    edges = speed_bands(np.concatenate([one.speed for one in results]))
+    speed = np.concatenate([result.speed for result in results])
+    # Edges of bands of equal width from standstill to the largest speed, rounded to 0.1 m/s.
+    edges = np.round(np.linspace(0.0, float(speed.max()) + 0.05, BANDS + 1), 1)
     rows = []
-    for one in results:
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
-            inside = (one.speed >= low) & (one.speed < high if high < edges[-1] else one.speed <= high + 0.1)
+    for result in results:
+        for low, high in pairwise(edges.tolist()):
+            inside = (result.speed >= low) & (result.speed < high if high < edges[-1] else result.speed <= high + 0.1)
             if inside.sum() >= 20:
-                rows.append(
-                    {"predictor": one.predictor, "low": float(low), "high": float(high), "rows": int(inside.sum())}
-                    | {"rms": rms(one.error[inside]), "rms_tracked": rms(one.tracked[inside])}
-                )
+                row = {"predictor": result.predictor, "low": low, "high": high, "rows": int(inside.sum())}
+                rows.append(row | {"rms": rms(result.error[inside]), "rms_tracked": rms(result.tracked[inside])})
     return rows

@@ -3,28 +3,55 @@
     f = (0, 0, sum_k a_k(signal)) + a_model(v, a_1 .. a_n)           specific force, body FLU, m/s^2
 
 with v the air-relative body velocity. The models for the same curve: linear (drag, always present), quadratic, and
-blade_element with lumped coefficients; None where the flights do not determine the coefficients.
+blade_element with lumped coefficients; None where the flights do not determine the coefficients. Along z the thrust
+curve and linear drag are one regression. Quadratic and blade-element terms are then fitted to the curve's residual
+together with a correction of its scale (the term `thrust`), which would otherwise bias the drag.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
-from quadexp.errors import UsageError
+from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
 from quadexp.models.base import Model, Prediction
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag
-from quadexp.models.terms import TermMean, TermModel
-from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.torque import TorqueModel
-
-if TYPE_CHECKING:
-    from quadexp.air.base import Residual
-    from quadexp.physics.vehicle import Vehicle
+from quadexp.models.lumped import fit_inflow, momentum_of
+from quadexp.models.regression import regress
+from quadexp.models.residual import AXES, VELOCITY, Residual
+from quadexp.models.samples import Samples, gather_to_fit
+from quadexp.models.support import feature_ranges
+from quadexp.models.terms import (
+    LINEAR,
+    QUADRATIC,
+    SELF_CONSISTENT,
+    WITHOUT_RADIUS,
+    Axes,
+    Momentum,
+    TermMean,
+    TermModel,
+    all_columns,
+    fit_terms,
+    term_residual,
+)
+from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
+from quadexp.models.torque import TorqueModel, fit_torque
+from quadexp.physics.vehicle import Vehicle
 
 KINDS = ("linear", "quadratic", "blade_element")
+LEVELS = ("nominal", "offset", *KINDS)
+LEVEL_NAMES = {
+    "nominal": "nominal thrust", "offset": "+ offsets", "linear": "+ linear drag", "quadratic": "+ quadratic drag",
+    "blade_element": "blade element, lumped",
+}  # fmt: skip
+_OFFSET = (("offset",), ("offset",), ())
 
 
 class VehicleModel(Model, frozen=True, tag="vehicle_model"):
@@ -51,7 +78,7 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     def linear_drag(self) -> LinearDrag:
         """Linear drag beyond the thrust curve. The z intercept is in the curve."""
         value, error = np.zeros((2, 3)), np.zeros((2, 3))
-        for i, axis in enumerate("xyz"):
+        for i, axis in enumerate(AXES):
             for j, term in enumerate(("linear", "offset")):
                 value[j, i], error[j, i] = self.linear.coefficient(axis, term)
         return LinearDrag(
@@ -79,13 +106,185 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """See Model.residual. part: a kind, or "best"."""
-        from quadexp.air.terms import term_residual
-
         if part == "gaussian_process":
-            found = ", ".join(self.models)
-            raise UsageError(f"{source}: an identified vehicle, holds no Gaussian process; it has {found}")
+            kinds = ", ".join(self.models)
+            raise UsageError(f"{source}: an identified vehicle, holds no Gaussian process; it has {kinds}")
         mean = TermMean(self.model(None if part == "best" else part), vehicle.mass)
         return term_residual(vehicle, mean.structure, mean.parameters, source)
 
     def __str__(self) -> str:
         return f"thrust {self.thrust}; drag {self.linear_drag}"
+
+
+@dataclass(frozen=True)
+class FitSettings(CurveSettings):
+    """How a vehicle model is fitted; of the thrust curve, None: chosen from the flights.
+
+    signal: of the rotors. radius: of the rotors, m, for the induced velocity. mass: kg, where no vehicle gives it.
+    kinds: models to fit besides linear. induced: False omits the induced velocity from the blade-element model even if
+    the radius is known.
+    """
+
+    signal: str | None = None
+    radius: float | None = None
+    mass: float | None = None
+    kinds: tuple[str, ...] = KINDS
+    induced: bool = True
+
+    def __post_init__(self) -> None:
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise UsageError(f"identify: drag '{kind}' is none of {', '.join(KINDS)}")
+
+
+@dataclass(frozen=True)
+class LevelFit:
+    """A thrust curve, and the terms beyond it (or None)."""
+
+    curve: ThrustCurve
+    model: TermModel | None
+
+    @property
+    def terms(self) -> TermModel:
+        """The terms beyond the curve. Raises UsageError for the level that has none."""
+        if self.model is None:
+            raise UsageError("the nominal thrust curve has no terms beyond it")
+        return self.model
+
+    def residual(self, samples: Samples) -> np.ndarray:
+        """Measured minus predicted specific force, (k, 3) (m/s^2)."""
+        rotors = self.curve.of_signal(samples.signal, samples.voltage)
+        error = samples.force.copy()
+        error[:, 2] -= rotors.sum(axis=1)
+        return error if self.model is None else error - self.model.acceleration(samples.velocity, rotors)
+
+
+def fit_level(
+    level: str, samples: Samples, settings: FitSettings, momentum: float = 0.0, *, intervals: bool = True
+) -> LevelFit:
+    """Fit one of LEVELS; intervals: see `regress`.
+
+    Raises DataError where the samples do not determine its coefficients.
+    """
+    curve, joint = fit_thrust_samples(samples, settings, drag=level in KINDS, intervals=intervals)
+    if level == "nominal":
+        return LevelFit(curve, None)
+    rotors = curve.of_signal(samples.signal, samples.voltage)
+    target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
+    terms: Axes = {"offset": _OFFSET, "linear": LINEAR}.get(level, QUADRATIC)
+    # The curve's own regression has the z terms of offsets and linear drag as its last columns.
+    z: Any = joint if level in ("offset", "linear") else None
+    inflow: Momentum = 0.0
+    if level == "blade_element":
+        terms = WITHOUT_RADIUS
+        if momentum:
+            fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
+            terms, inflow, z = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
+    model = fit_terms(
+        level, terms, samples.velocity, rotors, target, samples.segment, samples.flight,
+        what=LEVEL_NAMES[level].lstrip("+ "), momentum=inflow, z=z, loss=settings.loss, intervals=intervals,
+    )  # fmt: skip
+    return LevelFit(curve, model)
+
+
+def fit_vehicle_model(
+    flights: Sequence[Flight],
+    vehicle: Vehicle | None = None,
+    settings: FitSettings | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    samples: Samples | None = None,
+    best: str | None = None,
+) -> VehicleModel:
+    """Thrust curve, linear drag and, where the flights allow, quadratic drag and lumped blade-element coefficients.
+
+    vehicle: for name, mass and rotor radius; None: the name recorded in the flights. best: the model with the least
+    held-out error, by an earlier comparison; None: the last that could be fitted.
+    Raises DataError where linear drag cannot be fitted, or where flights are of different vehicles.
+    """
+    settings = settings or FitSettings()
+    samples = samples or gather_to_fit(flights, settings.signal, names)
+    record = vehicle_record(flights, vehicle, settings.mass, samples.names)
+    momentum = momentum_of(vehicle, settings.mass, settings.radius)
+    linear = fit_level("linear", samples, settings)
+    optional: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
+    notes = []
+    if linear.curve.slope_range[0] < 0:
+        where = "" if linear.curve.signal_range is None else f" {linear.curve.signal_range.round(3).tolist()}"
+        notes.append(f"the thrust curve decreases somewhere in the range of {linear.curve.signal}{where}")
+    for kind in optional:
+        if kind not in settings.kinds:
+            continue
+        for kappa in (momentum, 0.0) if kind == "blade_element" and momentum and settings.induced else (0.0,):
+            try:
+                optional[kind] = fit_level(kind, samples, settings, kappa).model
+                break
+            except DataError as error:
+                inflow = " with induced velocity" if kappa else ""
+                notes.append(f"no {kind} model{inflow}: {error}")
+    if optional["blade_element"] is not None and not momentum:
+        notes.append("blade element without induced velocity: the rotors' radius is unknown (pass --rotor-radius M)")
+    kinds = ["linear", *(kind for kind, model in optional.items() if model is not None)]
+    velocity = ResidualDataset(dict(zip(VELOCITY, samples.velocity.T, strict=True)), {})
+    return VehicleModel(
+        linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
+        best if best is not None and best in kinds else kinds[-1], tuple(notes),
+        None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
+        vehicle=record, dataset=dataset_record(samples), feature_range=feature_ranges(velocity),
+        settings={
+            "loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum,
+        },
+    )  # fmt: skip
+
+
+def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> ThrustCurve:
+    """The curve fitted together with -d v_z - e v_z |v_z|, where `fit_level` has -d v_z only.
+
+    Its intervals hold where the drag along z is quadratic; the voltage exponent is not fitted again.
+    Raises DataError where the samples do not determine the coefficients.
+    """
+    terms = ("linear", "quadratic")
+    rotors = curve.of_signal(samples.signal, samples.voltage)
+    columns = all_columns(((), (), terms), samples.velocity, rotors)[2]
+    design = np.hstack([thrust_columns(curve, samples, drag=False), columns])
+    names = [f"thrust_{j}" for j in range(design.shape[1] - len(terms))] + [f"{name}_z" for name in terms]
+    regression = regress(
+        design, samples.force[:, 2], names, samples.segment, samples.flight,
+        what="thrust curve beside quadratic drag", loss=settings.loss,
+    )  # fmt: skip
+    shape, q = curve.coefficients.shape, curve.coefficients.size
+    value, error = regression.coefficients, regression.errors
+    return replace(
+        curve, coefficients=value[:q].reshape(shape), errors=error[:q].reshape(shape), freedom=int(regression.freedom),
+        intercept=float(value[q]) if curve.has_intercept else 0.0,
+        intercept_error=float(error[q]) if curve.has_intercept else 0.0,
+    )  # fmt: skip
+
+
+def vehicle_record(
+    flights: Sequence[Flight], vehicle: Vehicle | None, mass: float | None, names: Sequence[str]
+) -> dict[str, Any]:
+    """{name, fingerprint, mass}; raises DataError where the records of two flights name different vehicles."""
+    flown = [dict(flight.metadata.get("vehicle") or {}) for flight in flights]
+    recorded = [(name, one) for name, one in zip(names, flown, strict=True) if one.get("fingerprint")]
+    wanted = vehicle.fingerprint if vehicle else recorded[0][1]["fingerprint"] if recorded else None
+    for name, one in recorded:
+        if one["fingerprint"] != wanted:
+            other = vehicle.name if vehicle else recorded[0][1].get("name")
+            raise DataError(f"{name}: flown by vehicle {one.get('name')} ({one['fingerprint']}), not by {other}")
+    if vehicle:
+        return {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
+    first = recorded[0][1] if recorded else {}
+    return {"name": first.get("name"), "fingerprint": first.get("fingerprint"), "mass": mass}
+
+
+def dataset_record(samples: Samples) -> dict[str, Any]:
+    """Record of the data that a model was fitted to."""
+    digest = hashlib.sha256()
+    for part in (samples.time, samples.force, samples.velocity, samples.signal):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    step = np.median(np.diff(samples.time))
+    return {
+        "sha256": digest.hexdigest(), "rows": len(samples), "flights": len(samples.names),
+        "duration": float(len(samples) * step), "names": list(samples.names),
+    }  # fmt: skip

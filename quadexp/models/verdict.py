@@ -19,6 +19,7 @@ counts as noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -28,7 +29,7 @@ from quadexp.errors import DataError
 from quadexp.models.base import AXIS, rms
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
 from quadexp.models.evaluation import drag_baseline, split_by_flight
-from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPModel, GPSettings
 from quadexp.models.terms import MEANS, fit_term_mean
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 
@@ -63,8 +64,7 @@ def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ra
 
     logs = []
     for index in np.unique(flight):
-        own = flight == index
-        mean, base = (max(float(np.mean(values[own] ** 2)), 1e-24) for values in (error, other))
+        mean, base = (max(float(np.mean(values[flight == index] ** 2)), 1e-24) for values in (error, other))
         logs.append(0.5 * np.log(mean / base))
     n, middle = len(logs), float(np.mean(logs))
     if n < 2:
@@ -92,20 +92,15 @@ def verdict(
     model: fitted to train. search: where the fit is not better, try other features.
     """
     flight = np.asarray(test.columns["flight"])
-    drag = drag_baseline(train).acceleration(test)
-    found = model.predict(test)
+    errors = test.matrix(list(AXIS)) - drag_baseline(train).acceleration(test)
+    predictions, of_gp = model.predict(test), errors.copy()
     outputs: dict[str, Any] = {}
-    errors = np.stack([test.matrix([output])[:, 0] - drag[:, axis] for output, axis in AXIS.items()], axis=1)
-    of_gp = errors.copy()
-    for output, axis in AXIS.items():
-        if output not in found:
-            continue
-        target = test.matrix([output])[:, 0]
-        of_gp[:, axis] = target - found[output].mean
-        ratio = paired_ratio(of_gp[:, axis], errors[:, axis], flight)
-        rmse, floor = float(np.sqrt(np.mean(of_gp[:, axis] ** 2))), noise_floor([of_gp[:, axis], errors[:, axis]], test)
+    for output, axis in ((name, axis) for name, axis in AXIS.items() if name in predictions):
+        of_gp[:, axis] = test.matrix([output])[:, 0] - predictions[output].mean
+        error, of_drag = of_gp[:, axis], errors[:, axis]
+        ratio, rmse, floor = paired_ratio(error, of_drag, flight), rms(error), noise_floor([error, of_drag], test)
         outputs[output] = _record(ratio) | {
-            "rmse": rmse, "drag_rmse": float(np.sqrt(np.mean(errors[:, axis] ** 2))), "noise": floor,
+            "rmse": rmse, "drag_rmse": rms(of_drag), "noise": floor,
             "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))), "features": list(settings.features[output]),
         }  # fmt: skip
         if search and ratio.verdict != "better":
@@ -145,7 +140,7 @@ def better_features(
             error = _trial_errors(output, names, fitted, judge, settings)
         except DataError:
             continue
-        scores[names] = float(np.sqrt(np.mean(error**2)))
+        scores[names] = rms(error)
     if not scores:
         return None
     best = min(scores, key=scores.__getitem__)
@@ -163,7 +158,7 @@ def _trial_errors(
         settings, features={output: features}, method="sgpr", max_rows=TRIAL_ROWS, max_iterations=TRIAL_ITERATIONS,
         inducing=min(settings.inducing, 30),
     )  # fmt: skip
-    return test.matrix([output])[:, 0] - fit_gp(train, few, intervals=False).predict(test)[output].mean
+    return test.matrix([output])[:, 0] - GPModel.fit(train, few, intervals=False).predict(test)[output].mean
 
 
 def _identified(
@@ -172,19 +167,15 @@ def _identified(
     """Terms of `quadexp identify` fitted to the same rows: RMS of their error vectors, and the fit's ratio to it."""
     rows = with_common_scale(train).dataset
     target = test.matrix(["a_x", "a_y", "a_z"])
-    found = [("linear drag", target - drag_baseline(train).acceleration(test))]
+    errors = {"this fit": of_gp, "linear drag": target - drag_baseline(train).acceleration(test)}
     for kind in MEANS:
-        try:
-            found.append((kind.replace("_", " "), target - fit_term_mean(rows, kind).acceleration(test)))
-        except DataError:
-            continue
-    nominal = rms(target)
-    records = [{"model": "this fit", "rms": rms(of_gp), "share": rms(of_gp) / nominal}]
-    for name, error in found:
-        size = rms(error)
-        records.append(
-            {"model": name, "rms": size, "share": size / nominal} | _record(paired_ratio(of_gp, error, flight))
-        )
+        with suppress(DataError):
+            errors[kind.replace("_", " ")] = target - fit_term_mean(rows, kind).acceleration(test)
+    records: list[dict[str, Any]] = [
+        {"model": name, "rms": rms(e), "share": rms(e) / rms(target)} for name, e in errors.items()
+    ]
+    for record in records[1:]:
+        record |= _record(paired_ratio(of_gp, errors[record["model"]], flight))
     return records
 
 

@@ -21,6 +21,7 @@ FORMER = {
     "engine.prologue": _JOBS.format("job_script_prologue: [...]"),
     "engine.shared": _JOBS.format("shared_temp_directory: FOLDER"),
     "engine.interface": _JOBS.format("interface: ib0"),
+    "gp.split": "whole flights are held out, always",
     "engine.python": _JOBS.format("python: PATH"),
 }
 

@@ -122,10 +122,6 @@ class GPKeys(Settings):
     alternatives: Annotated[bool, Setting("where a fit is no better than drag, report what other features give")] = True
     max_iterations: Annotated[int, Setting("largest number of L-BFGS iterations", "[1, 10000]")] = 60
     jitter: Annotated[float, Setting("added to K_ZZ, relative to the signal variance", "(0, 1e-6]")] = 1e-8
-    split: Annotated[
-        Literal["flight", "sample"],
-        Setting("hold out whole flights, or single samples (which gives misleading errors, for demonstration only)"),
-    ] = "flight"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
     z = [v_body, w, u] -> y = [a_body, tau_body]
 
-Implemented by quadexp.air, which imports this package.
+Implemented by quadexp.models, which imports this package.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ N_OUTPUTS = len(OUTPUTS)
 
 
 class Correction(Protocol):
-    """An object with such a function, such as quadexp.air.base.Residual."""
+    """An object with such a function, such as quadexp.models.residual.Residual."""
 
     @property
     def function(self) -> ca.Function:

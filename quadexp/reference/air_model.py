@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.air.base import FEATURES, N_OUTPUTS, Residual
 from quadexp.compile.symbolic import ca
+from quadexp.models.residual import FEATURES, N_OUTPUTS, Residual
 from quadexp.physics.expression import Expression
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts

@@ -20,8 +20,8 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.errors import UsageError
+from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_model import AirModel
 from quadexp.reference.base import Trajectory, end_of

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from quadexp.air.base import N_OUTPUTS
+from quadexp.models.residual import N_OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.demand import Demand
 from quadexp.reference.flat_map import Tilt, cross, free_body_rates, heading_body_rates

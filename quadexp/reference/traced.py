@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.air.base import FEATURES, N_OUTPUTS
 from quadexp.compile.backend import BufferedFunction, realise_together
 from quadexp.compile.symbolic import ca
+from quadexp.models.residual import FEATURES, N_OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_model import AirModel, AirResponse, outputs_and_gradients
 from quadexp.reference.air_step import predicted_and_next

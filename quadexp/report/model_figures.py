@@ -13,11 +13,12 @@ from matplotlib.ticker import PercentFormatter
 from msgspec.structs import replace
 
 from quadexp.models.base import AXIS, Prediction
-from quadexp.models.dataset import THRUST, ResidualDataset
+from quadexp.models.dataset import ResidualDataset
 from quadexp.models.gaussian_process import GPModel, OutputPosterior
 from quadexp.models.regression import half_width
+from quadexp.models.residual import AXES, THRUST, VELOCITY
 from quadexp.models.samples import SIGNALS, Samples
-from quadexp.models.terms import AXES, VELOCITY, TermMean, TermModel
+from quadexp.models.terms import TermMean, TermModel
 from quadexp.models.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.models.validation import Residuals
 from quadexp.models.vehicle_model import VehicleModel

@@ -263,8 +263,8 @@ def _checkpoint(path: Path) -> dict[str, Any]:
             f" signal {output['signal_std']:.3g}, noise {output['noise_std']:.3g} {describe(name, 'residuals').unit}"
         )
     if isinstance(model, NeuralModel):
-        summary |= {"sizes": list(model.sizes), "features": list(model.features), "lipschitz": model.lipschitz}
-        layers = "-".join(map(str, model.sizes))
+        summary |= {"sizes": list(model.network.sizes), "features": list(model.features), "lipschitz": model.lipschitz}
+        layers = "-".join(map(str, model.network.sizes))
         lines.append(f"network     {layers} units: {', '.join(model.outputs)} from {', '.join(model.features)}")
         lines.append(f"            largest slope of the scaled network at most {model.lipschitz:.3g}")
         for name, std in zip(model.outputs, model.residual_std, strict=True):

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Protocol
 
 import numpy as np
 
-from quadexp.air.base import Residual
+from quadexp.models.residual import Residual
 from quadexp.parts.part import Given, Part
 from quadexp.parts.settings import Backend, Setting
 from quadexp.physics.vehicle import Vehicle

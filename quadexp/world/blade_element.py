@@ -20,10 +20,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from quadexp.air.base import Residual, feature_names
-from quadexp.air.blade_element import blade_element_correction, require_rotor, residual_from_correction
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, UsageError
+from quadexp.models.blade_element import blade_element_correction
+from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, part
 from quadexp.physics.induced_velocity import REASONS, Defined
@@ -122,7 +122,7 @@ class BladeElementPlant(SimulatedPlant):
         schedule: Sequence[PlantChange] = (),
         backend: str = "auto",
     ) -> None:
-        require_rotor(vehicle)
+        _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
         self.coefficients, self.effects = coefficients, effects or BladeElementEffects()
         self.schedule = tuple(sorted(schedule, key=lambda change: change.t))
         for change in self.schedule:
@@ -191,7 +191,8 @@ class BladeElementPlant(SimulatedPlant):
             terms=self._model.terms,
             rotor_speed_min=self.effects.rotor_speed_min,
         )
-        return residual_from_correction("plant", z, parameters, y, dy_dz, self._air_parameters(), "plant equations")
+        values = self._air_parameters()
+        return symbolic_residual("plant", y, z, parameters, values, source="plant equations", slope=dy_dz)
 
     def _air_parameters(self) -> np.ndarray:
         """theta (5,), lift_scale (n,), mass with payload: what holds now."""

@@ -25,9 +25,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from quadexp.air.base import Residual, feature_names, symbolic_residual
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.drag import linear_drag_force

@@ -16,8 +16,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.symbolic import ca
+from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting
 from quadexp.physics.rigid_body import body_features, state_derivative

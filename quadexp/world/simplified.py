@@ -19,8 +19,8 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from quadexp.air.base import Residual, feature_names, symbolic_residual
 from quadexp.compile.symbolic import ca
+from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
+from quadexp.models.residual import Residual
 from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant

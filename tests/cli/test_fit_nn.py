@@ -35,7 +35,7 @@ def test_a_network_and_a_sum_are_fitted_shown_and_flown(folder, monkeypatch):
     assert any("of what" in line for line in rest["lines"])
     assert load_report(folder / "rest")["after"] == str(folder / "drag")
     assert {row["predictor"] for row in alone["rows"]} == {"nn", "linear_drag", "zero"}
-    assert load_model(folder / "nn").sizes == (4, 6, 3)
+    assert load_model(folder / "nn").network.sizes == (4, 6, 3)
     shown = "\n".join(summarise(folder / "nn")["lines"])
     assert "network     4-6-3 units: a_x, a_y, a_z from v_x, v_y, v_z, thrust" in shown
     circle = ["trajectory.speed=4", "trajectory.acceleration=2", "controller.backend=interpreted"]

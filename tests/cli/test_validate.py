@@ -14,7 +14,7 @@ from quadexp.models.gaussian_process import GPSettings, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.neural import NNSettings, fit_network
 from quadexp.models.recorded import recorded_dataset
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import crazyflie, recorded_flight
 
 VEHICLE = crazyflie()

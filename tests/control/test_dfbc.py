@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.dfbc.controller import DFBC
 from quadexp.control.dfbc.law import DFBCKeys
 from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from quadexp.reference.ellipse import Ellipse
 from quadexp.reference.flatness import flat_reference

@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.base import Residual, symbolic_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.scaled import scaled_residual
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import PredictiveController
@@ -26,12 +23,14 @@ from quadexp.control.observers.scaled_force import N_SCALED_STATE, SURPRISE, sca
 from quadexp.control.observers.wind import WindObserver, with_wind_observer
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import Residual, scaled_residual, symbolic_residual
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
-from tests.air.models import make_residual
+from tests.models.residuals import make_residual
 from tests.states import random_state
 
 PERIOD = 0.02

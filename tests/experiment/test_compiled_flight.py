@@ -10,8 +10,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.base import symbolic_residual
-from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.compile.compiler import compiler
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -21,6 +19,8 @@ from quadexp.experiment.build import build_controller, build_trajectory
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.experiment.evaluate import build_loop
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import symbolic_residual
 from quadexp.parts.compose import compose
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
@@ -43,7 +43,7 @@ from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import BLOCK
 from quadexp.world.true_vehicle import TrueVehicle
 from quadexp.world.world import World
-from tests.air.models import BLADE, make_residual, with_rotors
+from tests.models.residuals import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
 
 Q = ("q_w", "q_x", "q_y", "q_z")

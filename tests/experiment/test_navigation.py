@@ -24,8 +24,8 @@ from quadexp.world.eskf import N_COVARIANCE, N_NOMINAL
 from quadexp.world.inertial import ImuGnss, ImuMocap
 from quadexp.world.navigation import Navigation
 from quadexp.world.world import World
-from tests.air.models import make_residual, with_rotors
 from tests.experiment.test_compiled_flight import both, compiled, draw
+from tests.models.residuals import make_residual, with_rotors
 from tests.world.aided_flights import errors, full
 from tests.world.test_world import AIRFRAMES, airframe
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import quadexp as qx
-from quadexp.air.none import no_residual
 from quadexp.control.dfbc.controller import DFBC
 from quadexp.control.dfbc.law import DFBCKeys
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.residual import no_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import heading
 from quadexp.physics.state import ATTITUDE

@@ -17,8 +17,8 @@ DT = 0.01
 
 def crazyflie() -> Vehicle:
     """The vehicle that the flights name."""
-    from quadexp.parts.compose import compose
     from quadexp.experiment.build import build_vehicle
+    from quadexp.parts.compose import compose
 
     return build_vehicle(compose(["vehicle=crazyflie"]).vehicle)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quadexp.parts.compose import session
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.models.blade_element import FIRST_VALUES, fit_blade_element, identify_flight
+from quadexp.parts.compose import session
 from quadexp.physics.rotor import THETA
 from tests import paper
 from tests.models.air_data import air_data

@@ -6,12 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from quadexp.parts.learning import DragConfig
 from quadexp.models.base import AXIS
 from quadexp.models.checkpoint import load_model, plain, record_of, save_model
 from quadexp.models.gaussian_process import GPModel, GPSettings
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.neural import NeuralModel, NNSettings
+from quadexp.parts.learning import DragConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 

@@ -10,12 +10,11 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
 from quadexp.models.dataset import ResidualDataset, residual_dataset, transitions
 from quadexp.models.terms import fit_term_mean
-from quadexp.log.schema import Flight
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
-from tests.models.synthetic import synthetic_dataset
 
 VEHICLE = Vehicle(
     name="test",
@@ -52,12 +51,7 @@ def simulate(
         wrench = vehicle.allocation @ u
         acceleration = body.apply([0, 0, wrench[0] / vehicle.mass] + force(v, w) / vehicle.mass)
         q = x[3:7]
-        q_dot = 0.5 * np.array(
-            [
-                -q[1:] @ w,
-                *(q[0] * w + np.cross(q[1:], w)),
-            ]
-        )
+        q_dot = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
         w_dot = np.linalg.solve(inertia, wrench[1:] + torque(v, w) - np.cross(w, inertia @ w))
         return np.concatenate([x[7:10], q_dot, acceleration + [0, 0, -9.81], w_dot])
 
@@ -80,12 +74,6 @@ def stacked(columns, prefix: str) -> np.ndarray:
     return np.stack([columns[f"{prefix}_{axis}"] for axis in "xyz"], axis=1)
 
 
-def test_rigid_body_alone_leaves_nothing():
-    columns = transitions(simulate(0.02), VEHICLE)
-    assert np.abs(stacked(columns, "a")).max() < 1e-5
-    assert np.abs(stacked(columns, "tau")).max() < 1e-7
-
-
 def test_body_force_and_torque_are_recovered():
     force, torque = np.array([1.5, -0.8, 0.6]), np.array([0.004, -0.003, 0.002])
     columns = transitions(simulate(0.01, force=lambda v, w: force, torque=lambda v, w: torque), VEHICLE)
@@ -95,43 +83,21 @@ def test_body_force_and_torque_are_recovered():
 
 
 @pytest.mark.parametrize(("frame", "order"), [("start", 1.0), ("midpoint", 2.0)])
-def test_order_of_the_torque_in_dt(frame, order):
-    """A damping torque -c w beside the gyroscopic coupling of an uneven inertia."""
-    errors = []
-    for dt in (0.04, 0.02, 0.01):
-        flight = simulate(dt, steps=round(0.4 / dt), torque=lambda v, w: -0.02 * w)
-        columns = transitions(flight, VEHICLE, frame=frame)
-        errors.append(np.sqrt(np.mean((stacked(columns, "tau") + 0.02 * stacked(columns, "w")) ** 2)))
-    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
-    np.testing.assert_allclose(slopes, order, atol=0.3)
-
-
-@pytest.mark.parametrize(("frame", "order"), [("start", 1.0), ("midpoint", 2.0)])
 def test_order_in_dt(frame, order):
-    """Against the drag that the row's own features predict: first order at the start, second at the midpoint."""
+    """Against the drag and the damping torque that the row's own features predict, beside the gyroscopic coupling of an
+    uneven inertia: first order at the start, second at the midpoint."""
 
-    def force(v, w):
+    def force(v):
         return -0.3 * v - 0.08 * v * np.abs(v) - [0, 0, 0.5]
 
     errors = []
     for dt in (0.04, 0.02, 0.01):
-        columns = transitions(simulate(dt, steps=round(0.4 / dt), force=force), VEHICLE, frame=frame)
-        v = stacked(columns, "v")
-        truth = (-0.3 * v - 0.08 * v * np.abs(v) - [0, 0, 0.5]) / VEHICLE.mass
-        errors.append(np.sqrt(np.mean((stacked(columns, "a") - truth) ** 2)))
-    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
-    np.testing.assert_allclose(slopes, order, atol=0.25)
-
-
-def test_midpoint_is_closer_than_start_at_50_hz():
-    flight = simulate(0.02, force=lambda v, w: -0.3 * v - 0.08 * v * np.abs(v))
-    errors = {}
-    for frame in ("start", "midpoint"):
+        flight = simulate(dt, steps=round(0.4 / dt), force=lambda v, w: force(v), torque=lambda v, w: -0.02 * w)
         columns = transitions(flight, VEHICLE, frame=frame)
-        v = stacked(columns, "v")
-        truth = (-0.3 * v - 0.08 * v * np.abs(v)) / VEHICLE.mass
-        errors[frame] = np.sqrt(np.mean((stacked(columns, "a") - truth) ** 2))
-    assert errors["midpoint"] < 0.05 * errors["start"]
+        beside = stacked(columns, "a") - force(stacked(columns, "v")) / VEHICLE.mass
+        errors.append([np.std(beside), np.std(stacked(columns, "tau") + 0.02 * stacked(columns, "w"))])
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(slopes, order, atol=0.3)
 
 
 def test_features():
@@ -224,14 +190,3 @@ def test_hash_sees_every_value_and_name(dataset):
     assert ResidualDataset(changed, {}).sha256 != dataset.sha256
     shuffled = dict(reversed(dataset.columns.items()))
     assert ResidualDataset(shuffled, {}).sha256 == dataset.sha256
-
-
-def test_twenty_thousand_rows_at_once():
-    flight = simulate(0.02, steps=10)
-    many = {name: np.tile(values, 2000) for name, values in flight.columns.items()} | {"t": 0.02 * np.arange(22000)}
-    assert len(transitions(Flight(many, {}), VEHICLE)["t"]) == 21999
-
-
-def test_synthetic_dataset_has_the_columns_of_a_collected_one():
-    collected = residual_dataset([simulate(0.02, steps=5)], VEHICLE)
-    assert set(synthetic_dataset(rows=240).columns) == set(collected.columns)

@@ -7,10 +7,13 @@ import pytest
 from scipy.stats import norm
 
 from quadexp.errors import DataError
+from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.evaluation import drag_baseline, evaluate, fit_with_report, score, split_by_flight
+from quadexp.models.evaluation import evaluate, fit_with_report, score, split_by_flight
 from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
-from quadexp.report.model_figures import calibration_figure, curve, fit_figure, moved
+from quadexp.models.linear_drag import fit_linear_drag
+from quadexp.models.support import feature_ranges, outside_shares
+from quadexp.report.model_figures import curve, moved
 from tests.models.synthetic import synthetic_dataset
 
 QUICK = GPSettings(inducing=10, max_iterations=15)
@@ -56,14 +59,6 @@ def test_one_flight_is_fitted_without_a_report_only():
     assert fit.test is None and fit.report["rows"] == []
 
 
-def test_drag_alone_is_evaluated_too(dataset):
-    train, test = split_by_flight(dataset, 0.25)
-    full = evaluate(drag_baseline(train), train, test)
-    published = evaluate(drag_baseline(train, intercept=False, thrust=False), train, test)
-    assert [row["output"] for row in full] == ["a_x", "a_x", "a_y", "a_y", "a_z", "a_z"]
-    assert full[4]["rmse"] < published[4]["rmse"]  # on z the motors' loss needs more than the velocity
-
-
 def test_more_points_and_their_optimisation_lower_the_error(dataset):
     train, test = split_by_flight(dataset, 0.2)
     found = {}
@@ -87,16 +82,39 @@ def test_a_drawn_curve_is_the_prediction_with_all_else_at_its_median(dataset, me
     assert np.isfinite(curve(model, output, 0, None).mean).all()  # the page has a checkpoint whose data are gone
 
 
-@pytest.mark.parametrize("mean", ["zero", "quadratic"])
-def test_figures(dataset, tmp_path, mean):
-    fit = fit_with_report(dataset, GPModel, GPSettings(inducing=10, max_iterations=10, mean=mean))
-    figures = {
-        "fit": fit_figure(fit.held_out_model, fit.test),
-        "calibration": calibration_figure(fit.held_out_model, fit.test),
-    }
-    for name, figure in figures.items():
-        for suffix in ("svg", "png", "pdf"):
-            figure.savefig(tmp_path / f"{name}.{suffix}")
-            assert (tmp_path / f"{name}.{suffix}").stat().st_size > 2000
-    labels = [axes.get_ylabel() for axes in figures["fit"].axes]
-    assert all("m/s²" in label for label in labels)
+def rows(velocity, thrust=None) -> ResidualDataset:
+    velocity = np.asarray(velocity, float)
+    columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
+    return ResidualDataset(columns | {"thrust": np.full(len(velocity), 10.0) if thrust is None else thrust}, {})
+
+
+def test_ranges_are_those_of_the_rows_and_speed_counts_from_zero():
+    ranges = feature_ranges(rows([[3, 0, 0], [-3, 4, 1]], np.array([5.0, 9.0])), ["thrust"])
+    assert ranges["v_x"] == [-3, 3] and ranges["v_y"] == [0, 4] and ranges["thrust"] == [5, 9]
+    assert ranges["speed"] == [0, pytest.approx(np.sqrt(26))]
+
+
+def test_a_corner_inside_every_axis_is_outside_by_its_speed():
+    """17 m/s along x and along y, never both: 24 m/s along the diagonal was not in the data."""
+    ranges = feature_ranges(rows([[17, 0, 0], [-17, 0, 0], [0, 17, 0], [0, -17, 0]]))
+    shares = outside_shares(ranges, rows([[0, 0, 0], [16, 16, 0], [17, 0, 0], [18, 0, 0]]))
+    assert shares["v_x"] == 0.25 and shares["v_y"] == 0 and shares["speed"] == 0.5 and shares["any"] == 0.5
+
+
+def test_the_rows_of_the_fit_are_never_outside(dataset, model):
+    assert outside_shares(model.feature_range, dataset)["any"] == 0
+    assert outside_shares(fit_linear_drag(dataset, intervals=False).feature_range, dataset)["any"] == 0
+    assert {"v_x", "v_y", "v_z", "speed", "thrust"} == set(model.feature_range)
+
+
+def test_a_checkpoint_keeps_them_and_one_without_them_says_unknown(dataset, tmp_path):
+    from msgspec.structs import replace
+
+    from quadexp.report.summary import summarise
+
+    fit = fit_linear_drag(dataset, intervals=False)
+    save_model(tmp_path / "new", fit)
+    assert load_model(tmp_path / "new").feature_range == fit.feature_range
+    assert any(line.startswith("covers      v_x ") for line in summarise(tmp_path / "new")["lines"])
+    save_model(tmp_path / "old", replace(fit, feature_range={}))
+    assert any("covers      unknown" in line for line in summarise(tmp_path / "old")["lines"])

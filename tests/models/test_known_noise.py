@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadexp.log.schema import Flight
 from quadexp.models.dataset import residual_dataset
 from quadexp.models.known_noise import OUTPUTS, explained, explained_lines, known_noise
-from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.world import PlantEffects, SimplifiedPlant
 

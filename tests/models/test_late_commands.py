@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.parts.compose import compose
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.models.open_loop import Track, rollout_errors
 from quadexp.models.samples import read_rows
 from quadexp.models.validation import predictors
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.parts.compose import compose
 
 CLEAN = [f"plant.{name}_noise_density=0" for name in ("force", "motor", "torque")]
 

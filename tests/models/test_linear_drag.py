@@ -63,21 +63,6 @@ def test_huber_is_the_minimum_of_its_loss():
     np.testing.assert_allclose([fit.drag[0], fit.intercept[0]], best.x, atol=1e-7)
 
 
-def test_huber_is_not_bent_by_a_few_fast_rows():
-    """Drag 0.3 v + 0.02 v|v| with one row in fifty three times as fast: the line follows the many."""
-    rng = np.random.default_rng(0)
-    v = rng.uniform(-6, 6, 2000)
-    v[::50] *= 3
-    a = -0.3 * v - 0.02 * v * np.abs(v) + 0.01 * rng.normal(size=2000)
-    columns = {f"v_{axis}": v * (1 + 0.1 * i) for i, axis in enumerate("xyz")} | {f"a_{axis}": a for axis in "xyz"}
-    columns |= {"thrust": rng.uniform(5, 30, 2000), "flight": np.zeros(2000, int)}
-    rows = ResidualDataset(columns, {})
-    slow = np.abs(v) <= 6
-    best = -np.sum(v[slow] * a[slow]) / np.sum(v[slow] ** 2)
-    robust, squares = (fit_linear_drag(rows, loss=loss).drag[0] for loss in ("huber", "squares"))
-    assert abs(robust - best) < 0.3 * abs(squares - best)
-
-
 TRUE = np.concatenate([DRAG, INTERCEPT, [GAIN]])
 
 
@@ -141,7 +126,7 @@ def test_few_or_idle_rows_are_refused():
     still = ResidualDataset(dict(idle.columns) | {"v_z": np.full(600, 1.0)}, {})
     with pytest.raises(DataError, match="a_z: v_z, intercept cannot be told apart"):
         fit_linear_drag(still)
-    with pytest.raises(UsageError, match="drag.loss"):
+    with pytest.raises(UsageError, match="loss '"):
         fit_linear_drag(idle, loss="cubes")
 
 

@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.models.checkpoint import load_model
-from quadexp.models.dataset import BATCH, evaluate_rows
 from quadexp.log import store
 from quadexp.log.store import read_table, write_flight
+from quadexp.models.checkpoint import load_model
+from quadexp.models.dataset import BATCH, evaluate_rows
 from tests.models.long_log import DRAG, THRUST, long_log
 
 ROOT = Path(__file__).resolve().parents[2]

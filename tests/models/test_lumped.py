@@ -8,12 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.terms import Inflow, TermStructure, term_acceleration, term_expression
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import DataError
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.lumped import fit_inflow, momentum_of
 from quadexp.models.regression import regress
-from quadexp.models.terms import AXES, SELF_CONSISTENT, Z_TERMS, all_columns, fit_terms
+from quadexp.models.residual import AXES
+from quadexp.models.terms import SELF_CONSISTENT, Z_TERMS, Inflow, TermStructure, all_columns, fit_terms
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
@@ -111,21 +111,6 @@ def test_hovering_data_show_no_loss(lei_li, rng):
         regress(fit.design, fit.target, Z_TERMS, flight, flight, what="z")
 
 
-def test_induced_velocity_solves_momentum_theory(rng):
-    kappa, a, v = 0.11, np.array([2.0, 2.6, 2.4, 3.0]), np.array([6.0, -2.0, 1.5])
-    phi = float(ca.evalf(term_expression("induced", 2, ca.DM(v), ca.DM(a), kappa)))
-    V = [_momentum(kappa, one, v) for one in a]
-    assert phi == pytest.approx(-np.sum(np.sqrt(a) * (V - np.sqrt(a / kappa))), rel=1e-9)
-    with pytest.raises(UsageError, match="term 'induced' needs the rotors' radius"):
-        term_expression("induced", 2, ca.DM(v), ca.DM(a), 0.0)
-
-
-def _momentum(kappa: float, a: float, v: np.ndarray) -> float:
-    from scipy.optimize import brentq
-
-    return brentq(lambda V: kappa * V * np.sqrt(v[0] ** 2 + v[1] ** 2 + (V + v[2]) ** 2) - a, 0, 50)
-
-
 def test_the_expression_and_the_checkpoint_are_the_model(lei_li, air, tmp_path):
     data, rotors, truth = air
     flight = np.zeros(len(rotors), int)
@@ -136,7 +121,7 @@ def test_the_expression_and_the_checkpoint_are_the_model(lei_li, air, tmp_path):
     )  # fmt: skip
     v, a = ca.SX.sym("v", 3), ca.SX.sym("a", 4)
     theta = np.concatenate(model.coefficients)
-    outputs = term_acceleration(ca.vertcat(v, 0, 0, 0, a), theta, TermStructure(model.terms, 1.0, inflow))
+    outputs = TermStructure(model.terms, 1.0, inflow).acceleration(ca.vertcat(v, 0, 0, 0, a), theta)
     function = ca.Function("f", [v, a], [outputs])
     values = model.acceleration(data.velocity, rotors)
     for k in (0, 77, 599):

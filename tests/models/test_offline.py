@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
+from quadexp.log.schema import Flight
 from quadexp.models.blade_element import FIRST_VALUES, OFFLINE, identify_flight
 from quadexp.models.rls import BladeElementRLS, RLSSettings
-from quadexp.log.schema import Flight, describe
-from quadexp.log.store import read_table, write_table
 from quadexp.physics.state import ATTITUDE, STATE_COLUMNS, VELOCITY
 from tests.models.air_data import air_data
 
@@ -48,33 +47,12 @@ def test_is_the_estimator_sample_by_sample(lei_li, flight):
     assert found.raw[-1] == pytest.approx(estimator.raw, rel=1e-9)
 
 
-def test_lines(lei_li, flight):
-    lines = identify_flight(flight, lei_li).lines()
-    assert lines[0].startswith("lively: 799 samples, noise 0.0495 m/s^2")
-    assert "with the accelerometer bias" in lines[1]
-    assert [line.split()[0] for line in lines[2:7]] == ["C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz"]
-    assert all("95 % interval" in line and "recursion ends at" in line for line in lines[2:7])
-
-
 def test_without_enough_samples_no_interval_is_printed(lei_li, flight):
     short = Flight({name: column[:20] for name, column in flight.columns.items()}, flight.metadata)
     found = identify_flight(short, lei_li)
     assert found.fit is None and "19 samples, at least 28 are needed" in found.lines()[-1]
     assert not any("interval " in line for line in found.lines()[1:6])
     assert "interval_95" not in found.metadata() and found.metadata()["estimates"] == found.metadata()["recursion"]
-
-
-def test_time_series_can_be_stored(lei_li, flight, tmp_path):
-    found = identify_flight(flight, lei_li)
-    path = write_table(tmp_path / "estimates.parquet", found.columns(), found.metadata(), "estimates")
-    columns, record = read_table(path, "estimates")
-    assert columns["raw_C_la"][-1] == record["recursion"]["C_la"] == found.raw[-1, 1]
-    assert record["estimates"]["C_la"] == found.fit.theta[1]
-    assert record["interval_95"]["C_la"] == pytest.approx(
-        found.fit.theta[1] + np.array([-1, 1]) * found.fit.half_width[1]
-    )
-    assert describe("std_C_la", "estimates").unit == "1/rad"
-    assert all(describe(name, "estimates").description for name in columns)
 
 
 def test_missing_and_damaged_columns(lei_li, flight):

@@ -9,22 +9,15 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import rms
-from quadexp.models.checkpoint import load_model, plain, record_of, save_model
-from quadexp.models.evaluation import fit_with_report
-from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPSettings, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.open_loop import Track, rollout_errors
-from quadexp.models.recorded import (
-    force_rows,
-    logged_thrust,
-    recorded_dataset,
-    target_cost,
-)
+from quadexp.models.recorded import force_rows, logged_thrust, recorded_dataset, target_cost
 from quadexp.models.samples import read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.thrust_scale import tracked_scale, with_common_scale
 from quadexp.models.validation import nominal, predictors, residuals, score_rows
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 
 VEHICLE = crazyflie()
@@ -86,12 +79,6 @@ def test_missing_and_damaged_columns_are_named(flights):
         force_rows(replace(flights[0], columns=broken), VEHICLE, TRUE_CURVE)
 
 
-def test_curve_record_is_the_curve(flights):
-    curve = fit_vehicle_model(flights, VEHICLE, FitSettings(powers=(1,), kinds=("linear",))).thrust
-    again = record_of(plain(curve), ThrustCurve)
-    assert np.array_equal(again.rotor_acceleration(flights[0]), curve.rotor_acceleration(flights[0]))
-
-
 def test_each_flights_thrust_scale_is_found():
     scales = (0.97, 1.02, 1.05)
     flights = [recorded_flight(seed, VEHICLE, scale=scale) for seed, scale in enumerate(scales)]
@@ -113,28 +100,6 @@ def test_tracking_finds_a_scale_from_the_past_alone():
     later = y.copy()
     later[2000:] += 5
     assert np.array_equal(tracked_scale(c, later, 0.01)[:2001], g[:2001])  # no sample is used for itself or before
-
-
-def test_a_split_by_sample_says_what_the_split_by_flight_shows():
-    flights = [recorded_flight(seed, VEHICLE, scale=1 + 0.03 * seed, duration=5) for seed in range(2)]
-    rows = recorded_dataset(flights, VEHICLE, TRUE_CURVE)
-    settings = replace(SETTINGS, features={"a_z": ("v_z",)}, split="sample")
-    report = fit_with_report(rows, GPModel, settings).report
-    score = {row["predictor"]: row["rmse"] for row in report["rows_by_flight"]}
-    assert "misleading" in report
-    assert score["gp"] == pytest.approx(0.03 * 10.2, rel=0.1)  # the scale of the flight not seen, times the thrust
-    assert len(report["held_out_flights"]) == 2
-
-
-def test_predictions_of_a_gp_on_blade_elements_are_those_of_its_residual(tmp_path, flights):
-    rows = recorded_dataset(flights[:2], VEHICLE, TRUE_CURVE)
-    model = fit_gp(rows, replace(SETTINGS, mean="quadratic"))
-    loaded = load_model(save_model(tmp_path / "gp", model))
-    assert np.array_equal(loaded.mean.parameters, model.mean.parameters)
-    residual = loaded.residual(VEHICLE)
-    features = rows.matrix(["v_x", "v_y", "v_z", "w_x", "w_y", "w_z", "u_0", "u_1", "u_2", "u_3"])[::50]
-    expected = model.predict(rows)["a_x"].mean[::50]
-    assert residual(features)[:, 0] == pytest.approx(expected, abs=1e-9)
 
 
 def test_validation_scores_are_the_known_errors(flights):

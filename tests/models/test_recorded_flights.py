@@ -6,7 +6,7 @@ import pytest
 
 from quadexp.models.samples import gather
 from quadexp.models.selection import best_level, compare_curves, flight_by_flight, rmse, selection
-from quadexp.models.vehicle_fit import FitSettings, fit_level
+from quadexp.models.vehicle_model import FitSettings, fit_level
 from tests.models.recorded_data import blackbird, nanobench
 
 NANOBENCH = {

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
-from quadexp.models.rotor_thrust import HeldCommands, Timing, mean_thrust, measured_thrust
 from quadexp.log.schema import Flight
+from quadexp.models.rotor_thrust import HeldCommands, Timing, mean_thrust, measured_thrust
 from quadexp.physics.state import STATE_COLUMNS, input_columns
 
 DT = 0.02

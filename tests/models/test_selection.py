@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from quadexp.experiment.identify_vehicle import chosen_curve, identify_vehicle
+from quadexp.log.schema import Flight
 from quadexp.models import selection as ladder
 from quadexp.models.samples import gather
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.log.schema import Flight
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.report.model_lines import identification_lines
 from tests.models.logged_flights import CURVE, DRAG, logged_flight, specific_force
 

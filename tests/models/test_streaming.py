@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.air.adapting import JITTER, adapting_process, from_zero
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.online import Law, prior_belief, split_belief, update_function
-from quadexp.compile.backend import BufferedFunction, compiler, realise
+from quadexp.models.gaussian_process import JITTER, OutputPosterior, adapting_process, gaussian_process_residual
+from quadexp.models.online import Law, from_zero
 from quadexp.models.sgpr import Hyperparameters, sparse_posterior
+from tests.models.test_online import Learner
 
 
 def data(rows=800, seed=0):
@@ -33,31 +32,19 @@ def process(points=12):
     for name, (p, features) in P.items():
         where = rng.uniform(-9, 9, (points, len(features)))
         where[:, 1:] = rng.uniform(5, 23, (points, len(features) - 1))
-        outputs.append(_Prior(name, features, where, np.zeros(points), p.lengthscale, p.signal_variance))
+        outputs.append(
+            OutputPosterior.mean_only(name, features, where, np.zeros(points), p.lengthscale, p.signal_variance)
+        )
     return outputs
-
-
-class _Prior(GPOutput):
-    def __init__(self, output, features, inducing, alpha, lengthscale, signal_variance):
-        super().__init__(output, features, inducing, alpha, lengthscale)
-        object.__setattr__(self, "signal_variance", signal_variance)
 
 
 def stream(vehicle, law, v, u, a, forgetting=0.0):
     outputs = process()
     adapting = adapting_process(gaussian_process_residual(vehicle, outputs), outputs, None)
-    compiled = compiler() is not None
-    function = update_function(vehicle, adapting, None, law, compiled=compiled)
-    update = BufferedFunction(realise(function, "compiled" if compiled else "interpreted"))
-    given = update.arguments
-    given["belief"][...], given["variance"][...], given["decay"][...] = prior_belief(adapting), 0.04, 1 - forgetting
-    given["x"][3] = 1.0
-    for velocity, thrust, sample in zip(v, u, a, strict=True):
-        given["x"][7:10], given["u"][...] = velocity, thrust
-        given["f"][...] = sample + [0, 0, thrust.sum() / vehicle.mass]
-        update()
-        given["belief"][...] = update.results["new_belief"]
-    return adapting, outputs, split_belief(adapting, given["belief"]), update.results["theta"].copy()
+    learner = Learner(vehicle, adapting, law, variance=0.04, decay=1 - forgetting)
+    for sample in zip(v, u, a, strict=True):
+        learner.sample(*sample)
+    return adapting, outputs, learner.blocks, learner.theta.copy()
 
 
 def features(names, v, u):
@@ -115,8 +102,8 @@ def test_it_follows_a_world_that_changes(vehicle):
 
 def test_it_begins_at_a_checkpoint_or_at_the_prior(vehicle):
     outputs = [
-        GPOutput("a_x", ("v_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
-        GPOutput("tau_x", ("w_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
+        OutputPosterior.mean_only("a_x", ("v_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
+        OutputPosterior.mean_only("tau_x", ("w_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
     ]
     adapting = adapting_process(gaussian_process_residual(vehicle, outputs), outputs, 1.0)
     z = np.random.default_rng(0).normal(size=(4, 10))

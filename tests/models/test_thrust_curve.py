@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError, UsageError
-from quadexp.models.regression import half_width
-from quadexp.models.samples import Samples, choose_signal, gather
-from quadexp.models.thrust_curve import ThrustCurve, fit_thrust_samples
 from quadexp.log.schema import Flight
-from quadexp.report.model_figures import thrust_figure
+from quadexp.models.regression import half_width
+from quadexp.models.samples import choose_signal, gather
+from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from tests.models.logged_flights import CURVE, DRAG, logged_flight
 
 
-def fit_thrust_curve(flights, *, signal=None, **options) -> ThrustCurve:
-    return fit_thrust_samples(gather(flights, choose_signal(flights, signal)), **options)[0]
+def fit_thrust_curve(flights, *, signal=None, drag=True, **settings) -> ThrustCurve:
+    return fit_thrust_samples(gather(flights, choose_signal(flights, signal)), CurveSettings(**settings), drag=drag)[0]
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +100,7 @@ def test_rotor_speed_and_logged_acceleration(flights, rng):
 
 def test_what_the_flights_cannot_tell(flights):
     with pytest.raises(DataError, match="c_1, c_2, b_z cannot be told apart"):
-        fit_thrust_curve([_narrow(flights[0])], intercept=True)
+        fit_thrust_curve([_narrow(flights[0])], thrust_intercept=True)
     with pytest.raises(UsageError, match="thrust signal 'pwm' is none of rotor_speed, motor_command"):
         fit_thrust_curve(flights, signal="pwm")
     with pytest.raises(DataError, match="flight_0: columns rotor_speed_0 .. are missing"):
@@ -132,17 +131,3 @@ def test_simulated_commands_belong_to_the_interval_before(flights):
     columns["acc_z"] = np.r_[9.81, thrust.sum(axis=1)[:-1]]
     curve = fit_thrust_curve([Flight(columns, {"name": "simulated"})], signal="u", drag=False)
     assert curve.coefficients[0] == pytest.approx(1.0, rel=1e-12) and curve.residual_std < 1e-12
-
-
-@pytest.mark.parametrize(("exponent", "label"), [(1.0, "(V / 3.7 V)"), (1.62, "(V / 3.7 V)$^{1.62}$")])
-def test_the_figure_names_the_power_of_the_voltage(exponent, label):
-    curve = ThrustCurve("motor_command", np.array([1]), np.array([10.0]), np.array([0.1]), 3.7, exponent)
-    k, rng = 40, np.random.default_rng(0)
-    signal, force = rng.uniform(0.2, 0.8, (k, 4)), rng.normal(size=(k, 3))
-    same = np.zeros(k, int)
-    voltage, held = np.full(k, 3.6), np.zeros(k, bool)
-    samples = Samples(
-        np.arange(k) * 0.01, same, same, force, force, signal, voltage, "motor_command", ("a",), None, held
-    )
-    for panel in thrust_figure(curve, samples).axes:
-        assert panel.get_xlabel().endswith(f", times {label}")

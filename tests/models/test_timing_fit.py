@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadexp.log.schema import Flight
 from quadexp.models.dataset import as_told, residual_dataset, transitions
 from quadexp.models.rotor_thrust import Timing, fit_timing, mean_thrust
-from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS
 from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery

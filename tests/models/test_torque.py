@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.open_loop import Track, full_rollout, rollout_errors
 from quadexp.models.samples import gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import explained, fit_torque, torque_lines
 from quadexp.models.validation import predictors
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.log.schema import Flight
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.log.imitated import imitated, vehicle_named
 
 CASES = {

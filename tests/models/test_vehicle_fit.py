@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.regression import half_width
 from quadexp.models.samples import gather
 from quadexp.models.selection import best_level, left_out, selection
-from quadexp.models.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
-from quadexp.log.schema import Flight
+from quadexp.models.vehicle_model import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
 from tests.models.logged_flights import CURVE, DRAG, OFFSET, logged_flight, specific_force
 
 
@@ -64,29 +64,6 @@ def test_truth_is_inside_at_the_nominal_rate():
         inside += sum(within(found.linear, axis, "offset", OFFSET[i]) for i, axis in enumerate("xy"))
         total += 5
     assert inside / total > 0.89  # 0.95 less three standard deviations of 125 draws
-
-
-def test_velocity_is_relative_to_the_air():
-    windy = [logged_flight(seed, wind=(3.0 - 2 * seed, 2.0 * seed - 2, 0.0)) for seed in range(3)]
-    told = fit_vehicle_model(windy)
-    silent = fit_vehicle_model([Flight(_without_wind(f.columns), f.metadata) for f in windy])
-    assert told.linear_drag.drag == pytest.approx(DRAG, abs=0.02)
-    assert np.abs(silent.linear_drag.drag - DRAG)[:2].max() > 0.1
-    assert silent.linear.residual_std[0] > 3 * told.linear.residual_std[0]
-
-
-def _without_wind(columns):
-    return {name: values for name, values in columns.items() if not name.startswith("wind")}
-
-
-def test_predicts_the_specific_force(flights, model):
-    force = flights[0].stack(["acc_x", "acc_y", "acc_z"])
-    errors = {
-        kind: np.sqrt(np.mean((force - specific_force(model, flights[0], kind)) ** 2)) for kind in ("nominal", "linear")
-    }
-    assert errors["linear"] == pytest.approx(0.05, rel=0.1) and errors["nominal"] > 0.4
-    with pytest.raises(UsageError, match="has no 'gp'; it has linear, quadratic, blade_element"):
-        model.model("gp")
 
 
 def test_a_checkpoint_is_the_model(flights, model, tmp_path):

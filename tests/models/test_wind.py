@@ -14,20 +14,20 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.parts.compose import compose
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight
 from quadexp.models.blade_element import identify_flight
 from quadexp.models.dataset import read_dataset, residual_dataset, transitions
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.open_loop import Track, rollout_errors
 from quadexp.models.samples import gather, read_rows
 from quadexp.models.validation import predictors
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, write_flight
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import STATE_COLUMNS
 from tests.models.test_dataset import VEHICLE
@@ -98,18 +98,6 @@ def test_transitions_do_not_depend_on_the_frame_that_moves_along():
         transitions(gone, vehicle)
 
 
-def test_collected_drag_is_the_same_from_the_files_of_both(tmp_path):
-    """The command's own function, from two files."""
-    config = compose(["trajectory=circle", "controller=nominal_mpc", "trajectory.acceleration=4"])
-    flight, drags = fly_one(config), []
-    for name, one in (("still", flight), ("wind", in_wind(flight))):
-        file = write_flight(tmp_path / f"{name}.parquet", one)
-        collect_dataset(config, tmp_path / f"{name}_rows.parquet", flights=[file])
-        drags.append(fit_linear_drag(read_dataset(tmp_path / f"{name}_rows.parquet")).drag)
-    assert drags[1] == pytest.approx(drags[0], rel=1e-6)
-    assert drags[0][0] > 0.1
-
-
 def test_blade_element_coefficients_are_the_same():
     bench = ["vehicle=lei_li", "plant=blade_element", "sensor=lei_li", "trajectory=rectangle", "trajectory.duration=20"]
     config = compose([*bench, "controller=oracle_feedback"])
@@ -162,17 +150,6 @@ def test_drag_collected_in_a_wind_is_that_of_still_air(tmp_path, wind):
         told.append(replace(flight, columns=columns))
     untold = fit_linear_drag(residual_dataset(told, build_vehicle(config.vehicle)))
     assert np.abs(untold.intercept[:2]).max() > 0.2
-
-
-def test_blade_elements_are_identified_from_a_flight_in_a_wind():
-    """Profile drag and lift slope of the plant; the body's drag is better known the faster the air passes."""
-    bench = ["vehicle=lei_li", "plant=blade_element", "trajectory=rectangle", "trajectory.duration=20"]
-    config = compose([*bench, "controller=oracle_feedback", "wind=constant", "wind.velocity=[2,-2,0.5]"])
-    vehicle, flight = build_vehicle(config.vehicle), fly_one(config)
-    columns = {name: values for name, values in flight.columns.items() if not name.startswith("wind_")}
-    told, untold = (identify_flight(one, vehicle).raw[-1] for one in (flight, replace(flight, columns=columns)))
-    assert told[:2] == pytest.approx([config.plant.profile_drag, config.plant.lift_slope], rel=0.02)
-    assert np.abs(untold / told - 1).max() > 0.1
 
 
 def test_an_identified_vehicle_is_validated_in_gusts_by_the_wind_of_its_flights():

@@ -26,11 +26,14 @@ STEP = (
 )
 JACOBIANS = ("tests/physics/test_sensitivity.py", "tests/properties/test_jacobians.py")
 DELAYS = ("tests/control/delay", "tests/experiment/test_identify_delays.py", "tests/experiment/test_delay_remedies.py")
-RESIDUAL = ("tests/air", "tests/properties/test_jacobians.py", "tests/world/test_blade_element.py")
+RESIDUAL = (
+    "tests/models/test_residuals.py", "tests/models/test_blade_residual.py", "tests/models/test_terms.py",
+    "tests/properties/test_jacobians.py", "tests/world/test_blade_element.py",
+)  # fmt: skip
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/physics/rotation.py": ("tests/physics/test_rotation.py", *MECHANICS),
-    "quadexp/physics/rotor.py": (*AIR, "tests/air"),
+    "quadexp/physics/rotor.py": (*AIR, "tests/models/test_blade_residual.py"),
     "quadexp/physics/rigid_body.py": MECHANICS,
     "quadexp/physics/integrator.py": MECHANICS,
     "quadexp/physics/scalars.py": JACOBIANS,
@@ -40,7 +43,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/physics/blade_element.py": AIR,
     "quadexp/physics/induced_velocity.py": ("tests/physics/test_induced_velocity.py", *AIR),
     "quadexp/world/simplified.py": (
-        "tests/air/test_contract.py",
+        "tests/models/test_residuals.py",
         "tests/world/test_simplified.py",
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
@@ -57,11 +60,15 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_symmetry.py",
         "tests/properties/test_blade_limits.py",
     ),
-    "quadexp/air/online.py": ("tests/air/test_online.py", "tests/models/test_streaming.py"),
-    "quadexp/air/adapting.py": ("tests/air/test_online.py", "tests/models/test_streaming.py"),
-    "quadexp/air/adapt_block.c": ("tests/air/test_online.py", "tests/models/test_streaming.py"),
-    "quadexp/air/neural_*.c": ("tests/air", "tests/models/test_neural.py"),
-    "quadexp/air/*.py": (*RESIDUAL, "tests/physics/test_sensitivity.py"),
+    "quadexp/models/online.py": ("tests/models/test_online.py", "tests/models/test_streaming.py"),
+    "quadexp/models/adapt_block.c": ("tests/models/test_online.py", "tests/models/test_streaming.py"),
+    "quadexp/models/neural_*.c": ("tests/models/test_residuals.py", "tests/models/test_neural.py"),
+    "quadexp/models/residual.py": RESIDUAL,
+    "quadexp/models/terms.py": (*RESIDUAL, "tests/models/test_lumped.py"),
+    "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
+    "quadexp/models/gaussian_process.py": (*RESIDUAL, "tests/models/test_gp_fit.py"),
+    "quadexp/models/neural.py": (*RESIDUAL, "tests/models/test_neural.py"),
+    "quadexp/models/blade_element.py": (*RESIDUAL, "tests/models/test_blade_fit.py"),
     "quadexp/control/observers/*.py": ("tests/control/test_observers.py",),
     "quadexp/control/delivered.py": ("tests/control/test_delivered.py", "tests/control/test_observers.py"),
     "quadexp/control/mpc/believed_world.py": (
@@ -87,7 +94,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/mpc/attitude_error.py": STEP,
     "quadexp/control/mpc/subproblem.py": STEP,
     "quadexp/control/mpc/riccati*": ("tests/control/mpc/test_riccati.py", "tests/control/mpc/test_active_set.py"),
-    "quadexp/air/gp_sums.c": ("tests/air/test_compiled_sums.py",),
+    "quadexp/models/gp_sums.c": ("tests/models/test_residuals.py",),
     "quadexp/control/mpc/active_set.*": ("tests/control/mpc/test_active_set.py", "tests/control/mpc/test_step.py"),
     "quadexp/control/mpc/dual_active_set.py": (
         "tests/control/mpc/test_dual_active_set.py",
@@ -116,7 +123,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
     "quadexp/models/rls.py": ("tests/models/test_rls.py", "tests/properties/test_identification.py"),
 }
-COMPILED = ("*.c", "quadexp/air/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
+COMPILED = ("*.c", "quadexp/models/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
 
 
 def runs_compiled(file: str) -> bool:

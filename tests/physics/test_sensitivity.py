@@ -10,7 +10,7 @@ from quadexp.physics.integrator import rk4_step
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.sensitivity import rk4_sensitivity_function
-from tests.air.models import RESIDUALS, make_residual
+from tests.models.residuals import RESIDUALS, make_residual
 from tests.states import random_state
 
 

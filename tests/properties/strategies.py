@@ -13,11 +13,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.base import Residual
-from quadexp.air.blade_element import blade_element_residual
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
+from quadexp.models.blade_element import blade_element_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
@@ -130,10 +129,10 @@ def make_blade_effects(rng: np.random.Generator) -> BladeElementEffects:
     return BladeElementEffects(bool(rng.integers(2)), bool(rng.integers(2)), payload=float(rng.uniform(0, 0.2)))
 
 
-def make_gp_outputs(rng: np.random.Generator, points: int = 8) -> list[GPOutput]:
+def make_gp_outputs(rng: np.random.Generator, points: int = 8) -> list[OutputPosterior]:
     """Smooth random functions of velocity, rate and thrust."""
     return [
-        GPOutput(
+        OutputPosterior.mean_only(
             output,
             names,
             rng.uniform(-8, 8, (points, len(names))),

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.air.blade_element import blade_element_residual
 from quadexp.errors import ModelDomainError
+from quadexp.models.blade_element import blade_element_residual
 from quadexp.physics.blade_element import blade_forces, body_drag
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.induced_velocity import balance, starting_point

@@ -13,14 +13,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
 from quadexp.control.feedback.aerodynamics import KnownCoefficients
 from quadexp.control.feedback.controller import FeedbackController
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.blade_element import BladeElementPlant

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.errors import UsageError
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.reference.flat_map import tilt

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.rls import AXES, BladeElementRLS, RLSSettings
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
@@ -52,7 +52,7 @@ def test_gaussian_process_is_gpytorchs(vehicle, rng):
         lengthscale, variance, noise = rng.uniform(2, 8, len(features)), rng.uniform(0.5, 3), rng.uniform(0.05, 0.5)
         distance = ((x[:, None] - x) / lengthscale) ** 2
         gram = variance * np.exp(-distance.sum(axis=2) / 2) + noise * np.eye(12)
-        outputs.append(GPOutput(output, features, x, variance * np.linalg.solve(gram, y), lengthscale))
+        outputs.append(OutputPosterior.mean_only(output, features, x, variance * np.linalg.solve(gram, y), lengthscale))
         models.append((output, features, Exact(x, y, lengthscale, variance, noise).eval()))
     residual = gaussian_process_residual(vehicle, outputs)
     value, slope = (np.array(part.full()) for part in residual.function(z, residual.theta))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from quadexp.air.blade_element import blade_element_residual
-from quadexp.air.gaussian_process import gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
+from quadexp.models.blade_element import blade_element_residual
+from quadexp.models.gaussian_process import gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual
 from quadexp.physics.sensitivity import rk4_sensitivity_function
 from quadexp.world import SimplifiedPlant
 from tests.properties import complex_model

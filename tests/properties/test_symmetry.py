@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.gaussian_process import gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.models.gaussian_process import gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.world import SimplifiedPlant

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.compile.compiler import compiler
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.reference.air_model import AirModel
 from quadexp.reference.air_step import predicted_and_next
 from quadexp.reference.circle import Circle
@@ -21,7 +21,7 @@ from quadexp.reference.flatness import flat_reference
 from quadexp.reference.motion import Air
 from quadexp.reference.time_grid import TimeGrid
 from quadexp.reference.traced import CompiledStep
-from tests.air.models import make_residual, with_rotors
+from tests.models.residuals import make_residual, with_rotors
 from tests.properties.paths import Wander
 from tests.reference.test_flatness import Straight
 

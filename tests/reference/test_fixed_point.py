@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.base import symbolic_residual
-from quadexp.air.blade_element import blade_element_residual
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
+from quadexp.models.blade_element import blade_element_residual
+from quadexp.models.residual import symbolic_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.rotor import BladeCoefficients

@@ -9,10 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.base import symbolic_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
 from quadexp.errors import UsageError
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual, symbolic_residual
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.reference.base import FlatOutput
 from quadexp.reference.circle import Circle

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.base import symbolic_residual
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.residual import symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.reference.circle import Circle
@@ -32,7 +32,7 @@ def drag_process(vehicle):
     kernel = np.exp(-((v - v.T) ** 2) / (2 * 6.0**2))
     for axis in "xyz":
         weights = np.linalg.solve(kernel + 1e-6 * np.eye(len(v)), -(0.3 * v + 0.08 * v * abs(v))[:, 0])
-        outputs.append(GPOutput(f"a_{axis}", (f"v_{axis}",), v, weights, np.array([6.0])))
+        outputs.append(OutputPosterior.mean_only(f"a_{axis}", (f"v_{axis}",), v, weights, np.array([6.0])))
     return gaussian_process_residual(vehicle, outputs)
 
 

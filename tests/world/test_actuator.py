@@ -13,7 +13,7 @@ from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
 from quadexp.world.effect import Clock, Start
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.world import World
-from tests.air.models import BLADE, with_rotors
+from tests.models.residuals import BLADE, with_rotors
 from tests.world.test_world import AIRFRAMES, PERIOD, airframe, commands, fly, start
 
 REST = np.r_[np.zeros(3), 1, np.zeros(9)]

@@ -16,11 +16,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.base import feature_names
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_plant, build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.kept import unshared
+from quadexp.models.residual import feature_names
 from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY

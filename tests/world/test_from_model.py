@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.errors import UsageError
 from quadexp.experiment.checkpoints import model_residual
 from quadexp.models.checkpoint import save_model
-from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.world.from_model import FromModelPlant
 from tests.models.recorded_flights import DRAG, OFFSET, crazyflie, recorded_flight
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.air.none import no_residual
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.residual import no_residual
 from quadexp.reference.hover import Hover
 from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.world import World
-from tests.air.models import with_rotors
+from tests.models.residuals import with_rotors
 from tests.world.test_world import AIRFRAMES, airframe
 
 WORLDS = {

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
@@ -22,7 +22,7 @@ from quadexp.world.link import Latency
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import part_stream, sampled
 from quadexp.world.world import World
-from tests.air.models import BLADE, with_rotors
+from tests.models.residuals import BLADE, with_rotors
 
 PERIOD, STEP = 0.02, 1e-3
 AIRFRAMES = ("simplified", "blade_element", "from_model")

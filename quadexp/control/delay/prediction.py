@@ -20,8 +20,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
-from quadexp.air.none import no_residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Measurement, Window
@@ -30,6 +28,7 @@ from quadexp.control.delay.strapdown import KnownDelay
 from quadexp.control.instant import Instant, Told, call, copy, instant_of
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
+from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function

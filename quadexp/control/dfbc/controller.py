@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
@@ -20,6 +19,7 @@ from quadexp.control.instant import Instant, Operation, Told, call, copy
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import RESIDUAL, ControllerPart
+from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, part
 from quadexp.physics.vehicle import Vehicle

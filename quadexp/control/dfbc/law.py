@@ -29,10 +29,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
 from quadexp.control.belief import N_BELIEF
+from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Setting, Settings, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix

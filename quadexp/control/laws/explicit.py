@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
@@ -21,6 +20,7 @@ from quadexp.control.belief import no_belief
 from quadexp.control.instant import Instant, Operation, Told, call, copy, move
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle

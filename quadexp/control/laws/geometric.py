@@ -37,7 +37,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import realise, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.belief import N_BELIEF, Belief
@@ -45,6 +44,7 @@ from quadexp.control.laws.attitude import attitude_distance, attitude_error, mov
 from quadexp.control.laws.desaturation import clipped, held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
+from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Setting, Settings, Triple, part
 from quadexp.physics.expression import Expression

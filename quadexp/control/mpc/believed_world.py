@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
@@ -29,6 +28,7 @@ from quadexp.control.delivered import Delays, delivered_by_commands
 from quadexp.control.instant import Operation, Told, call, copy, move
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
+from quadexp.models.residual import Residual
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.instant import Instant, Operation, Told, copy
@@ -16,6 +15,7 @@ from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE, POSITION
 

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.control.delivered import Delays, commands_function
 from quadexp.control.instant import Operation, call, copy
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
+from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.active_set import Status
@@ -26,6 +25,7 @@ from quadexp.control.mpc.attitude_error import attitude_error_in, reference_fram
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.reference_thrust import held_deviation
 from quadexp.control.mpc.settings import SAMPLES
+from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
@@ -18,6 +17,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.models.residual import Residual
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 

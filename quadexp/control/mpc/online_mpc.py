@@ -1,8 +1,9 @@
 """Model predictive control with a model of the air whose weights adapt in flight.
 
-Before every step one compiled function (quadexp.air.online) takes the last accelerometer sample into the weights; they
-are runtime parameters of the control step, so nothing is compiled again. The last of the summed residuals adapts, the
-others are known. The reference's attitudes and thrusts are recomputed with the newest weights every reference_period.
+Before every step one compiled function (quadexp.models.online) takes the last accelerometer sample into the weights;
+they are runtime parameters of the control step, so nothing is compiled again. The last of the summed residuals adapts,
+the others are known. The reference's attitudes and thrusts are recomputed with the newest weights every
+reference_period.
 """
 
 from __future__ import annotations
@@ -13,10 +14,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from quadexp.air.adapting import Adapting
-from quadexp.air.base import Residual
-from quadexp.air.online import Law, prior_belief, update_function
-from quadexp.air.sum import sum_residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
@@ -26,6 +23,8 @@ from quadexp.control.mpc.part import LEARNED, PredictivePart, check_models
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.models.online import Adapting, Law, prior_belief, update_function
+from quadexp.models.residual import Residual, sum_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, Settings, part
 from quadexp.physics.vehicle import Vehicle
@@ -35,7 +34,7 @@ FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parame
 
 @dataclass(frozen=True)
 class AdaptKeys(Settings):
-    """How weights adapt in flight; see quadexp/air/online.py."""
+    """How weights adapt in flight; see quadexp/models/online.py."""
 
     prefix: ClassVar[str] = "controller.adapt."
 
@@ -199,7 +198,8 @@ class OnlineMPC(PredictivePart):
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""
-        from quadexp.air.adapting import adapting_terms, from_zero
+        from quadexp.models.online import from_zero
+        from quadexp.models.terms import adapting_terms
 
         *others, last = self.residual
         for key in ("fit_prior", "fitc"):

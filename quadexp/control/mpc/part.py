@@ -32,7 +32,7 @@ class PredictivePart(MPCSettings, ControllerPart):
 
         residual = self.model(given)
         if any(one.scales_air for one in given.remedies):
-            from quadexp.air.scaled import scaled_residual
+            from quadexp.models.residual import scaled_residual
 
             residual = scaled_residual(residual)
         told = any(one.believes for one in given.remedies)

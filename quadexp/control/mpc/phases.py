@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise_together
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.step import phase_functions
+from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
 FROM_NODE_1 = ("X_lin", "A", "B", "b", "q", "K", "factor")  # what the preparation leaves of the subproblem's arrays

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from quadexp.air.base import Residual
 from quadexp.compile.symbolic import ca
+from quadexp.models.residual import Residual
 from quadexp.physics.integrator import rk4_step, rk4_step_with_input
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import N_DISTURBANCE, corrected_function, disturbed_derivative

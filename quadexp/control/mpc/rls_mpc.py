@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
 from quadexp.control.mpc.controller import PredictiveController
@@ -21,6 +20,7 @@ from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
+from quadexp.models.residual import Residual
 from quadexp.models.rls import Identification
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, part
@@ -96,7 +96,7 @@ class RLSMPC(PredictivePart):
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""
-        from quadexp.air.blade_element import blade_element_residual
+        from quadexp.models.blade_element import blade_element_residual
 
         estimator = self.rls.build(given.vehicle, self.backend)
         identified = IdentifiedCoefficients(estimator, self.rls.change_threshold)

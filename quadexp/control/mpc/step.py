@@ -17,13 +17,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from quadexp.air.base import Residual
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.attitude_error import AttitudeError, attitude_error_in, reference_frames
 from quadexp.control.mpc.reference_thrust import held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.control.mpc.subproblem import backward_pass, forward_pass, input_gradient
+from quadexp.models.residual import Residual
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.sensitivity import rk4_sensitivity_function

@@ -24,7 +24,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller
 from quadexp.control.mpc.controller import PredictiveController
@@ -47,6 +46,7 @@ from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, 
 from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
+from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix

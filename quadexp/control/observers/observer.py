@@ -15,8 +15,6 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from quadexp.air.base import Residual
-from quadexp.air.none import no_residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Measurement, Window
@@ -32,6 +30,7 @@ from quadexp.control.mpc.rls_mpc import IdentifyingController
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.vehicle import Vehicle
 

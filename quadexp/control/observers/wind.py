@@ -23,7 +23,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller
 from quadexp.control.observers.observer import (
@@ -40,6 +39,7 @@ from quadexp.control.observers.scaled_force import inverse
 from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
+from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY

@@ -15,7 +15,7 @@ from quadexp.experiment.build import build_controller, build_vehicle, build_worl
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.report.margin_line import delays_note
-from tests.air.models import make_residual
+from tests.models.residuals import make_residual
 
 INTERPRETED = ["controller=nominal_mpc", "controller.backend=interpreted"]
 WORLD = ["estimator=late_noisy", "link=latency", "actuator=lag_30ms", "trajectory=lemniscate", "horizon=firm"]

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.delay.prediction import Prediction
@@ -19,6 +17,8 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import WrappedController
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 

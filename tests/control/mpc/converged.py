@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from quadexp.air.base import Residual
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.models.residual import Residual
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import corrected_function

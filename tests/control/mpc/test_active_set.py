@@ -16,7 +16,7 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.control.mpc.subproblem import bounded_function
-from tests.air.models import make_residual
+from tests.models.residuals import make_residual
 from tests.states import random_state
 
 NODES = 8

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.air.none import no_residual
 from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE
 
 

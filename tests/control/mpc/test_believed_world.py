@@ -24,7 +24,7 @@ from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.sensitivity import rk4_sensitivity_function
 from quadexp.reference.circle import Circle
-from tests.air.models import RESIDUALS, make_residual
+from tests.models.residuals import RESIDUALS, make_residual
 from tests.states import random_state
 
 DISTURBANCE = np.array([1.2, -0.7, 2.1, 0.9, -1.4, 0.3])

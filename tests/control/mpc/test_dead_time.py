@@ -18,8 +18,8 @@ from quadexp.physics.rigid_body import corrected_function
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import RESIDUALS, make_residual
 from tests.control.mpc.delayed import DelayedPlant
+from tests.models.residuals import RESIDUALS, make_residual
 from tests.states import random_state
 
 QUIET = PlantEffects(motor_noise_density=0.0, force_noise_density=0.0, torque_noise_density=0.0)

@@ -18,8 +18,8 @@ from quadexp.reference.circle import Circle
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.report.metrics import flight_metrics
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import make_residual
 from tests.control.mpc.converged import ConvergedProblem
+from tests.models.residuals import make_residual
 
 TURNED = np.r_[np.ones(3), -np.ones(4), np.ones(6)]  # the same state with the other quaternion
 

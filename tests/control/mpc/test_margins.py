@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.control.mpc.margins import LIMIT, HoverLoop, Margins, _exponential, _first_unstable, margins
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import make_residual
 from tests.control.mpc.delayed import DelayedPlant
 from tests.control.mpc.test_dead_time import controller_of
+from tests.models.residuals import make_residual
 
 
 @pytest.mark.parametrize(

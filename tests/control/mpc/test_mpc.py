@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.control.mpc import mpc
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import RESIDUALS, make_residual
 from tests.control.mpc.converged import ConvergedProblem
+from tests.models.residuals import RESIDUALS, make_residual
 
 HOVER = np.r_[np.zeros(3), 1, np.zeros(9)]
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.air.adapting import adapting_drag, adapting_terms
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.sum import sum_residual
 from quadexp.control.base import Measurement
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -17,12 +14,15 @@ from quadexp.errors import UsageError
 from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.models.linear_drag import adapting_drag, linear_drag_residual
+from quadexp.models.residual import sum_residual
+from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, STATE_COLUMNS
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import make_residual
+from tests.models.residuals import make_residual
 
 QUIET = {"motor_noise_density": 0.0, "force_noise_density": 0.0, "torque_noise_density": 0.0}
 CIRCLE = Circle(radius=5.0, speed=6.0, acceleration=2.0)

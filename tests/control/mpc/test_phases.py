@@ -16,7 +16,7 @@ from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.state import ATTITUDE, POSITION
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import RESIDUALS, make_residual
+from tests.models.residuals import RESIDUALS, make_residual
 
 FORMS = {
     "published": {},

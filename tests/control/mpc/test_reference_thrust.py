@@ -19,8 +19,8 @@ from quadexp.physics.sensitivity import rk4_sensitivity_function
 from quadexp.reference.circle import Circle
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import make_residual
 from tests.control.mpc.delayed import DelayedPlant
+from tests.models.residuals import make_residual
 from tests.states import random_state
 
 QUIET = PlantEffects(motor_noise_density=0.0, force_noise_density=0.0, torque_noise_density=0.0)

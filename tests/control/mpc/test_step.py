@@ -13,7 +13,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.log.schema import FLIGHT_COLUMNS
 from quadexp.physics.state import ATTITUDE
-from tests.air.models import make_residual
+from tests.models.residuals import make_residual
 from tests.states import random_state
 
 NODES = 5

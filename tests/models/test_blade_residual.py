@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from quadexp.air.blade_element import blade_element_residual
 from quadexp.errors import UsageError
+from quadexp.models.blade_element import blade_element_residual
 from quadexp.physics.rotor import BladeCoefficients
 from tests import paper
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from quadexp.air.terms import TermStructure, term_residual
+from quadexp.errors import UsageError
+from quadexp.models.terms import TermStructure, term_residual
 
 AXES = (
     ("linear", "hub", "hub_climb", "hub_inflow", "hub_square"),
@@ -58,3 +59,8 @@ def test_is_the_sum_of_its_terms(odd_vehicle, rng, mass):
             for i, names in enumerate(AXES)
         ]
         assert residual(np.r_[v, rate, u])[0] == pytest.approx([*expected, 0, 0, 0], rel=1e-9, abs=1e-11)
+
+
+def test_the_induced_velocity_needs_the_radius(odd_vehicle):
+    with pytest.raises(UsageError, match="term 'hub_inflow' needs the rotors' radius"):
+        term_residual(odd_vehicle, TermStructure(AXES, 1.0), np.zeros(14))

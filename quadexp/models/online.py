@@ -1,4 +1,21 @@
-"""One update of the weights of an adapting residual (quadexp.air.adapting) from one accelerometer sample.
+"""Residuals that are linear in some of their parameters, the weights, and the update of these in flight.
+
+    y_i(z; a) = c_i(z) + phi_i(z) . a_i,         a_i = a_i0 + R_i b_i,   b_i ~ N(0, I) a priori
+
+for each adapting component i of the body acceleration, with weights a_i of its own. R_i R_i' is the prior covariance
+of the weights. Everything in flight is done with b: its prior is the same for all features, and the roundings of the
+updates are relative to the prior.
+
+    linear_drag        a = (drag, intercept), z also the thrust gain; R diagonal
+    terms              a = the coefficients of drag and thrust terms (quadexp.models.terms), from zero; R diagonal
+    neural             a = a row of the last layer and its bias: the network's last hidden layer is phi
+    gaussian_process   a = alpha. With K = k(Z, Z) of unit variance and prior standard deviation s, a priori
+                       f(Z) ~ N(., s^2 K), so R = s L^-T with L L' = K: b = L^-1 f(Z) / s
+
+A prior is stated by one number, the standard deviation s of the acceleration (m/s^2) that the weights add: for single
+terms at TYPICAL_SPEED and at the hover thrust, for a layer of h units with every unit at its bound.
+
+One update takes one accelerometer sample,
 
     y = f - T e_z / m - (what is known of the air)                          sample of the residual acceleration, body
     e = y - c(z) - phi b,    phi: regressors of b, on each component
@@ -18,7 +35,7 @@ the streaming sparse posterior: equal to that of all samples at once. fitc adds 
 of the function at z, s^2 - phi phi', to r (Huber 2014; Csato and Opper 2002); without it the update is variational.
 
 composite is the law of Neural-Fly (O'Connell et al. 2022, (8)) with its covariance (9), Q = 2 I / tau, discretised
-here: with c = 0 it is bayes. V = c sigma'sigma + b~' P^-1 b~ falls along the motion (tests/air/test_online.py). The
+here: with c = 0 it is bayes. V = c sigma'sigma + b~' P^-1 b~ falls along the motion (tests/models/test_online.py). The
 discretisation printed in its supplement, (17) to (19), does not do this: it has the opposite sign before P phi' sigma
 and no dt, and r dt where a noise of density r dt gives r per sample.
 
@@ -27,27 +44,86 @@ A component has its own b and P, so an update is of O(h^2) for each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from quadexp.air.adapting import Adapting, Block, regressors
-from quadexp.air.base import Residual
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.errors import UsageError
+from quadexp.models.residual import Residual, feature_names
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 BLOCK = Path(__file__).with_name("adapt_block.c")
-LAWS = ("bayes", "rls", "composite")
+TYPICAL_SPEED = 8.0  # m/s
+
+
+@dataclass(frozen=True)
+class Block:
+    """Weights of one component of the acceleration.
+
+    axis: 0, 1, 2. at: places of the weights in theta, (h,). mean: a_0, (h,). root: R, (h, h). signal_variance: prior
+    variance of the function, s^2 (m^2/s^4), where its weights do not determine all of it (FITC); 0 where they do.
+    """
+
+    axis: int
+    at: np.ndarray
+    mean: np.ndarray
+    root: np.ndarray
+    signal_variance: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Numbers of its belief, b and P."""
+        return len(self.at) * (len(self.at) + 1)
+
+
+@dataclass(frozen=True)
+class Adapting:
+    """residual: with the prior mean as theta. blocks: its weights, at most one block for each component."""
+
+    residual: Residual
+    blocks: tuple[Block, ...]
+
+    def __post_init__(self) -> None:
+        if not self.blocks:
+            raise UsageError("a model that adapts in flight needs a_x, a_y or a_z among its outputs")
+
+
+def from_zero(adapting: Adapting) -> Adapting:
+    """The same with prior mean zero."""
+    theta = adapting.residual.theta.copy()
+    for block in adapting.blocks:
+        theta[block.at] = 0.0
+    blocks = tuple(replace(block, mean=np.zeros(len(block.mean))) for block in adapting.blocks)
+    return Adapting(replace(adapting.residual, theta=theta), blocks)
+
+
+def regressors(adapting: Adapting, rotors: int) -> ca.Function:
+    """(z, theta) -> y (6,) and, for each block, dy_i/da of its component, (1, h): the regressors of its weights."""
+    z, theta = ca.MX.sym("z", len(feature_names(rotors))), ca.MX.sym("theta", len(adapting.residual.theta))
+    with_weights, weights = ca.MX(theta), [ca.MX.sym("a", len(block.at)) for block in adapting.blocks]
+    for block, a in zip(adapting.blocks, weights, strict=True):
+        with_weights[block.at.tolist()] = a
+    function = adapting.residual.function
+    if function.is_a("SXFunction"):
+        y = function(z, with_weights)[0]
+    else:  # without a call: derivatives then follow only what they depend on
+        y = function.call([z, with_weights], True, False)[0]
+    y = ca.densify(y)
+    rows = [ca.jacobian(y[block.axis], a) for block, a in zip(adapting.blocks, weights, strict=True)]
+    given = [theta[block.at.tolist()] for block in adapting.blocks]
+    y, *rows = ca.graph_substitute([y, *map(ca.densify, rows)], weights, given)
+    return ca.Function("regressors", [z, theta], [y, *rows])
 
 
 @dataclass(frozen=True)
 class Law:
-    """name: of LAWS. fitc: see the module. The numbers are arguments of the function."""
+    """name: "bayes", "rls" or "composite". fitc: see the module. The numbers are arguments of the function."""
 
     name: str = "bayes"
     fitc: bool = False
@@ -84,32 +160,25 @@ def update_function(
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
     sigma = ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
 
-    parts = ca.vertsplit(belief, np.cumsum([0, *(_size(block) for block in adapting.blocks)]).tolist())
-    theta, innovation, new = ca.MX(prior), [ca.MX(0)] * 3, []
-    for block, row, own in zip(adapting.blocks, rows, parts, strict=True):
-        at = own, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]
-        found, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *at)
-        new.append(found)
+    beliefs = ca.vertsplit(belief, np.cumsum([0, *(block.size for block in adapting.blocks)]).tolist())
+    theta, innovation, updated = ca.MX(prior), [ca.MX(0)] * 3, []
+    for block, row, before in zip(adapting.blocks, rows, beliefs, strict=True):
+        given = before, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]
+        after, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *given)
+        updated.append(after)
         theta[block.at.tolist()] = weights
     return ca.Function(
-        "adapt",
-        [x, f, u, path, belief, known_theta, variance, decay, tracking, rate],
-        [ca.vertcat(*new), theta, ca.vertcat(*innovation)],
+        "adapt", [x, f, u, path, belief, known_theta, variance, decay, tracking, rate],
+        [ca.vertcat(*updated), theta, ca.vertcat(*innovation)],
         ["x", "f", "u", "path", "belief", "known_theta", "variance", "decay", "tracking", "tracking_rate"],
         ["new_belief", "theta", "innovation"],
-    )
+    )  # fmt: skip
 
 
 def _block(
-    block: Block,
-    law: Law,
-    belief: Expression,
-    row: Expression,
-    sample: Expression,
-    noise: Expression,
-    decay: Expression,
-    push: Expression,
-) -> tuple[Expression, Expression, Expression]:
+    block: Block, law: Law, belief: Expression, row: Expression, sample: Expression, noise: Expression,
+    decay: Expression, push: Expression,
+) -> tuple[Expression, Expression, Expression]:  # fmt: skip
     """The update of one component: its new belief, its weights and its innovation.
 
     row: regressors of the weights. noise: r. push: dt c sigma. Only one triangle of P is used, so it is symmetric.
@@ -138,7 +207,7 @@ def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Exp
     """As _block, by adapt_block.c."""
     h, dense = len(block.at), ca.Sparsity.dense
     chosen = {"RLS": law.name == "rls", "FITC": law.fitc, "COMPOSITE": law.name == "composite"}
-    one, many, all_of_it = dense(1), dense(h), dense(_size(block))
+    one, many, all_of_it = dense(1), dense(h), dense(block.size)
     kernel = handwritten(
         "_".join(["adapt", str(h), *(name.lower() for name, on in chosen.items() if on)]),
         BLOCK,
@@ -147,26 +216,10 @@ def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Exp
         | {"root": dense(h, h), "mean": many, "signal": one},
         {"next": all_of_it, "weights": many, "innovation": one},
     )
-    found: list[Expression] = kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance)
-    return tuple(found)
-
-
-def _size(block: Block) -> int:
-    """Numbers of a block's belief."""
-    return len(block.at) * (len(block.at) + 1)
+    return tuple(kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance))
 
 
 def prior_belief(adapting: Adapting) -> np.ndarray:
     """The belief without data: b = 0 and P = I of every block, one after the other, matrices by columns."""
     parts = [part for block in adapting.blocks for part in (np.zeros(len(block.at)), np.eye(len(block.at)).ravel())]
     return np.concatenate(parts)
-
-
-def split_belief(adapting: Adapting, belief: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """b (h,) and P (h, h) of every block."""
-    found, first = [], 0
-    for block in adapting.blocks:
-        h = len(block.at)
-        found.append((belief[first : first + h], belief[first + h : first + h + h * h].reshape(h, h)))
-        first += h + h * h
-    return found

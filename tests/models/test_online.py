@@ -8,13 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process, adapting_terms, from_zero
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_acceleration, linear_drag_residual
-from quadexp.air.neural import neural_residual
-from quadexp.air.online import Law, prior_belief, split_belief, update_function
 from quadexp.compile.backend import BufferedFunction, compiler, realise
-from tests.air.models import make_residual, network
+from quadexp.models.gaussian_process import OutputPosterior, adapting_process, gaussian_process_residual
+from quadexp.models.linear_drag import adapting_drag, linear_drag_acceleration, linear_drag_residual
+from quadexp.models.neural import adapting_network, neural_residual
+from quadexp.models.online import Law, from_zero, prior_belief, update_function
+from quadexp.models.terms import adapting_terms
+from tests.models.residuals import make_residual, network
 
 POINTS, LENGTH = np.linspace(-12, 12, 9), 4.0  # m/s, of the Gaussian processes
 STILL = np.array([0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
@@ -46,7 +46,14 @@ class Learner:
 
     @property
     def blocks(self):
-        return split_belief(self.adapting, self.f.arguments["belief"])
+        return self.split(self.adapting, self.f.arguments["belief"])
+
+    @staticmethod
+    def split(adapting, belief):
+        """b (h,) and P (h, h) of every block."""
+        sizes = [len(block.at) for block in adapting.blocks]
+        pieces = np.split(belief, np.cumsum([block.size for block in adapting.blocks])[:-1])
+        return [(piece[:h], piece[h:].reshape(h, h)) for piece, h in zip(pieces, sizes, strict=True)]
 
     @property
     def theta(self):
@@ -78,7 +85,8 @@ def designs(adapting, v, u):
 def families(vehicle):
     rng = np.random.default_rng(1)
     outputs = [
-        GPOutput(f"a_{axis}", (f"v_{axis}",), POINTS[:, None], rng.normal(size=9), np.array([LENGTH])) for axis in "xyz"
+        OutputPosterior.mean_only(f"a_{axis}", (f"v_{axis}",), POINTS[:, None], rng.normal(size=9), np.array([LENGTH]))
+        for axis in "xyz"
     ]
     return {
         "linear_drag": adapting_drag(vehicle, linear_drag_residual(vehicle, (0.2, 0.1, 0.0)), 1.0),
@@ -107,17 +115,6 @@ def test_without_forgetting_it_is_least_squares_on_all_samples(vehicle, rng, fam
         assert np.allclose(P, np.linalg.inv(information), atol=1e-10)
         assert np.allclose(X @ b, X @ expected, atol=1e-7)
         assert np.allclose(learner.theta[block.at], block.mean + block.root @ b, rtol=1e-12, atol=1e-12)
-
-
-def test_a_wide_prior_gives_plain_least_squares(vehicle, rng):
-    adapting = adapting_terms(vehicle, 1e4)
-    learner = Learner(vehicle, adapting, Law("rls"), variance=0.01)
-    v, u, y = samples(rng, 400)
-    for sample in zip(v, u, y, strict=True):
-        learner.sample(*sample)
-    for block, X in zip(adapting.blocks, designs(adapting, v, u), strict=True):
-        plain = np.linalg.lstsq(X @ np.linalg.inv(block.root), y[:, block.axis], rcond=None)[0]
-        assert np.allclose(learner.theta[block.at], plain, rtol=1e-5, atol=1e-6)
 
 
 def test_the_prior_of_drag_is_of_one_size_at_usual_speed_and_thrust(vehicle):
@@ -197,23 +194,6 @@ def test_the_covariance_of_a_gaussian_process_after_1e5_samples(vehicle, forgett
         if not forgetting:
             expected = np.linalg.inv(np.eye(len(P)) + information / 1e-2)
             assert np.abs(P - expected).max() < 1e-8
-
-
-def test_fitc_counts_what_the_inducing_points_do_not_know(vehicle, rng):
-    """Far from all points a sample says nothing of them: its noise is the whole signal variance."""
-    adapting = families(vehicle)["gaussian_process"]
-    plain, fitc = (Learner(vehicle, adapting, Law("bayes", on), variance=1e-4) for on in (False, True))
-    z = np.array([6.0, -4.0, 3.0]), np.full(4, 3.0)
-    for learner in (plain, fitc):
-        learner.sample(*z, [1.0, -1.0, 0.5])
-    for block, X, (b, _), (c, _) in zip(
-        adapting.blocks, designs(adapting, z[0][None], z[1][None]), plain.blocks, fitc.blocks, strict=True
-    ):
-        phi = X[0]
-        unknown = block.signal_variance - phi @ phi
-        assert unknown > 0
-        shrink = (phi @ phi + 1e-4) / (phi @ phi + 1e-4 + unknown)
-        assert np.allclose(c, shrink * b, rtol=1e-8)
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -335,7 +315,7 @@ def test_the_tracking_error_is_taken_in_body_axes(vehicle, rng):
     sigma = turn.inv().apply(v - path[3:] + rate * (p - path[:3]))
     rows = designs(adapting, turn.inv().apply(v)[None], thrust[None])
     for block, phi, (b, _) in zip(
-        adapting.blocks, rows, split_belief(adapting, learner.f.results["new_belief"]), strict=True
+        adapting.blocks, rows, learner.split(adapting, learner.f.results["new_belief"]), strict=True
     ):
         assert b == pytest.approx(0.1 * sigma[block.axis] * phi[0], abs=1e-9)
 

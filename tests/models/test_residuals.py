@@ -6,14 +6,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.base import symbolic_residual
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.none import no_residual
+from quadexp.compile.backend import realise
 from quadexp.errors import UsageError
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.residual import no_residual, scaled_residual, symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.air.models import RESIDUALS, make_residual
+from tests.models.residuals import RESIDUALS, make_residual
 
 
 def features(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -71,7 +71,7 @@ def test_linear_drag_is_its_equation(vehicle, rng):
 
 def test_gaussian_process_is_its_equation(vehicle, rng):
     Z, alpha, length = rng.normal(0, 5, (9, 2)), rng.normal(size=9), np.array([3.0, 7.0])
-    output = GPOutput("a_z", ("v_z", "thrust"), Z, alpha, length)
+    output = OutputPosterior.mean_only("a_z", ("v_z", "thrust"), Z, alpha, length)
     z = features(rng, 8)
     phi = np.stack([z[:, 2], z[:, 6:].sum(1)], axis=-1)
     kernel = np.exp(-0.5 * (((phi[:, None] - Z) / length) ** 2).sum(-1))
@@ -80,12 +80,10 @@ def test_gaussian_process_is_its_equation(vehicle, rng):
     assert np.allclose(gaussian_process_residual(vehicle, [output])(z), expected, rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("output", "feature", "found"), [("a_q", "v_x", "a_q"), ("a_x", "speed", "speed")], ids=["output", "feature"]
-)
-def test_unknown_names_are_refused(vehicle, output, feature, found):
-    with pytest.raises(UsageError, match=f"{found!r}: allowed are"):
-        gaussian_process_residual(vehicle, [GPOutput(output, (feature,), np.zeros((3, 1)), np.zeros(3), np.ones(1))])
+def test_unknown_features_are_refused(vehicle):
+    points = OutputPosterior.mean_only("a_x", ("speed",), np.zeros((3, 1)), np.zeros(3), np.ones(1))
+    with pytest.raises(UsageError, match="gp feature 'speed': allowed are"):
+        gaussian_process_residual(vehicle, [points])
 
 
 def test_plant_residual_is_what_the_plant_does(vehicle, rng):
@@ -110,3 +108,39 @@ def test_torrente_numbers(vehicle):
     loss = 4 * 20 * 0.1 * (4 / 20 / 1.3) ** 2
     expected = [-0.3 * 8 - 0.08 * 64, 0.3 * 3 + 0.08 * 9, -0.08 * 4 - loss, 0, 0, 0]
     assert np.allclose(residual(z)[0], expected)
+
+
+FORMS = ["gp_per_axis", "gp_thrust", "gp_with_mean", "neural", "sum"]
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_it_takes_and_gives_the_same(vehicle, name):
+    """Shapes and structural zeros, with or without a compiler."""
+    residual = make_residual(name, vehicle)
+    for side in ("sparsity_in", "sparsity_out"):
+        for i in range(2):
+            assert getattr(residual.to_compile, side)(i) == getattr(residual.function, side)(i)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_hand_written_sums_are_the_matrix_ones(vehicle, name, rng):
+    residual = make_residual(name, vehicle)
+    compiled = realise(residual.to_compile, "compiled")
+    for size in (1.0, 8.0, 80.0):  # the last one is out of every point's reach
+        z = size * rng.normal(size=6 + vehicle.n_rotors)
+        for there, here in zip(compiled(z, residual.theta), residual.function(z, residual.theta), strict=True):
+            assert there.sparsity() == here.sparsity()
+            assert np.allclose(there.nonzeros(), here.nonzeros(), rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["none", "linear_drag", "gp_with_mean"])
+def test_it_scales_outputs_and_derivatives(vehicle, rng, name):
+    residual = make_residual(name, vehicle)
+    scaled, z = scaled_residual(residual), rng.normal(size=6 + vehicle.n_rotors)
+    assert scaled.unscaled is residual and scaled.is_zero == residual.is_zero and scaled.name == residual.name
+    values = [np.array(part) for part in residual.function(z, residual.theta)]
+    for scale in (1.0, 0.0, 1.7):
+        found = scaled.function(z, np.append(residual.theta, scale))
+        for one, value in zip(found, values, strict=True):
+            assert np.array(one) == pytest.approx(scale * value, abs=1e-14)
+    assert scaled(z) == pytest.approx(residual(z), abs=0)

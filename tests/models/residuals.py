@@ -7,14 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from quadexp.air.base import Residual
-from quadexp.air.blade_element import blade_element_residual
-from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
-from quadexp.air.network import Network
-from quadexp.air.neural import neural_residual
-from quadexp.air.none import no_residual
-from quadexp.air.sum import sum_residual
+from quadexp.models.blade_element import blade_element_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.models.neural import Network, neural_residual
+from quadexp.models.residual import Residual, no_residual, sum_residual
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
@@ -65,7 +62,7 @@ def make_residual(name: str, vehicle: Vehicle) -> Residual:
     if name == "gp_thrust":
         features = {"a_x": ("v_x", "w_y"), "a_z": ("v_z", "thrust"), "tau_y": ("v_x", "u_1", "w_y")}
     outputs = [
-        GPOutput(
+        OutputPosterior.mean_only(
             output, names, rng.uniform(-10, 10, (15, len(names))), rng.normal(size=15), rng.uniform(3, 8, len(names))
         )
         for output, names in features.items()

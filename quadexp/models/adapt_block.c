@@ -1,4 +1,4 @@
-/* One update of the weights of one component (quadexp/air/online.py), as the body of a compiled function.
+/* One update of the weights of one component (quadexp/models/online.py), as the body of a compiled function.
 
    Declared before: SIZE = h, RLS, FITC, COMPOSITE (0 or 1); in: belief (b, then P by columns), row (regressors of the
    weights), root (h, h; by columns), mean (h), sample, variance, decay, signal (variance of the function a priori),
