@@ -18,8 +18,8 @@ from typing import Any, get_args
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.option_files import folders, unreadable
-from quadexp.parts.plain_data import read_data
+from quadexp.parts.option_files import folders
+from quadexp.parts.plain_data import read_data, unreadable
 from quadexp.parts.schema import REMEDIES, Config, remedies
 from quadexp.parts.settings import Declared, declared, inside, record
 
