@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from quadexp.parts.learning import GPKeys
+from quadexp.models.settings import GPKeys
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, Output, Positive, Prediction, Record, Shape, Share
 from quadexp.models.dataset import ResidualDataset

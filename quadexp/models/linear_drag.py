@@ -30,7 +30,7 @@ from quadexp.models.thrust_scale import with_common_scale
 if TYPE_CHECKING:
     from quadexp.air.adapting import Adapting
     from quadexp.air.base import Residual
-    from quadexp.parts.learning import DragConfig
+    from quadexp.models.settings import DragConfig
     from quadexp.physics.vehicle import Vehicle
 
 AXES = "xyz"

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from quadexp.air.network import Network, evaluated
-from quadexp.parts.learning import NNKeys
+from quadexp.models.settings import NNKeys
 from quadexp.parts.settings import record
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Callback, Model, Output, Prediction, Shape

@@ -29,5 +29,3 @@ def refuse_former(text: str) -> None:
     """UsageError where a key, or GROUP=OPTION, is one of an earlier version."""
     if text in FORMER:
         raise UsageError(f"{text}: is no more: {FORMER[text]}")
-    if text.startswith(("truth=sun_", "external=sun_", "estimator=sun_")):
-        raise UsageError(f"{text}: is no more: world=sun_{text.partition('=sun_')[2]}, or the keys that it sets")

@@ -1,4 +1,4 @@
-"""What Hydra does for this program, by its public functions: it composes files, and reads every override.
+"""What Hydra does for this program, by its public functions alone: it composes files, and reads every override.
 
 Importing it takes a tenth of a second and composing a choice of options as much again. So it is imported only where a
 choice has not been composed before (kept.py) or an override is not plain (override.py).
@@ -14,12 +14,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import hydra
-from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
+from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import OmegaConf
@@ -94,7 +94,7 @@ class SheetSource(ConfigSource):
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(self.entries[name].content), header)
 
 
-SourcesRegistry.instance().register(SheetSource)
+Plugins.instance().register(SheetSource)
 
 
 class _Groups:

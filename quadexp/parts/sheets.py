@@ -7,7 +7,7 @@
 
 `of` names the option that it extends, `meaning` says in words what it is, `provenance` where its values come from; the
 rest is what a file GROUP/OPTION.yaml would state. Of a bundle (world, remedies) a key that names a group chooses its
-option, and GROUP.KEY sets a value. A part of the world whose values are set so is called as the option: truth=heavy.
+option, and GROUP.KEY sets a value. A part of a world whose values are set so is an option too: truth=heavy.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.parts.plain_data import read_mapping
-from quadexp.parts.schema import BUNDLES, PARTS, PRESETS, WORLD
+from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD
 
 FOLDER = "options"  # of the sheets, in a folder of configuration
+ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
 
 
 class Entry(NamedTuple):
@@ -50,33 +51,37 @@ def entries(folder: Path) -> dict[str, Entry]:
 
 @functools.cache
 def _read(sheet: Path, modified: int, size: int) -> dict[str, Entry]:
-    options = {}
-    allowed = ", ".join([*PARTS, *PRESETS, *BUNDLES])
+    options: dict[str, Entry] = {}
+    groups = (*PARTS, *PRESETS, *BUNDLES)
     for group, stated in read_mapping(sheet).items():
-        if group not in (*PARTS, *PRESETS, *BUNDLES) or not isinstance(stated, Mapping):
-            raise UsageError(f"{sheet}: {group}: must be a group that holds options; groups are {allowed}")
+        if group not in groups or not isinstance(stated, Mapping):
+            raise UsageError(f"{sheet}: {group}: must be a group that holds options; groups are {', '.join(groups)}")
         for option, values in stated.items():
             if not isinstance(values, Mapping):
                 raise UsageError(f"{sheet}: {group}: {option}: must hold keys and values")
-            options[f"{group}/{option}"] = _entry(sheet, str(group), str(option), dict(values))
+            about = [values.get(word) for word in ABOUT]
+            settings = {str(key): value for key, value in values.items() if key not in ABOUT}
+            for name, content in _contents(group, str(option), settings, about[0]).items():
+                options[name] = Entry(sheet, content, " ".join(str(about[1] or "").split()), about[2])
     return options
 
 
-def _entry(sheet: Path, group: str, option: str, values: dict[str, Any]) -> Entry:
-    extended, meaning, provenance = (values.pop(word, None) for word in ("of", "meaning", "provenance"))
+def _contents(group: str, option: str, values: dict[str, Any], extended: Any) -> dict[str, dict[str, Any]]:
+    """Name -> content of the options that an entry stands for. extended: the option that it extends, or None."""
     defaults: list[Any] = [] if extended is None else [extended]
-    content: dict[str, Any] = {}
-    for key, value in values.items():
-        part, dot, rest = str(key).partition(".")
-        if group not in BUNDLES:
-            content[key] = value
-        elif not dot:
-            defaults.append({f"override /{part}": value})
-        else:
-            node = content.setdefault(part, {"name": option} if part in WORLD and group == "world" else {})
-            *parents, last = rest.split(".")
-            for parent in parents:
-                node = node.setdefault(parent, {})
-            node[last] = value
-    content["defaults"] = [*defaults, "_self_"]
-    return Entry(sheet, content, " ".join(str(meaning or "").split()), provenance)
+    if group not in BUNDLES:
+        return {f"{group}/{option}": {"defaults": [*defaults, "_self_"], **values}}
+    chosen = {key: value for key, value in values.items() if "." not in key}
+    nodes: dict[str, dict[str, Any]] = {}
+    for key in (key for key in values if key not in chosen):
+        part, *parents, last = key.split(".")
+        node = nodes.setdefault(part, {})
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        node[last] = values[key]
+    contents = {}
+    for part in nodes.keys() & WORLD if group == "world" else ():
+        contents |= _contents(part, option, {"name": option, **nodes.pop(part)}, chosen.get(part, CHOSEN[part]))
+        chosen[part] = option
+    overrides = [{f"override /{part}": chosen[part]} for part in chosen]
+    return {**contents, f"{group}/{option}": {"defaults": [*defaults, *overrides, "_self_"], **nodes}}

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from quadexp.parts.learning import DragConfig
+from quadexp.models.settings import DragConfig
 from quadexp.models.base import AXIS
 from quadexp.models.checkpoint import load_model, plain, record_of, save_model
 from quadexp.models.gaussian_process import GPModel, GPSettings

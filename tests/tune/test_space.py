@@ -10,7 +10,7 @@ import yaml
 
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.schema import conf_folder
+from quadexp.parts.option_files import OptionFiles
 from quadexp.tune.space import default_space, overrides, read_axes
 
 CONFIG = compose(["controller=nominal_mpc", "controller.position_weight=[6,6,15]"])
@@ -83,7 +83,7 @@ def test_proportions_are_within_the_range_of_the_setting():
 
 
 SPACES = sorted(yaml.safe_load((files("quadexp.tune") / "spaces.yaml").read_text()))
-OPTIONS = sorted(path.stem for path in (conf_folder() / "controller").glob("*.yaml"))
+OPTIONS = OptionFiles().options("controller")
 
 
 @pytest.mark.parametrize("option", OPTIONS)
@@ -107,10 +107,10 @@ def test_a_space_of_the_users_own_comes_first(tmp_path):
 
 
 REMEDY_OPTIONS = [
-    (group, path.stem)
+    (group, option)
     for group in ("observer", "adaptive", "inner", "delay")
-    for path in sorted((conf_folder() / group).glob("*.yaml"))
-    if path.stem in SPACES
+    for option in OptionFiles().options(group)
+    if option in SPACES
 ]
 
 

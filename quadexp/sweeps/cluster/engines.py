@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.parts.engine import DaskConfig, JobsConfig
 from quadexp.parts.schema import Config
 from quadexp.sweeps.engine import Engine, LocalEngine, Workers, default_workers
+from quadexp.sweeps.engine_settings import DaskConfig, JobsConfig
 
 NEEDED = {"dask": ("distributed", "cryptography"), "jobs": ("distributed", "cryptography", "dask_jobqueue")}
 

@@ -21,7 +21,7 @@ from distributed.security import Security
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.files.cache import cache_folder
-from quadexp.parts.engine import CERTIFICATES, DaskConfig, JobsConfig
+from quadexp.sweeps.engine_settings import CERTIFICATES, DaskConfig, JobsConfig
 from quadexp.sweeps.server import SAFE, THREADS, safe_path
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.
