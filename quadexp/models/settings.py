@@ -11,6 +11,12 @@ from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, Settings, declared
 
 _FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
+# Models that a controller flies with, and the command that makes their checkpoint; `residual` names them.
+MAKERS = {
+    "linear_drag": "quadexp fit-drag DATASET --out models/drag",
+    "gaussian_process": "quadexp fit-gp DATASET --out models/gp",
+    "neural": "quadexp fit-nn DATASET --out models/nn",
+}
 HOLDOUT = Setting("share of the flights held out of the fit, on which it is reported", "[0, 0.9]", "of the flights")
 
 

@@ -79,7 +79,7 @@ def _contents(group: str, option: str, values: dict[str, Any], extended: Any) ->
         for parent in parents:
             node = node.setdefault(parent, {})
         node[last] = values[key]
-    contents = {}
+    contents: dict[str, dict[str, Any]] = {}
     for part in nodes.keys() & WORLD if group == "world" else ():
         contents |= _contents(part, option, {"name": option, **nodes.pop(part)}, chosen.get(part, CHOSEN[part]))
         chosen[part] = option
