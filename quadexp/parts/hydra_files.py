@@ -28,7 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 from quadexp.errors import UsageError
 from quadexp.messages import one_line
 from quadexp.parts.former_options import former_nodes
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.option_files import LOOK, OptionFiles
 from quadexp.parts.override import quoted
 from quadexp.parts.schema import BUNDLES, PRESETS, conf_folder
 from quadexp.parts.sheets import Entry
@@ -55,6 +55,8 @@ def composed_files(name: str, chosen: Sequence[str], files: OptionFiles) -> dict
     content.pop("hydra")
     for key, value in content.items():
         option = options.get(str(key)) or name.partition(str(key) + "/")[2]
+        if isinstance(value, dict):
+            value.pop(LOOK, None)
         if isinstance(value, dict) and option:  # a part is named after its option, unless its file says otherwise
             value.setdefault("name", option)
     return {str(key): value for key, value in content.items()}

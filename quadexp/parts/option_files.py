@@ -20,6 +20,7 @@ from quadexp.parts.schema import PARTS, conf_folder
 from quadexp.parts.settings import declared
 from quadexp.parts.sheets import FOLDER, Entry, entries
 
+LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
 _MODIFIERS = re.compile(r"^\s*(?:(?:override|optional)\s+)*")
 
 
@@ -67,6 +68,14 @@ class OptionFiles:
 
     def read(self, name: str) -> Mapping[str, Any]:
         """What an option states, which must be there; UsageError where its file is no YAML."""
+        return {key: value for key, value in self._stated(name).items() if key != LOOK}
+
+    def look(self, name: str) -> Mapping[str, Any]:
+        """How an option is drawn: hue, marker, dash; empty where it does not say."""
+        look = self._stated(name).get(LOOK) or {}
+        return look if isinstance(look, Mapping) else {}
+
+    def _stated(self, name: str) -> Mapping[str, Any]:
         if name in self.entries:
             return self.entries[name].content
         path = self.find(name)

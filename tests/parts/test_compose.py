@@ -51,6 +51,7 @@ def hydra_composes(overrides):
         composed = OmegaConf.to_container(composed)
         del composed["hydra"]
         for group in PARTS:
+            composed[group].pop("look", None)
             part = part_class(group, composed[group].pop("_target_"))
             composed[group] = over(plain(part), {"name": chosen[group]} | composed[group])
         whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
