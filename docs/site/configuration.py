@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import yaml
@@ -26,7 +25,7 @@ WORDS = {float: "number", int: "whole number", bool: "true, false"}
 HEAD = """# Configuration reference
 
 A configuration is one option of every group (`vehicle=torrente`, `plant=simplified`, ...), each a file in
-`conf/<group>/`, plus single keys. Everything can be given
+`conf/<group>/` or an entry of a sheet `conf/options/<name>.yaml`, plus single keys. Everything can be given
 
 - on the command line: `KEY=VALUE`, such as `trajectory.speed=8` or `controller.position_weight=[20,20,20]`;
 - in a file of your own: a folder laid out as `conf/`, given with `--conf DIR` ([guide](guide.md#your-own-parts));
@@ -74,13 +73,13 @@ def reference() -> str:
 
 def _preset(group: str) -> str:
     """A group of presets: what each of its options sets."""
-    folder = conf_folder() / group
+    files = OptionFiles()
     lines = [f"### {group}: presets\n", f"A choice beside `{PRESETS[group]}=` that sets several of its keys at once.\n"]
     lines += ["| option | sets | meaning |", "|---|---|---|"]
-    for path in sorted(folder.glob("*.yaml")):
-        said, values = _said(path)
+    for option in files.options(group):
+        values = {key: value for key, value in files.read(f"{group}/{option}").items() if key != "defaults"}
         sets = ", ".join(f"`{PRESETS[group]}.{key}={value}`" for key, value in values.items()) or "nothing"
-        lines.append(f"| `{group}={path.stem}` | {sets} | {said} |")
+        lines.append(f"| `{group}={option}` | {sets} | {files.meaning(f'{group}/{option}')} |")
     return "\n".join(lines) + "\n"
 
 
@@ -89,19 +88,23 @@ def _bundles() -> str:
     lines = [f"## world\n\nA choice of several parts at once: {', '.join(f'`{group}`' for group in WORLD)}; see"]
     lines += ["[worlds](worlds.md). An option of a part that is given besides counts.\n"]
     lines += ["| option | chooses | meaning |", "|---|---|---|"]
-    for path in sorted((conf_folder() / "world").glob("*.yaml")):
-        said, content = _said(path)
-        choices = [item for one in content.get("defaults", ()) if one != "_self_" for item in one.items()]
+    files = OptionFiles()
+    for option in files.options("world"):
+        content = files.read(f"world/{option}")
+        choices = [item for one in content["defaults"] if one != "_self_" for item in one.items()]
         chosen = [f"`{key.removeprefix('override /')}={value}`" for key, value in choices]
-        lines.append(f"| `world={path.stem}` | {', '.join(chosen) or 'nothing'} | {said} |")
+        chosen += [f"`{key}={value}`" for key, value in stated(content) if not key.endswith(".name")]
+        lines.append(f"| `world={option}` | {', '.join(chosen) or 'nothing'} | {files.meaning(f'world/{option}')} |")
     return "\n".join(lines) + "\n"
 
 
-def _said(path: Path) -> tuple[str, dict[str, Any]]:
-    """The comment at the head of a file of presets, and its content."""
-    text = path.read_text(encoding="utf-8")
-    said = [line[2:] for line in text.splitlines() if line.startswith("# ") and "@package" not in line]
-    return " ".join(said), yaml.safe_load(text) or {}
+def stated(content: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted key and value of all that an option sets."""
+    for key, value in content.items():
+        if isinstance(value, dict):
+            yield from stated(value, f"{prefix}{key}.")
+        elif key != "defaults":
+            yield f"{prefix}{key}", value
 
 
 def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
@@ -160,7 +163,7 @@ def _first_sentences(part: type) -> str:
 def _values(group: str, option: str) -> dict[str, Any]:
     """What an option sets, with what it inherits from others."""
     values: dict[str, Any] = {}
-    content = _read(group, option)
+    content = dict(OptionFiles().read(f"{group}/{option}"))
     content.pop("_target_", None)
     for default in content.pop("defaults", ["_self_"]):
         if default == "_self_":
@@ -168,10 +171,6 @@ def _values(group: str, option: str) -> dict[str, Any]:
         elif isinstance(default, str) and not default.startswith("/"):
             values |= _values(group, default)
     return values
-
-
-def _read(group: str, option: str) -> dict[str, Any]:
-    return yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text(encoding="utf-8")) or {}
 
 
 def _table(keys: Iterator[Key]) -> str:

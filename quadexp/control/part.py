@@ -8,16 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
+from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given, Part
 from quadexp.parts.settings import Setting
 
-RESIDUAL = Setting("model that is added to the rigid body in the prediction")
-# Models that are fitted, and the command that makes their checkpoint.
-MAKERS = {
-    "linear_drag": "quadexp fit-drag DATASET --out models/drag",
-    "gaussian_process": "quadexp fit-gp DATASET --out models/gp",
-    "neural": "quadexp fit-nn DATASET --out models/nn",
-}
+RESIDUAL = Setting("model that is added to the rigid body in the prediction", words=("none", *MAKERS, "plant"))
 
 
 @dataclass(frozen=True, kw_only=True)

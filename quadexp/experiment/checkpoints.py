@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from quadexp.control.part import MAKERS
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.inputs import located
 from quadexp.experiment.kept import keep
+from quadexp.models.settings import MAKERS
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 

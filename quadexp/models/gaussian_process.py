@@ -41,10 +41,10 @@ from quadexp.models.linear_drag import (
 from quadexp.models.neural import one_thread
 from quadexp.models.online import Adapting, Block
 from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, feature_names, feature_places
+from quadexp.models.settings import GPKeys
 from quadexp.models.support import library_versions, origin, require_variation
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
-from quadexp.parts.learning import GPKeys
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 

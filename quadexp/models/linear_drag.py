@@ -28,9 +28,9 @@ from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
+from quadexp.models.settings import DragConfig
 from quadexp.models.support import origin
 from quadexp.models.thrust_scale import with_common_scale
-from quadexp.parts.learning import DragConfig
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle

@@ -40,9 +40,9 @@ from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.models.online import Adapting, Block
 from quadexp.models.residual import OUTPUTS, Residual, feature_names, feature_places
+from quadexp.models.settings import NNKeys
 from quadexp.models.support import library_versions, origin, require_variation
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
-from quadexp.parts.learning import NNKeys
 from quadexp.parts.settings import record
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle

@@ -37,7 +37,7 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
 
-from quadexp.parts.learning import GPKeys
+from quadexp.models.settings import GPKeys
 
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound

@@ -106,7 +106,7 @@ class Choices:
     def _composed_anew(self, name: str, chosen: Sequence[Given]) -> dict[str, Any]:
         from quadexp.parts.hydra_files import composed_files
 
-        content = composed_files(name, [one.text for one in chosen], self._files.folders)
+        content = composed_files(name, [one.text for one in chosen], self._files)
         if name == "config":
             self._check_presets(content, chosen)
         return content

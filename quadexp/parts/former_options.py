@@ -75,13 +75,13 @@ delay/none parts.part.Nothing
 delay/strapdown control.delay.strapdown.StrapdownPart
 delay/prediction control.delay.prediction.PredictionPart
 delay/identified control.delay.identified.IdentifiedPart
-collect/flights parts.learning.CollectConfig
-gp/sparse parts.learning.GPConfig
-drag/linear parts.learning.DragConfig
-nn/mlp parts.learning.NNConfig
-engine/local parts.engine.EngineConfig
-engine/dask parts.engine.DaskConfig
-engine/jobs parts.engine.JobsConfig
+collect/flights experiment.collect_settings.CollectConfig
+gp/sparse models.settings.GPConfig
+drag/linear models.settings.DragConfig
+nn/mlp models.settings.NNConfig
+engine/local sweeps.engine_settings.EngineConfig
+engine/dask sweeps.engine_settings.DaskConfig
+engine/jobs sweeps.engine_settings.JobsConfig
 """
 
 

@@ -6,37 +6,45 @@ choice has not been composed before (kept.py) or an override is not plain (overr
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import functools
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
+from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
+from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from quadexp.errors import UsageError
 from quadexp.messages import one_line
 from quadexp.parts.former_options import former_nodes
+from quadexp.parts.option_files import LOOK, OptionFiles
 from quadexp.parts.override import quoted
-from quadexp.parts.schema import conf_folder
+from quadexp.parts.schema import BUNDLES, PRESETS, conf_folder
+from quadexp.parts.sheets import Entry
 
 _one_thread = threading.RLock()  # Hydra composes for one at a time
 _VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}  # later versions take none
 
 
-def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) -> dict[str, Any]:
-    """What a file and a choice of options (GROUP=OPTION each) make together. folders: conf/, then others to search."""
-    own = ",".join(quoted(f"file://{folder}") for folder in folders[1:])
+def composed_files(name: str, chosen: Sequence[str], files: OptionFiles) -> dict[str, Any]:
+    """What a file and a choice of options (GROUP=OPTION each) make together."""
+    own = ",".join(
+        quoted(place) for place in (f"{SheetSource.scheme()}://", *(f"file://{folder}" for folder in files.folders[1:]))
+    )
     with _one_thread, _one_line():
         register_schemas()
+        SheetSource.entries = files.entries
         GlobalHydra.instance().clear()
         with hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
             overrides = [*chosen, f"hydra.searchpath=[{own}]"]
@@ -47,9 +55,48 @@ def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) ->
     content.pop("hydra")
     for key, value in content.items():
         option = options.get(str(key)) or name.partition(str(key) + "/")[2]
+        if isinstance(value, dict):
+            value.pop(LOOK, None)
         if isinstance(value, dict) and option:  # a part is named after its option, unless its file says otherwise
             value.setdefault("name", option)
     return {str(key): value for key, value in content.items()}
+
+
+class SheetSource(ConfigSource):
+    """The options of sheets, as Hydra looks for them after those of conf/."""
+
+    entries: ClassVar[Mapping[str, Entry]] = {}
+
+    @staticmethod
+    def scheme() -> str:
+        """How its address begins."""
+        return "sheets"
+
+    def available(self) -> bool:
+        """Whether there is such a place."""
+        return True
+
+    def is_group(self, config_path: str) -> bool:
+        """Whether sheets have options of a group."""
+        return any(name.startswith(f"{config_path}/") for name in self.entries)
+
+    def is_config(self, config_path: str) -> bool:
+        """Whether a sheet has an option."""
+        return config_path.removesuffix(".yaml") in self.entries
+
+    def list(self, config_path: str, results_filter: ObjectType | None) -> builtins.list[str]:
+        """Options of a group."""
+        return [name.partition("/")[2] for name in self.entries if name.startswith(f"{config_path}/")]
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        """An option as if it were a file."""
+        name = config_path.removesuffix(".yaml")
+        group = name.partition("/")[0]
+        header = {"package": "_global_" if group in BUNDLES else PRESETS.get(group)}
+        return ConfigResult(self.provider, self.full_path(), OmegaConf.create(self.entries[name].content), header)
+
+
+Plugins.instance().register(SheetSource)
 
 
 class _Groups:

@@ -42,7 +42,8 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
 def options(files: OptionFiles, group: str) -> list[Record]:
     """The options of a group, with what the head of each file says."""
     return [
-        {"option": f"{group}={name}", "meaning": _head(files.find(f"{group}/{name}"))} for name in files.options(group)
+        {"option": f"{group}={name}", "meaning": files.meaning(f"{group}/{name}").partition(". ")[0].rstrip(".")}
+        for name in files.options(group)
     ]
 
 
@@ -89,10 +90,3 @@ def _values(files: OptionFiles, group: str, option: str) -> dict[str, Any]:
         elif other != "_self_" and files.find(f"{group}/{other}") is not None:
             values |= _values(files, group, str(other))
     return values | {str(key): value for key, value in content.items() if not str(key).startswith("_")}
-
-
-def _head(path: Path | None) -> str:
-    """The first sentence of the comment at the head of a file."""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path else []
-    said = [line.lstrip("# ") for line in lines if line.startswith("#") and "@package" not in line]
-    return " ".join(said).partition(". ")[0].rstrip(".")

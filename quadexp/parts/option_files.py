@@ -14,11 +14,13 @@ from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
 from quadexp.parts.former_options import FORMER, former_nodes
 from quadexp.parts.part import TARGET, Part, part_class
-from quadexp.parts.plain_data import REFERENCE, REFERENCES, read_data
+from quadexp.parts.plain_data import read_mapping
 from quadexp.parts.plugins import plugin_folders
 from quadexp.parts.schema import PARTS, conf_folder
 from quadexp.parts.settings import declared
+from quadexp.parts.sheets import FOLDER, Entry, entries
 
+LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
 _MODIFIERS = re.compile(r"^\s*(?:(?:override|optional)\s+)*")
 
 
@@ -28,22 +30,31 @@ def folders(extra: Path | None = None) -> list[Path]:
 
 
 def groups(extra: Path | None = None) -> dict[str, list[str]]:
-    """Configuration groups and their options: a listing of the folders."""
+    """Configuration groups and their options: a listing of the folders and of the sheets."""
     found: dict[str, set[str]] = {}
     for root in folders(extra):
+        for name in entries(root):
+            group, _, option = name.partition("/")
+            found.setdefault(group, set()).add(option)
         for folder in sorted(root.iterdir()) if root.is_dir() else ():
-            if folder.is_dir():
+            if folder.is_dir() and folder.name != FOLDER:
                 files = (path for path in folder.glob("*.yaml") if path.is_file())
                 found.setdefault(folder.name, set()).update(path.stem for path in files)
     return {group: sorted(options) for group, options in found.items() if options}
 
 
 class OptionFiles:
-    """folders: in the order in which a file is looked for. groups: the options of every group."""
+    """folders: in the order in which a file is looked for. groups: the options of every group. entries: the options
+    that stand in sheets, but for those that a folder before has as a file."""
 
     def __init__(self, extra: Path | None = None) -> None:
         self.folders = folders(extra)
         self.groups = groups(extra)
+        self.entries: dict[str, Entry] = {}
+        for place, folder in enumerate(self.folders):
+            for name, entry in entries(folder).items():
+                if not any((other / f"{name}.yaml").is_file() for other in self.folders[: place + 1]):
+                    self.entries.setdefault(name, entry)
 
     def options(self, group: str) -> list[str]:
         """Names of a group's options."""
@@ -51,23 +62,33 @@ class OptionFiles:
 
     def find(self, name: str) -> Path | None:
         """The file of a name such as "config" or "plant/ideal"; None where there is none."""
+        if name in self.entries:
+            return self.entries[name].sheet
         return next((path for folder in self.folders if (path := folder / f"{name}.yaml").is_file()), None)
 
     def read(self, name: str) -> Mapping[str, Any]:
-        """What a file says, which must be there; UsageError where it is no YAML."""
-        import yaml
+        """What an option states, which must be there; UsageError where its file is no YAML."""
+        return {key: value for key, value in self._stated(name).items() if key != LOOK}
 
+    def look(self, name: str) -> Mapping[str, Any]:
+        """How an option is drawn: hue, marker, dash; empty where it does not say."""
+        look = self._stated(name).get(LOOK) or {}
+        return look if isinstance(look, Mapping) else {}
+
+    def _stated(self, name: str) -> Mapping[str, Any]:
+        if name in self.entries:
+            return self.entries[name].content
         path = self.find(name)
         assert path is not None, name
-        try:
-            content = read_data(path) or {}
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise unreadable(path, error) from None
-        if wrong := re.search(r"\$\{[^}]{,60}\}?", REFERENCE.sub("", str(content))):
-            raise UsageError(f"{path}: {wrong[0]}: {REFERENCES}")
-        if not isinstance(content, Mapping) or not isinstance(content.get("defaults") or [], list):
-            raise UsageError(f"{path}: must be a mapping {{key: value}}, and `defaults` a list")
-        return content
+        return read_mapping(path)
+
+    def meaning(self, name: str) -> str:
+        """What an option is, in words: of a sheet, or the comment at the head of its file."""
+        path = self.find(name)
+        if path is None or name in self.entries:
+            return self.entries[name].meaning if path else ""
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        return " ".join(line.lstrip("# ") for line in lines if line.startswith("#") and "@package" not in line)
 
     def check(self, names: Iterable[str]) -> None:
         """Read all files that these names lead to by their `defaults`, before a library does: UsageError where one is
@@ -141,14 +162,6 @@ def units(group: str) -> dict[str, str]:
     return {
         name: one.setting.unit for part in OptionFiles().parts(group).values() for name, one in declared(part).items()
     }
-
-
-def unreadable(path: Path, error: Exception) -> UsageError:
-    """What is wrong with a file of YAML, in one line that names it."""
-    mark = getattr(error, "problem_mark", None)
-    place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-    reason = getattr(error, "problem", None) or str(error).splitlines()[0]
-    return UsageError(f"{path}{place}: not valid YAML: {reason}")
 
 
 def _defaults(content: Mapping[str, Any]) -> Iterator[str]:

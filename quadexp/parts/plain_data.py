@@ -64,4 +64,27 @@ def read_data(path: Path) -> Any:
         values[-1] = (values[-1][0], values[-1][1] + size)
         if values[-1][1] > MOST_VALUES or len(values) > DEEPEST:
             raise UsageError(f"{place}: more than {MOST_VALUES} values with their aliases, or {DEEPEST} levels")
-    return yaml.safe_load(text)
+    return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """What a file of configuration states. UsageError where it is more than data, or no mapping."""
+    import yaml
+
+    try:
+        content = read_data(path) or {}
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise unreadable(path, error) from None
+    if wrong := re.search(r"\$\{[^}]{,60}\}?", REFERENCE.sub("", str(content))):
+        raise UsageError(f"{path}: {wrong[0]}: {REFERENCES}")
+    if not isinstance(content, dict) or not isinstance(content.get("defaults") or [], list):
+        raise UsageError(f"{path}: must be a mapping {{key: value}}, and `defaults` a list")
+    return content
+
+
+def unreadable(path: Path, error: Exception) -> UsageError:
+    """What is wrong with a file of YAML, in one line that names it."""
+    mark = getattr(error, "problem_mark", None)
+    place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+    reason = getattr(error, "problem", None) or str(error).splitlines()[0]
+    return UsageError(f"{path}{place}: not valid YAML: {reason}")

@@ -40,7 +40,7 @@ SEEDS = "[0, 4294967295]"  # interval of every seed
 class Setting:
     """What a value means, the interval it must lie in (of a list: each number), its unit, whether it names a thing, as
     one printable line, and whether the noise of a flight is another with another value: a key of a vehicle, plant or
-    trajectory that came after the first flights were stored says no.
+    trajectory that came after the first flights were stored says no. words: of a text, the only ones allowed.
 
     tuned: what `quadexp tune` varies of it unless told otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
     entries of a list or of a key below."""
@@ -50,6 +50,7 @@ class Setting:
     unit: str = ""
     names: bool = False
     noise: bool = True
+    words: tuple[str, ...] = ()
     tuned: tuple[str, ...] = ()
 
 
@@ -132,7 +133,7 @@ def _declared(node: type) -> dict[str, Declared]:
             kind,
             extras[0],
             optional,
-            arguments if get_origin(kind) is Literal else (),
+            arguments if get_origin(kind) is Literal else extras[0].words,
             0 if not listed or arguments[-1] is Ellipsis else len(arguments),
             f,
         )

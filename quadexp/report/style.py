@@ -25,6 +25,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from quadexp.messages import clean
+from quadexp.parts.option_files import OptionFiles
 
 HUES: dict[str, tuple[str, str]] = {  # hue -> colour on light and on dark ground
     "ink": ("#000000", "#ffffff"),
@@ -113,26 +114,25 @@ class Figure(matplotlib.figure.Figure):
 
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
-LOOKS: dict[str, tuple[str, str, Any]] = {  # controller or model of the air -> hue, marker, dash
-    "nominal_mpc": ("grey", "o", "-"),
-    "linear_drag_mpc": ("orange", "s", "-"),
-    "gp_mpc": ("blue", "^", "-"),
-    "rls_mpc": ("vermillion", "D", "-"),
-    "perfect_mpc": ("ink", "v", ":"),
-    "static_feedback": ("pink", "P", "--"),
-    "rls_feedback": ("green", "X", "-"),
-    "oracle_feedback": ("sky", "*", ":"),
-    "literal_feedback": ("brown", "h", "-."),
+Worn = tuple[str, str, Any]  # hue, marker, dash
+
+
+def _looks_of_options() -> tuple[dict[str, Worn], dict[str, Worn]]:
+    """The looks that the options of controllers state (`look:`), and those that share a hue with one of them that they
+    seldom stand beside (`seldom: true`)."""
+    files = OptionFiles()
+    stated = {option: look for option in files.options("controller") if (look := files.look(f"controller/{option}"))}
+    worn = {option: (look["hue"], look["marker"], look["dash"]) for option, look in stated.items()}
+    usual = {option: look for option, look in worn.items() if not stated[option].get("seldom")}
+    return usual, {option: look for option, look in worn.items() if option not in usual}
+
+
+LOOKS, MORE_LOOKS = _looks_of_options()
+LOOKS |= {  # models of the air
     "nominal": ("grey", "o", "-"),
     "linear drag": ("orange", "s", "-"),
     "quadratic drag": ("green", "X", "--"),
     "blade element": ("vermillion", "D", "-."),
-}
-MORE_LOOKS: dict[str, tuple[str, str, Any]] = {  # which share a hue with one above that they seldom stand beside
-    "geometric": ("green", "<", "-"),
-    "pid": ("brown", ">", "--"),
-    "dfbc": ("sky", "p", "-"),
-    "neural_mpc": ("pink", "h", "-"),
 }
 ALL_LOOKS = LOOKS | MORE_LOOKS
 SELDOM = ("green", "sky", "pink", "brown", "vermillion")  # hues that controllers without a look of their own get first

@@ -37,10 +37,10 @@ from quadexp.experiment.checkpoints import MODEL_FILE
 from quadexp.experiment.inputs import use_copies
 from quadexp.files.cache import cache_folder
 from quadexp.files.writer import written
-from quadexp.parts.engine import CERTIFICATES, DaskConfig, JobsConfig
 from quadexp.parts.plugins import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, Task, Workers
+from quadexp.sweeps.engine_settings import CERTIFICATES, DaskConfig, JobsConfig
 from quadexp.sweeps.server import SAFE, THREADS, safe_path
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.

@@ -25,7 +25,6 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
 from quadexp.parts.cells import Cell, Cells
-from quadexp.parts.engine import DaskConfig, JobsConfig
 from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.flown_by import counted, differing_libraries, flown_by, program_name, programs_of
@@ -42,6 +41,7 @@ from quadexp.sweeps.engine import (
     Workers,
     default_workers,
 )
+from quadexp.sweeps.engine_settings import DaskConfig, JobsConfig
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
 

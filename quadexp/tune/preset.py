@@ -18,7 +18,7 @@ from quadexp.files.names import file_name
 from quadexp.files.writer import write_text
 from quadexp.messages import printable
 from quadexp.parts.compose import Composer
-from quadexp.parts.option_files import folders
+from quadexp.parts.option_files import OptionFiles
 from quadexp.parts.schema import REMEDIES, Config
 from quadexp.parts.settings import record
 
@@ -78,7 +78,7 @@ def default_name(options: Mapping[str, str]) -> str:
 
 def hidden(option: Path) -> bool:
     """Whether another option of this group and name comes first: one that ships, or of an installed package."""
-    return any((folder / option.parent.name / option.name).is_file() for folder in folders())
+    return OptionFiles().find(f"{option.parent.name}/{option.stem}") is not None
 
 
 def check_name(options: Mapping[str, str], name: str | None) -> None:
@@ -109,11 +109,11 @@ def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
 
 def provenance_of(option: str, extra: Path | None = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None where its file does not say."""
-    for folder in folders(extra):  # the first is the one that is composed
-        path = folder / group / f"{option}.yaml"
-        if path.is_file():
-            return read_provenance(path.read_text(encoding="utf-8"))
-    return None
+    files, name = OptionFiles(extra), f"{group}/{option}"
+    if name in files.entries:
+        return files.entries[name].provenance
+    path = files.find(name)
+    return read_provenance(path.read_text(encoding="utf-8")) if path else None
 
 
 def read_provenance(text: str) -> dict[str, Any] | None:

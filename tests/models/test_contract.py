@@ -11,7 +11,7 @@ from quadexp.models.checkpoint import load_model, plain, record_of, save_model
 from quadexp.models.gaussian_process import GPModel, GPSettings
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.neural import NeuralModel, NNSettings
-from quadexp.parts.learning import DragConfig
+from quadexp.models.settings import DragConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import pytest
-import yaml
 
 from quadexp.parts.compose import compose, expand, session
-from quadexp.parts.schema import WORLD, conf_folder, world_parts
+from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.schema import WORLD, world_parts
 from quadexp.parts.settings import record
 from tests.parts.test_compose import hydra_composes
 
 # No part, all of them, a few, one; values of a part, of the vehicle, and of what is told late.
 OF_EVERY_SHAPE = ("clean", "everything", "race", "only_wind", "sun_force_15", "sun_com_10", "sun_late_50")
 QUICK = ["experiment=quick", "controller=gp_mpc"]
-BUNDLES = sorted(path.stem for path in (conf_folder() / "world").glob("*.yaml"))
+FILES = OptionFiles()
+BUNDLES = FILES.options("world")
 
 
 def test_they_only_choose_options():
-    """Values stand in the options: a part that is chosen besides is then wholly that part. The conditions of a paper,
-    of which each has values of its own, set them in the bundle."""
+    """Values stand in the options: a part that is chosen besides is then wholly that part."""
     for name in BUNDLES:
-        content = yaml.safe_load((conf_folder() / "world" / f"{name}.yaml").read_text()) or {}
+        content = FILES.read(f"world/{name}")
         chosen = [key for one in content.get("defaults", ()) if one != "_self_" for key in one]
-        values = set(WORLD) if name.startswith("sun_") else set()
-        assert set(content) <= {"defaults"} | values and set(chosen) <= {f"override /{group}" for group in WORLD}
+        assert set(content) <= {"defaults"} and set(chosen) <= {f"override /{group}" for group in WORLD}
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from omegaconf import OmegaConf
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import digest, flight_entropy
 from quadexp.parts.compose import compose, expand, session
-from quadexp.parts.hydra_files import register_schemas
-from quadexp.parts.option_files import groups
+from quadexp.parts.hydra_files import SheetSource, register_schemas
+from quadexp.parts.option_files import OptionFiles, groups
 from quadexp.parts.part import part_class
 from quadexp.parts.schema import PARTS, EvaluateConfig, conf_folder
 from quadexp.parts.settings import plain, record
@@ -41,14 +41,17 @@ def hydra_composes(overrides):
         return defaults | content | nested
 
     register_schemas()
+    SheetSource.entries = OptionFiles().entries
     with session(), hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
         options = groups()  # a value that no file states is added, because defaults are the schemas'
         given = [text if text.partition("=")[0] in options else f"++{text}" for text in overrides]
+        given += ["hydra.searchpath=['sheets://']"]
         composed = hydra.compose("config", overrides=given, return_hydra_config=True)
         chosen = dict(composed.hydra.runtime.choices)
         composed = OmegaConf.to_container(composed)
         del composed["hydra"]
         for group in PARTS:
+            composed[group].pop("look", None)
             part = part_class(group, composed[group].pop("_target_"))
             composed[group] = over(plain(part), {"name": chosen[group]} | composed[group])
         whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)

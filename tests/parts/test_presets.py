@@ -8,7 +8,7 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose, expand, session
-from quadexp.parts.schema import conf_folder
+from quadexp.parts.option_files import OptionFiles
 from quadexp.parts.settings import record
 from tests.parts.test_compose import hydra_composes
 
@@ -54,9 +54,7 @@ def test_a_bundle_of_remedies_may_choose_the_inner_loop():
     assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
 
 
-BUNDLES = [
-    path.stem for path in sorted((conf_folder() / "remedies").glob("*.yaml")) if not path.stem.endswith("_tuned")
-]
+BUNDLES = [name for name in OptionFiles().options("remedies") if not name.endswith("_tuned")]
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import heavy_drag
 from quadexp.parts.compose import compose
-from tests.docs.commands import ROOT
+from quadexp.parts.option_files import OptionFiles
 
-SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "vehicle").glob("*.yaml"))
+SHIPPED = OptionFiles().options("vehicle")
 
 
 def vehicle(name):

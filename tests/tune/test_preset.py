@@ -10,6 +10,7 @@ from quadexp.api.frames import Tuning
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata, read_table
 from quadexp.parts.compose import compose, session
+from quadexp.parts.option_files import OptionFiles
 from quadexp.parts.schema import REMEDIES
 from quadexp.parts.settings import record
 from quadexp.tune import Tune
@@ -153,7 +154,7 @@ def test_an_option_is_not_written_over_itself():
         check_name({"controller": "gp_mpc"}, "gp_mpc")
 
 
-SHIPPED = sorted((path.parent.name, path.stem) for path in (ROOT / "conf").glob("*/*_tuned.yaml"))
+SHIPPED = [tuple(name.split("/")) for name in sorted(OptionFiles().entries) if name.endswith("_tuned")]
 PLACE = ("controller", "model", "vehicle", "plant", "sensor", *REMEDIES)  # Lei & Li's are tuned on their vehicle
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.schema import conf_folder
+from quadexp.parts.option_files import OptionFiles
 from quadexp.tune.space import default_space, overrides, read_axes
 
 CONFIG = compose(["controller=nominal_mpc", "controller.position_weight=[6,6,15]"])
@@ -78,7 +78,7 @@ def test_proportions_are_within_the_range_of_the_setting():
         read_axes(["controller.position_weight=1..999999"], CONFIG)  # z is 2.5 times that
 
 
-OPTIONS = sorted(path.stem for path in (conf_folder() / "controller").glob("*.yaml"))
+OPTIONS = OptionFiles().options("controller")
 REMEDY_OPTIONS = ["observer=disturbance", "observer=wind", "adaptive=l1", "inner=indi"]
 
 

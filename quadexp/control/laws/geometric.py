@@ -286,7 +286,7 @@ class Geometric(GeometricKeys, ControllerPart):
     """Geometric tracking on SE(3) (Lee, Leok, McClamroch 2010). residual: its model of the air."""
 
     former_kind = "geometric"
-    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "plant"], RESIDUAL] = "none"
+    residual: Annotated[str, RESIDUAL] = "none"
     backend: Backend = "auto"
 
     def build(self, given: Given) -> Any:

@@ -19,17 +19,18 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
-from quadexp.control.mpc.part import LEARNED, PredictivePart, check_models
+from quadexp.control.mpc.part import PredictivePart, check_models
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.online import Adapting, Law, prior_belief, update_function
 from quadexp.models.residual import Residual, sum_residual
+from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Setting, Settings, part
 from quadexp.physics.vehicle import Vehicle
 
-FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters
+FEATURES = (*MAKERS, "terms")  # models that are linear in some of their parameters
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ class OnlineMPC(PredictivePart):
             if getattr(self.adapt, key) and last != "gaussian_process":
                 has = "fitted signal variance" if key == "fit_prior" else "inducing points"
                 raise UsageError(f"controller.adapt.{key}: {last} has no {has}, a Gaussian process has")
-        if last in LEARNED:
+        if last in MAKERS:
             residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
             deviation = None if self.adapt.fit_prior else self.adapt.deviation
             adapting = checkpoint.adapting(given.vehicle, residual, deviation)

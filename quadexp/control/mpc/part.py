@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import UsageError
+from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Setting, part
 
-LEARNED = ("linear_drag", "gaussian_process", "neural")  # models from checkpoints
 PARTS = Setting("models that are added to the rigid body in the prediction, and summed")
 
 
@@ -50,7 +50,7 @@ class PredictivePart(MPCSettings, ControllerPart):
 class MPC(PredictivePart):
     """Model predictive control (Torrente et al. 2021). residual: its model of the air."""
 
-    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "neural", "plant"], RESIDUAL]
+    residual: Annotated[str, RESIDUAL]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class SumMPC(PredictivePart):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_models("controller.residual", self.residual, LEARNED)
+        check_models("controller.residual", self.residual, tuple(MAKERS))
 
 
 def check_models(key: str, parts: tuple[str, ...], allowed: tuple[str, ...]) -> None:
