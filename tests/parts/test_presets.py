@@ -68,7 +68,7 @@ def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
     choices = [*others, f"remedies={name}"]
     if name == "unknown_vehicle" and "observer=wind" in others:  # its settings are those of observer=disturbance
         for way in (compose, expand):
-            with pytest.raises(UsageError, match=r"observer\.force_limit: no such key"):
+            with pytest.raises(UsageError, match=r"unknown_vehicle: sets observer\.\w+, which observer=wind does"):
                 way(choices)
         return
     (cell,) = expand(choices)

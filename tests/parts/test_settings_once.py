@@ -17,7 +17,7 @@ import quadexp
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.option_files import ABSENT, OptionFiles
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.schema import PARTS, Config, conf_folder
 from quadexp.parts.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
@@ -114,7 +114,8 @@ def stated(content: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def holds_anyway(group: str, option: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """What an option would be without what its own file states, and that."""
-    content = yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text()) or {}
+    file = conf_folder() / group / f"{option}.yaml"
+    content = yaml.safe_load(file.read_text()) or {} if file.is_file() else dict(ABSENT[group][2])
     target, values = content.pop(TARGET, None), {}
     for default in content.pop("defaults", []):
         if default != "_self_":
