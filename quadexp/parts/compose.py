@@ -127,7 +127,8 @@ class Composer:
 
         if len(self._made) > KEPT:
             self._made.clear()
-        nodes, known = {}, {}
+        nodes: dict[str, Any] = {}
+        known: dict[str, Any] = {}
         for name, node in base.items():
             key = (name, node.source, *(one.text for one in of_node.get(name, ())))
             if key not in self._made:

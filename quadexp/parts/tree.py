@@ -63,9 +63,10 @@ class Trees:
     def _layers(self, given: Mapping[str, Any]) -> dict[str, list[Layer]]:
         """What says something of each node, the first first. An option that is given counts over that of the
         experiment, this over those of bundles, the last first."""
-        experiment, chosen_by = given.get("experiment"), {}
+        experiment = given.get("experiment")
+        chosen_by: dict[str, str] = {}
         of_experiment = self._files.option("experiment", experiment).chosen if experiment else {}
-        options = CHOSEN | of_experiment | given
+        options = {**CHOSEN, **of_experiment, **given}
         for bundle in BUNDLES:
             for group, option in self._files.option(bundle, options[bundle]).chosen.items():
                 if group not in given and group not in of_experiment:

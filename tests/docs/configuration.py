@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import yaml
@@ -75,13 +74,13 @@ def reference() -> str:
 
 def _preset(group: str) -> str:
     """A group of presets: what each of its options sets."""
-    folder = conf_folder() / group
     lines = [f"### {group}: presets\n", f"A choice beside `{PRESETS[group]}=` that sets several of its keys at once.\n"]
     lines += ["| option | sets | meaning |", "|---|---|---|"]
-    for path in sorted(folder.glob("*.yaml")):
-        said, values = _said(path)
+    files = OptionFiles()
+    for name in files.options(group):
+        values = files.option(group, name).values
         sets = ", ".join(f"`{PRESETS[group]}.{key}={value}`" for key, value in values.items()) or "nothing"
-        lines.append(f"| `{group}={path.stem}` | {sets} | {said} |")
+        lines.append(f"| `{group}={name}` | {sets} | {_comment(files, group, name)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -90,19 +89,20 @@ def _bundles() -> str:
     lines = [f"## world\n\nA choice of several parts at once: {', '.join(f'`{group}`' for group in WORLD)}; see"]
     lines += ["[worlds](worlds.md). An option of a part that is given besides counts.\n"]
     lines += ["| option | chooses | meaning |", "|---|---|---|"]
-    for path in sorted((conf_folder() / "world").glob("*.yaml")):
-        said, content = _said(path)
-        choices = [item for one in content.get("defaults", ()) if one != "_self_" for item in one.items()]
-        chosen = [f"`{key.removeprefix('override /')}={value}`" for key, value in choices]
-        lines.append(f"| `world={path.stem}` | {', '.join(chosen) or 'nothing'} | {said} |")
+    files = OptionFiles()
+    for name in files.options("world"):
+        chosen = [f"`{group}={option}`" for group, option in files.option("world", name).chosen.items()]
+        lines.append(f"| `world={name}` | {', '.join(chosen) or 'nothing'} | {_comment(files, 'world', name)} |")
     return "\n".join(lines) + "\n"
 
 
-def _said(path: Path) -> tuple[str, dict[str, Any]]:
-    """The comment at the head of a file of presets, and its content."""
-    text = path.read_text(encoding="utf-8")
-    said = [line[2:] for line in text.splitlines() if line.startswith("# ") and "@package" not in line]
-    return " ".join(said), yaml.safe_load(text) or {}
+def _comment(files: OptionFiles, group: str, option: str) -> str:
+    """The comment at the head of an option's file, whole."""
+    path = files.find(f"{group}/{option}")
+    if path is None:
+        return f"{files.meaning(group, option)}."
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return " ".join(line[2:] for line in lines if line.startswith("# ") and "@package" not in line)
 
 
 def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
@@ -160,19 +160,7 @@ def _first_sentences(part: type) -> str:
 
 def _values(group: str, option: str) -> dict[str, Any]:
     """What an option sets, with what it inherits from others."""
-    values: dict[str, Any] = {}
-    content = _read(group, option)
-    content.pop("_target_", None)
-    for default in content.pop("defaults", ["_self_"]):
-        if default == "_self_":
-            values |= content
-        elif isinstance(default, str) and not default.startswith("/"):
-            values |= _values(group, default)
-    return values
-
-
-def _read(group: str, option: str) -> dict[str, Any]:
-    return yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text(encoding="utf-8")) or {}
+    return {key: value for key, value in OptionFiles().option(group, option).values.items() if key != "_target_"}
 
 
 def _table(keys: Iterator[Key]) -> str:
