@@ -73,9 +73,9 @@ class Trees:
                     options[group], chosen_by[group] = option, f"{bundle}={options[bundle]}"
         layers: dict[str, list[Layer]] = {}
         for group in (*CHOSEN, "experiment"):
-            option = options.get(group)
-            if option is None:
+            if options.get(group) is None:
                 continue
+            option = str(options[group])
             values, text = self._files.option(group, option).values, f"{group}={option}"
             if group in GLOBAL:
                 for name, value in values.items():
