@@ -167,9 +167,8 @@ def _product(overrides: Sequence[Given]) -> Grid:
 
 def _as_override(value: Any) -> str:
     """A value of an experiment's `sweep:` as the text of an override."""
-    if isinstance(value, (list, tuple)):
-        return ",".join(map(str, value))
-    return "null" if value is None else str(value)
+    text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+    return "null" if value is None else text
 
 
 @contextlib.contextmanager
