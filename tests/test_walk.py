@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from quadexp.cli.app import app
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
 from quadexp.experiment.kept import unshared
@@ -40,6 +41,12 @@ SETTINGS = (
 )
 # Station -> the functions where its work is done.
 LANDMARKS = {
+    "configuration": (
+        "parts.override.plain_override",
+        "parts.option_files.option",
+        "parts.settings.made",
+        "world.integrator.advance",
+    ),
     "plant": ("physics.rigid_body.state_derivative", "world.integrator.advance"),
     "flight": ("world.integrator.advance", "control.mpc.mpc.command"),
     "store": ("log.store.write_table",),
@@ -52,6 +59,7 @@ LANDMARKS = {
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),
 }
+CONFIGURING = 10  # modules from the words of the command line to the first period
 MOST = 21  # one of them the integrator that all plants share
 
 
@@ -156,6 +164,13 @@ def _step(vehicle: Any, residual: Any, settings: Any, reference: SampledReferenc
 def test_a_newcomer_reads_few_modules(walk):
     read = sorted({module for modules in walk.read.values() for module in modules})
     assert len(read) <= MOST, f"{len(read)} modules: {', '.join(read)}"
+
+
+def test_from_the_words_of_the_command_line_to_the_first_period(tmp_path):
+    walk, words = Walk(), ["trajectory=hover", "trajectory.duration=0.4", *SETTINGS[3:], "--out", str(tmp_path / "f")]
+    walk.station("configuration", lambda: app(["simulate", *words], standalone_mode=False))
+    read = walk.read["configuration"]
+    assert len(read) <= CONFIGURING, ", ".join(read)
 
 
 def test_the_walk_passes_every_room_of_the_data_flow(walk):

@@ -73,13 +73,13 @@ def reference() -> str:
 
 def _preset(group: str) -> str:
     """A group of presets: what each of its options sets."""
-    files = OptionFiles()
     lines = [f"### {group}: presets\n", f"A choice beside `{PRESETS[group]}=` that sets several of its keys at once.\n"]
     lines += ["| option | sets | meaning |", "|---|---|---|"]
-    for option in files.options(group):
-        values = {key: value for key, value in files.read(f"{group}/{option}").items() if key != "defaults"}
+    files = OptionFiles()
+    for name in files.options(group):
+        values = files.option(group, name).values
         sets = ", ".join(f"`{PRESETS[group]}.{key}={value}`" for key, value in values.items()) or "nothing"
-        lines.append(f"| `{group}={option}` | {sets} | {files.meaning(f'{group}/{option}')} |")
+        lines.append(f"| `{group}={name}` | {sets} | {files.meaning(group, name)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -89,12 +89,11 @@ def _bundles() -> str:
     lines += ["[worlds](worlds.md). An option of a part that is given besides counts.\n"]
     lines += ["| option | chooses | meaning |", "|---|---|---|"]
     files = OptionFiles()
-    for option in files.options("world"):
-        content = files.read(f"world/{option}")
-        choices = [item for one in content["defaults"] if one != "_self_" for item in one.items()]
-        chosen = [f"`{key.removeprefix('override /')}={value}`" for key, value in choices]
-        chosen += [f"`{key}={value}`" for key, value in stated(content) if not key.endswith(".name")]
-        lines.append(f"| `world={option}` | {', '.join(chosen) or 'nothing'} | {files.meaning(f'world/{option}')} |")
+    for name in files.options("world"):
+        option = files.option("world", name)
+        chosen = [f"`{group}={other}`" for group, other in option.chosen.items()]
+        chosen += [f"`{key}={value}`" for key, value in stated(option.values) if not key.endswith(".name")]
+        lines.append(f"| `world={name}` | {', '.join(chosen) or 'nothing'} | {files.meaning('world', name)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -103,7 +102,7 @@ def stated(content: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in content.items():
         if isinstance(value, dict):
             yield from stated(value, f"{prefix}{key}.")
-        elif key != "defaults":
+        else:
             yield f"{prefix}{key}", value
 
 
@@ -162,15 +161,7 @@ def _first_sentences(part: type) -> str:
 
 def _values(group: str, option: str) -> dict[str, Any]:
     """What an option sets, with what it inherits from others."""
-    values: dict[str, Any] = {}
-    content = dict(OptionFiles().read(f"{group}/{option}"))
-    content.pop("_target_", None)
-    for default in content.pop("defaults", ["_self_"]):
-        if default == "_self_":
-            values |= content
-        elif isinstance(default, str) and not default.startswith("/"):
-            values |= _values(group, default)
-    return values
+    return {key: value for key, value in OptionFiles().option(group, option).values.items() if key != "_target_"}
 
 
 def _table(keys: Iterator[Key]) -> str:

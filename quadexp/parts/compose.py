@@ -1,7 +1,7 @@
 """From overrides to a configuration.
 
-A choice of options is composed once (choices.py). Values are then set in plain dictionaries, and a node is made, and so
-checked, once for every set of values. Configurations share their nodes: these cannot be changed.
+A choice of options is put together once (tree.py). Values are then set in plain dictionaries, and a node is made, and
+so checked, once for every set of values. Configurations share their nodes: these cannot be changed.
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ from quadexp.files.names import is_name
 from quadexp.messages import one_line, suggestion
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
-from quadexp.parts.choices import Choices
-from quadexp.parts.node import Node, check_key, content_of, references_in
 from quadexp.parts.option_files import OptionFiles
-from quadexp.parts.override import Given
-from quadexp.parts.override_reader import OverrideReader
+from quadexp.parts.override import GROUPS, Given, OverrideReader
 from quadexp.parts.plugins import import_from
 from quadexp.parts.schema import WORLD, Config, world_name
 from quadexp.parts.settings import made
+from quadexp.parts.tree import Node, Trees, check_key, resolved, set_values
 
 KEPT = 50_000  # made nodes that are remembered at most
 EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
@@ -39,9 +37,8 @@ class Composer:
     def __init__(self, extra: Path | None = None) -> None:
         files = OptionFiles(extra)
         self.options, self.having, self.part = files.options, files.having, files.part_of
-        self._groups = files.groups
         self._overrides = OverrideReader(files)
-        self._choices = Choices(files)
+        self._trees = Trees(files)
         self._made: dict[tuple[Any, ...], Any] = {}
         self._checked: set[tuple[Any, ...]] = set()
 
@@ -69,7 +66,7 @@ class Composer:
 
     def _cell_config(self, overrides: Sequence[str]) -> Config:
         with _one_line():
-            config = self._compose(self._overrides.read(overrides), parts=True)
+            config = self._compose(self._overrides.read(overrides))
         return config if config.sweep is None else replace(config, sweep=None)  # a cell is one flight
 
     def _grids(self, parsed: list[Given]) -> Iterator[list[Given]]:
@@ -84,18 +81,17 @@ class Composer:
         rest = [one for one in parsed if one.key != "experiment"]
         for value in values:
             choice = self._overrides.read([f"experiment={value}"])
-            sweep = self._compose(choice, parts=True).sweep
+            sweep = self._compose(choice).sweep
             for grid in _written_out(sweep or {}, str(value)):
                 # The mapping's order is kept: what stands first varies slowest.
                 own = [f"{key}={_as_override(text)}" for key, text in grid.items() if key not in given]
                 yield choice + self._overrides.read(own, sweep=True) + rest
 
-    def _compose(self, parsed: Sequence[Given], *, parts: bool = False) -> Config:
-        """parts: for many configurations with few options, see Choices."""
-        chosen = [one for one in parsed if one.key in self._groups]
-        values = [one for one in parsed if one.key not in self._groups]
+    def _compose(self, parsed: Sequence[Given]) -> Config:
+        chosen = [one for one in parsed if one.key in GROUPS]
+        values = [one for one in parsed if one.key not in GROUPS]
+        base = self._trees.tree(chosen)
         key = tuple(one.text for one in chosen)
-        base = self._choices.put_together(chosen) if parts else self._choices.whole(chosen)
         for one in values:
             if (key, one.key) not in self._checked:
                 check_key({name: node.content for name, node in base.items()}, one.key, self.having)
@@ -107,10 +103,9 @@ class Composer:
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
-        baseline = config.evaluate.baseline
-        if baseline not in self._groups["controller"]:
-            hint = suggestion(baseline, self.options("controller"))
-            raise UsageError(f"evaluate.baseline={baseline}: no such controller{hint}")
+        baseline, controllers = config.evaluate.baseline, self.options("controller")
+        if baseline not in controllers:
+            raise UsageError(f"evaluate.baseline={baseline}: no such controller{suggestion(baseline, controllers)}")
         return config
 
     def _world_name(self, config: Config, chosen: Sequence[Given], values: Sequence[Given]) -> str:
@@ -118,38 +113,34 @@ class Composer:
         bundle = str(bundles[-1].value) if bundles else "clean"
         if not {one.node for one in values}.union(one.key for one in chosen).intersection((*WORLD, "experiment")):
             return world_name(config, bundle, {group: getattr(config, group) for group in WORLD})  # nothing differs
-        key = ("world name", bundle)
-        if key not in self._made:
-            base = self._choices.whole(bundles[-1:])
-            self._made[key] = self._nodes({group: base[group] for group in WORLD}, ())
-        return world_name(config, bundle, self._made[key])
+        base = self._trees.tree(bundles[-1:])
+        return world_name(config, bundle, self._nodes({group: base[group] for group in WORLD}, ()))
 
     def _nodes(self, base: Mapping[str, Node], values: Sequence[Given]) -> dict[str, Any]:
         """The nodes with their values set, and the values of the root."""
-        touching: dict[str, tuple[str, ...]] = {}
-        references = {name: node.references for name, node in base.items()}
+        of_node: dict[str, list[Given]] = {}
         for one in values:
-            touching[one.node] = (*touching.get(one.node, ()), one.text)
-            if not isinstance(one.value, (int, float)):
-                references[one.node] += references_in(one.value)
-        roots = tuple(name for name, node in base.items() if node.schema is None)
-        found, lacking = {}, {}
-        for name in base:
-            # What else decides a node that refers to others: the values of the root, if it refers to nothing else.
-            others = references[name] and (roots if set(references[name]) <= set(roots) else tuple(base))
-            known = (name, *((base[other].source, touching.get(other)) for other in (name, *others)))
-            if known in self._made:
-                found[name] = self._made[known]
-            else:
-                lacking[name] = known, others
-        contents = {name: content_of(name, base, values, others) for name, (_, others) in lacking.items()}
+            of_node.setdefault(one.node, []).append(one)
+
+        def content(name: str) -> Any:
+            return set_values(base[name].content, name, of_node.get(name, ()))
+
         if len(self._made) > KEPT:
             self._made.clear()
-        for name, (known, _) in lacking.items():
-            schema = base[name].schema
-            found[name] = contents[name] if schema is None else made(schema, contents[name], f"{name}.")
-            self._made[known] = found[name]
-        return found
+        nodes: dict[str, Any] = {}
+        known: dict[str, Any] = {}
+        for name, node in base.items():
+            key = (name, node.source, *(one.text for one in of_node.get(name, ())))
+            if key not in self._made:
+                plain = content(name)
+                refers = "${" in str(plain)
+                plain = resolved(plain, name, content, known) if refers else plain
+                nodes[name] = plain if node.schema is None else made(node.schema, plain, f"{name}.")
+                if refers:  # what it is hangs on other nodes too
+                    continue
+                self._made[key] = nodes[name]
+            nodes[name] = self._made[key]
+        return nodes
 
 
 def _written_out(grids: Any, experiment: str) -> Iterator[dict[str, Any]]:
@@ -176,9 +167,8 @@ def _product(overrides: Sequence[Given]) -> Grid:
 
 def _as_override(value: Any) -> str:
     """A value of an experiment's `sweep:` as the text of an override."""
-    if isinstance(value, (list, tuple)):
-        return ",".join(map(str, value))
-    return "null" if value is None else str(value)
+    text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+    return "null" if value is None else text
 
 
 @contextlib.contextmanager

@@ -1,8 +1,18 @@
-"""Keys and options of earlier versions: each is refused by name, with what stands for it today (docs/migrating.md)."""
+"""What earlier versions called otherwise (docs/migrating.md): keys and options are refused by name with what stands for
+them today; the former way to name what an option stands for, `defaults: [/schema/GROUP/NAME@_here_, _self_]`, is read
+for one release, with a note.
+"""
 
 from __future__ import annotations
 
+import functools
+import re
+import sys
+from pathlib import Path
+
 from quadexp.errors import UsageError
+
+FORMER_TARGET = "_former_"  # key of a node: the class that stands for a user's part of the former form
 
 _HOSTS = "start `dask scheduler` and `dask worker` on the hosts, and give engine=dask engine.address=tls://HEAD:PORT"
 _TLS = "what is started here is always encrypted, and engine.address says by tls:// or tcp:// whether it is"
@@ -25,8 +35,46 @@ FORMER = {
     "engine.python": _JOBS.format("python: PATH"),
 }
 
+# Former names that no option has today, and their classes; any other is that of the option of the same name.
+FORMER_CLASSES = {
+    "vehicle/rigid": "physics.vehicle.Vehicle",
+    "plant/custom": "experiment.former_parts.FormerPlant",
+    "link/none": "parts.part.Nothing",
+    "actuator/motors": "world.actuator.Actuator",
+    "battery/circuit": "world.battery.Battery",
+    "sensor/accelerometer": "world.accelerometer.AccelerometerPart",
+    "trajectory/custom": "experiment.former_parts.FormerTrajectory",
+    "trajectory/lei_li_circle": "reference.lei_li_circle.LeiLiCircle",
+    "trajectory/rectangle": "reference.rectangle.Rectangle",
+    "controller/mpc": "control.mpc.part.MPC",
+    "controller/feedback": "control.feedback.controller.Feedback",
+    "controller/cascade": "control.laws.cascade.Cascade",
+    "controller/custom": "experiment.former_parts.FormerController",
+    "controller/custom_residual_mpc": "experiment.former_parts.FormerResidualMPC",
+    "collect/flights": "experiment.collect_settings.CollectConfig",
+    "gp/sparse": "models.settings.GPConfig",
+    "drag/linear": "models.settings.DragConfig",
+    "nn/mlp": "models.settings.NNConfig",
+}
+_SCHEMA = re.compile(r"/schema/(\w+/\w+)@_here_")
+
 
 def refuse_former(text: str) -> None:
     """UsageError where a key, or GROUP=OPTION, is one of an earlier version."""
     if text in FORMER:
         raise UsageError(f"{text}: is no more: {FORMER[text]}")
+
+
+def former_name(default: str, file: Path) -> str:
+    """GROUP/NAME of the former form, "" for another entry of `defaults`. Says once for a file what replaces it."""
+    match = _SCHEMA.fullmatch(default)
+    if match is None:
+        return ""
+    _say(file, default)
+    return match[1]
+
+
+@functools.cache
+def _say(file: Path, default: str) -> None:
+    text = f"note: {file}: defaults: [{default}] is the former form of `_target_: MODULE.CLASS` (docs/migrating.md)"
+    print(text, file=sys.stderr)

@@ -26,10 +26,10 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
     if not asked:
         return [{"group": name, "options": " ".join(files.options(name))} for name in files.groups]
     if option and group in files.groups:
-        if option not in files.options(group):
-            hint = suggestion(option, files.options(group))
-            raise UsageError(f"{asked}: no such {group}{hint}")
-        return keys(files, group, option)
+        name = files.named(group, option)
+        if name is None:
+            raise UsageError(f"{asked}: no such {group}{suggestion(option, files.options(group))}")
+        return keys(files, group, name)
     if group in files.groups:  # and what else is called like it
         return options(files, group) + [one for one in _all_keys(files) if group in one["key"].partition(".")[2]]
     records = [one for name in files.groups for one in options(files, name) if asked in one["option"]]
@@ -42,18 +42,19 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
 def options(files: OptionFiles, group: str) -> list[Record]:
     """The options of a group, with what the head of each file says."""
     return [
-        {"option": f"{group}={name}", "meaning": files.meaning(f"{group}/{name}").partition(". ")[0].rstrip(".")}
+        {"option": f"{group}={name}", "meaning": files.meaning(group, name).partition(". ")[0].rstrip(".")}
         for name in files.options(group)
     ]
 
 
 def keys(files: OptionFiles, group: str, option: str) -> list[Record]:
     """The keys of an option with what it sets them to; of a preset or bundle what it sets."""
-    part, values = files.part_of(group, option), _values(files, group, option)
+    part, read = files.part_of(group, option), files.option(group, option)
     if part is None:
-        return [{"key": key, "value": _text(value), "allowed": "", "meaning": ""} for key, value in values.items()]
+        sets = read.chosen | {key: value for key, value in read.values.items() if not key.startswith("_")}
+        return [{"key": key, "value": _text(value), "allowed": "", "meaning": ""} for key, value in sets.items()]
     return [
-        _key(f"{group}.{name}", one, values.get(name, one.default))
+        _key(f"{group}.{name}", one, read.values.get(name, one.default))
         for name, one in declared(part).items()
         if one.setting.meaning and name != "name"
     ]
@@ -78,15 +79,3 @@ def _key(name: str, one: Declared, value: Any) -> Record:
 
 def _text(value: Any) -> str:
     return "null" if value is None else str(value).replace(" ", "") if not isinstance(value, str) else value
-
-
-def _values(files: OptionFiles, group: str, option: str) -> dict[str, Any]:
-    """What an option's file sets, over those that it extends."""
-    content = dict(files.read(f"{group}/{option}"))
-    values: dict[str, Any] = {}
-    for other in content.pop("defaults", None) or ():
-        if isinstance(other, dict):
-            values |= {str(key).removeprefix("override /"): chosen for key, chosen in other.items()}
-        elif other != "_self_" and files.find(f"{group}/{other}") is not None:
-            values |= _values(files, group, str(other))
-    return values | {str(key): value for key, value in content.items() if not str(key).startswith("_")}

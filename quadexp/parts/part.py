@@ -98,9 +98,8 @@ def imported(key: str, target: str, own: str = OWN) -> Any:
     if named is None:
         hint = suggestion(attribute, [name for name in vars(module) if not name.startswith("_")])
         raise UsageError(f"{said}: module {module_name} has no class or function {attribute!r}{hint}")
-    code = inspect.isclass(named) or inspect.isroutine(named)
     home = getattr(named, "__module__", None) or "builtins"
-    if code and not ours and lies_outside(home):
+    if (inspect.isclass(named) or inspect.isroutine(named)) and not ours and lies_outside(home):
         raise UsageError(
             f"{said}: comes from module {home}, which is neither in the --conf folder nor in an installed plugin"
             " package: call it from a function in your module"

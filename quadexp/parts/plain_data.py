@@ -43,7 +43,8 @@ def read_data(path: Path) -> Any:
     text = read_regular(path).decode("utf-8")
     values: list[tuple[str | None, int]] = [(None, 0)]  # anchor and number of values of all that is open
     sizes: dict[str, int] = {}
-    for event in yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    for event in yaml.parse(text, Loader=loader):
         place = f"{path}, line {event.start_mark.line + 1}"
         if isinstance(event, yaml.NodeEvent):
             anchor, size = event.anchor, 1
@@ -64,7 +65,7 @@ def read_data(path: Path) -> Any:
         values[-1] = (values[-1][0], values[-1][1] + size)
         if values[-1][1] > MOST_VALUES or len(values) > DEEPEST:
             raise UsageError(f"{place}: more than {MOST_VALUES} values with their aliases, or {DEEPEST} levels")
-    return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    return yaml.load(text, Loader=loader)
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

@@ -1,7 +1,4 @@
-"""The whole configuration: one part of every group, and single keys.
-
-Which groups there are, and which of them stand together, is said in conf/ itself.
-"""
+"""The whole configuration: one part of every group, and single keys; which groups stand together."""
 
 from __future__ import annotations
 
@@ -102,28 +99,20 @@ def conf_folder() -> Path:
     raise UsageError(f"no conf/config.yaml beside {here}: the installation is incomplete")
 
 
-_CHOICE = re.compile(r"^ *- (?:override /)?(\w+): (\w+)", re.MULTILINE)
-_PACKAGE = re.compile(r"^# @package (\w+)", re.MULTILINE)
-
-
-def _said(name: str) -> str:
-    return (conf_folder() / f"{name}.yaml").read_text(encoding="utf-8")
-
-
 # The option that config.yaml takes of every group, in its order.
-CHOSEN = {group: option for group, option in _CHOICE.findall(_said("config")) if option != "null"}
-_PACKAGES = {group: _PACKAGE.findall(_said(f"{group}/{option}")) for group, option in CHOSEN.items()}
+CHOSEN: dict[str, str] = dict(
+    re.findall(r"^ *- (\w+): (?!null)(\w+)", (conf_folder() / "config.yaml").read_text(encoding="utf-8"), re.MULTILINE)
+)
+# Around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
+WORLD = (
+    "truth", "payload", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator",
+)  # fmt: skip
+REMEDIES = ("observer", "adaptive", "inner", "delay")  # around a controller, the nearest first; quadexp/control/part.py
 # Groups whose options choose those of several others, and set values of theirs.
-BUNDLES = {
-    group: tuple(part for part, _ in _CHOICE.findall(_said(f"{group}/{CHOSEN[group]}")))
-    for group, package in _PACKAGES.items()
-    if package == ["_global_"]
-}
-WORLD = BUNDLES["world"]  # around an airframe, in the order in which a command meets them; see quadexp/world/effect.py
-REMEDIES = BUNDLES["remedies"]  # around a controller, the one nearest to it first; see quadexp/control/part.py
-# Groups of presets, and the group whose values their options set (`# @package controller`).
-PRESETS = {group: package[0] for group, package in _PACKAGES.items() if package and group not in BUNDLES}
-PARTS = tuple(group for group, package in _PACKAGES.items() if not package)  # the groups whose options stand for a part
+BUNDLES = {"world": WORLD, "remedies": REMEDIES}
+# Groups of presets, and the group whose values their options set.
+PRESETS = {"horizon": "controller", "motor": "controller"}
+PARTS = tuple(group for group in CHOSEN if group not in {*BUNDLES, *PRESETS})  # groups whose options stand for a part
 
 
 def remedies(config: Config) -> dict[str, Any]:

@@ -121,7 +121,7 @@ def _looks_of_options() -> tuple[dict[str, Worn], dict[str, Worn]]:
     """The looks that the options of controllers state (`look:`), and those that share a hue with one of them that they
     seldom stand beside (`seldom: true`)."""
     files = OptionFiles()
-    stated = {option: look for option in files.options("controller") if (look := files.look(f"controller/{option}"))}
+    stated = {option: look for option in files.options("controller") if (look := files.look("controller", option))}
     worn = {option: (look["hue"], look["marker"], look["dash"]) for option, look in stated.items()}
     usual = {option: look for option, look in worn.items() if not stated[option].get("seldom")}
     return usual, {option: look for option, look in worn.items() if option not in usual}

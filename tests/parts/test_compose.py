@@ -8,15 +8,15 @@ from dataclasses import FrozenInstanceError
 
 import hydra
 import pytest
+from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import digest, flight_entropy
 from quadexp.parts.compose import compose, expand, session
-from quadexp.parts.hydra_files import SheetSource, register_schemas
-from quadexp.parts.option_files import OptionFiles, groups
+from quadexp.parts.option_files import ABSENT, OptionFiles, groups
 from quadexp.parts.part import part_class
-from quadexp.parts.schema import PARTS, EvaluateConfig, conf_folder
+from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, EvaluateConfig, conf_folder
 from quadexp.parts.settings import plain, record
 
 OVERRIDES = [
@@ -34,41 +34,50 @@ OVERRIDES = [
 
 
 def hydra_composes(overrides):
-    """What Hydra makes of all overrides together, values too, over the defaults of the schemas that it chose."""
+    """What Hydra makes of all overrides together, values too, over the defaults of the classes that it chose."""
 
     def over(defaults, content):
         nested = {k: over(v, content.get(k, {})) for k, v in defaults.items() if isinstance(v, dict)}
         return defaults | content | nested
 
-    register_schemas()
-    SheetSource.entries = OptionFiles().entries
-    with session(), hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
-        options = groups()  # a value that no file states is added, because defaults are the schemas'
+    for group, (word, _, node) in ABSENT.items():
+        ConfigStore.instance().store(group=group, name=word, node=node)
+    for name, entry in OptionFiles().entries.items():
+        group, _, option = name.partition("/")
+        package = "_global_" if group in BUNDLES else PRESETS.get(group)
+        ConfigStore.instance().store(group=group, name=option, node=entry.content, package=package)
+    with hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        options = groups()  # a value that no file states is added, because defaults are those of classes
         given = [text if text.partition("=")[0] in options else f"++{text}" for text in overrides]
-        given += ["hydra.searchpath=['sheets://']"]
         composed = hydra.compose("config", overrides=given, return_hydra_config=True)
         chosen = dict(composed.hydra.runtime.choices)
         composed = OmegaConf.to_container(composed)
-        del composed["hydra"]
-        for group in PARTS:
-            composed[group].pop("look", None)
-            part = part_class(group, composed[group].pop("_target_"))
-            composed[group] = over(plain(part), {"name": chosen[group]} | composed[group])
-        whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
-        whole["world"] = "clean"  # a name, which is made when all is composed
-        return OmegaConf.to_container(OmegaConf.create(whole), resolve=True)
+    for name in ("hydra", *BUNDLES, *PRESETS):
+        composed.pop(name, None)
+    for group in PARTS:
+        composed[group].pop("look", None)
+        part = part_class(group, composed[group].pop("_target_"))
+        composed[group] = over(plain(part), {"name": chosen[group]} | composed[group])
+    whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
+    whole["world"] = "clean"  # a name, which is made when all is composed
+    return OmegaConf.to_container(OmegaConf.create(whole), resolve=True)
 
 
 @pytest.mark.parametrize("overrides", OVERRIDES, ids=lambda o: " ".join(o) or "defaults")
-def test_the_quick_way_equals_hydras(overrides):
+def test_files_are_joined_as_hydra_joins_them(overrides):
     expected = hydra_composes(overrides)
-    assert record(compose(overrides)) == expected
-    with session() as composer:  # and once more, when everything is kept already
+    with session() as composer:
         composer.compose(overrides[:1])
         assert record(composer.compose(overrides)) == record(composer.compose(overrides)) == expected
-    if not overrides or not overrides[0].startswith("experiment"):  # and put together from single options
-        (cell,) = expand(overrides)
-        assert record(cell.config) == expected | {"sweep": None}
+
+
+def test_none_is_a_word_of_every_group_that_can_be_absent():
+    """It is what config.yaml takes, whatever its word there is."""
+    with session() as composer:
+        for group, (word, meaning, _) in ABSENT.items():
+            assert word == CHOSEN[group] in composer.options(group) and meaning
+            assert record(composer.compose([f"{group}=none"])) == record(composer.compose([]))
+        assert {cell.config.link.name for cell in composer.expand(["link=none,latency"])} == {"ideal", "latency"}
 
 
 def test_every_option_of_every_group_composes():
@@ -99,21 +108,13 @@ def test_configurations_share_what_nobody_can_change():
         first.controller.attitude_weight[0] = 99.0
 
 
-def test_hydra_composes_every_option_once_for_all_cells(monkeypatch, tmp_path):
-    """A composition costs a tenth of a second; what varies by value alone is set in a copy."""
-    monkeypatch.setenv("QUADEXP_CACHE", str(tmp_path / "cache"))
-    composed = []
-    whole = hydra.compose
-    monkeypatch.setattr(hydra, "compose", lambda name, **k: composed.append(name) or whole(name, **k))
-    asked = ["trajectory=circle,lemniscate", "seed=range(100)", "trajectory.speed=4"]
+def test_every_file_is_read_once_for_all_cells(monkeypatch):
+    read = []
+    whole = OptionFiles.read
+    monkeypatch.setattr(OptionFiles, "read", lambda files, *name: read.append(name) or whole(files, *name))
     with session() as composer:
-        cells = composer.expand(asked)
-        assert len({cell.config.seed for cell in cells}) == 100 and len(cells) == 200
-        assert sorted(composed) == ["config", "trajectory/circle", "trajectory/lemniscate"]
-    with session() as composer:  # another run: what Hydra made is kept
-        again = composer.expand(asked)
-        assert [record(cell.config) for cell in again[:3]] == [record(cell.config) for cell in cells[:3]]
-        assert len(composed) == 3
+        cells = list(composer.expand(["trajectory=circle,lemniscate", "wind=none,gust", "seed=range(20)"]))
+    assert len(cells) == 80 and len(read) == len({*read})
 
 
 class TestExpand:
@@ -298,7 +299,7 @@ class TestOwnFolder:
             ),
             ("- name\n", "racer.yaml: must be a mapping"),
             ("", "vehicle=racer: its file names no class"),
-            ("defaults: [/schema/plant/ideal@_here_]\n", "Could not load 'schema/plant/ideal'"),
+            ("defaults: [/schema/plant/idle@_here_]\n", "plant=idle: there is no file plant/idle.yaml"),
             ("defaults: [/schema/plant/simplified@_here_]\n", "Simplified: is a part of plant, not of vehicle"),
             (
                 "defaults: [/schema/vehicle/rigid@_here_, _self_]\nname: racer\nmass: 1.0\nrate_max: 9.0\n",

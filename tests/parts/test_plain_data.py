@@ -73,9 +73,9 @@ def test_references_end(folder, text):
     (folder / "trajectory" / "mine.yaml").write_text(BASE.replace("name: mine\n", text))
     refused(["trajectory=mine"], folder)
     chain = [
-        f"trajectory.name={'x' * 900}",
-        "controller.name=${trajectory.name}${trajectory.name}",
-        "model=${controller.name}",
+        f"model={'x' * 900}",
+        "evaluate.baseline=${model}${model}",
+        "vehicle.name=${evaluate.baseline}",
     ]
     assert "too long to be referred to" in refused(chain, folder)
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.parts.compose import compose, expand, session
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.compose import compose, expand
 from quadexp.parts.settings import record
 from tests.parts.test_compose import hydra_composes
 
@@ -54,38 +53,19 @@ def test_a_bundle_of_remedies_may_choose_the_inner_loop():
     assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
 
 
-BUNDLES = [name for name in OptionFiles().options("remedies") if not name.endswith("_tuned")]
-
-
-@pytest.mark.parametrize(
-    ("name", "others"),
-    [(name, others) for name in BUNDLES for others in ([], ["controller=gp_mpc", "observer=wind"])]
-    + [("offset_free", others) for others in (["controller=gp_mpc"], ["horizon=firm"], ["world=everything"])],
-)
-def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
-    choices = [*others, f"remedies={name}"]
-    if name == "unknown_vehicle" and "observer=wind" in others:  # its settings are those of observer=disturbance
-        for way in (compose, expand):
-            with pytest.raises(UsageError, match=r"observer\.force_limit: no such key"):
-                way(choices)
-        return
-    (cell,) = expand(choices)
-    assert record(cell.config) == record(compose(choices)) | {"sweep": None}
+def test_a_bundle_sets_values_of_the_part_that_it_chooses():
+    """Not of another one that is chosen over it."""
+    with pytest.raises(UsageError, match=r"unknown_vehicle: sets observer\.\w+, which observer=wind does not have"):
+        compose(["observer=wind", "remedies=unknown_vehicle"])
 
 
 @pytest.mark.parametrize(
     ("others", "horizon"),
-    [([], horizon) for horizon in ("published", "precise", "robust", "stiff")]
-    + [([one], "precise") for one in ("experiment=quick", "experiment=torrente_table1", "vehicle=crazyflie")],
+    [([], "published"), ([], "robust"), (["experiment=torrente_table1"], "precise"), (["remedies=all"], "stiff")],
 )
 def test_composed_as_hydra_itself_does(others, horizon):
-    """Putting nodes together option by option is a shortcut: what comes out is Hydra's own composition."""
     choices = [*others, "controller=gp_mpc", f"horizon={horizon}"]
-    expected = hydra_composes(choices)
-    assert record(compose(choices)) == expected
-    if not others or not others[0].startswith("experiment"):
-        (cell,) = expand(choices)
-        assert record(cell.config) == expected | {"sweep": None}
+    assert record(compose(choices)) == hydra_composes(choices)
 
 
 def test_what_has_no_horizon_takes_none():
@@ -113,8 +93,3 @@ def test_a_preset_of_ones_own(tmp_path):
     (tmp_path / "horizon").mkdir()
     (tmp_path / "horizon" / "long.yaml").write_text("# @package controller\nhorizon: 2.0\nnodes: 20\n")
     assert grid("horizon=long", "controller=gp_mpc", conf=tmp_path) == (0.0, 2.0, 20, "command")
-
-
-def test_options_are_listed():
-    with session() as composer:
-        assert composer.options("horizon") == ["firm", "precise", "published", "robust", "stiff"]
