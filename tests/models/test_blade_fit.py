@@ -72,7 +72,7 @@ def test_the_derivative_is_the_whole_one(lei_li):
     """Through the induced velocity, on all axes; here by differences."""
     from quadexp.models.blade_element import _force_function
 
-    function, data, step = _force_function(lei_li, False), air_data(8), 1e-6
+    function, data, step = _force_function(lei_li), air_data(8), 1e-6
     for v, w in zip(data.velocity, data.rotor_speed, strict=True):
         slope = np.array(function(v, w, TRUE)[1])
         for j in range(5):

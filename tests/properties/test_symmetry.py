@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from scipy.spatial.transform import Rotation
 
 from quadexp.models.gaussian_process import gaussian_process_residual
@@ -151,7 +152,9 @@ def mirrored_residual(name: str, vehicle, rng: np.random.Generator):
         outputs, odd = make_gp_outputs(rng), ("v_y", "w_x", "w_z")
         signs = [np.array([-1.0 if name in odd else 1.0 for name in o.features]) for o in outputs]
         images = [
-            replace(o, inducing=o.inducing * s, alpha=o.alpha * (-1 if o.output in ("a_y", "tau_x", "tau_z") else 1))
+            structs.replace(
+                o, inducing=o.inducing * s, alpha=o.alpha * (-1 if o.output in ("a_y", "tau_x", "tau_z") else 1)
+            )
             for o, s in zip(outputs, signs, strict=True)
         ]
         return gaussian_process_residual(vehicle, outputs), gaussian_process_residual(other, images)
