@@ -149,7 +149,7 @@ def mirrored_residual(name: str, vehicle, rng: np.random.Generator):
             linear_drag_residual(other, drag, MIRROR @ intercept, gain),
         )
     if name == "gaussian_process":
-        outputs, odd = make_gp_outputs(rng), ("v_y", "w_x", "w_z")
+        outputs, odd, turned = make_gp_outputs(rng), ("v_y", "w_x", "w_z"), ("a_y", "tau_x", "tau_z")
         signs = [np.array([-1.0 if name in odd else 1.0 for name in o.features]) for o in outputs]
         images = [
             structs.replace(
