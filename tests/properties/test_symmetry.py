@@ -152,9 +152,7 @@ def mirrored_residual(name: str, vehicle, rng: np.random.Generator):
         outputs, odd, turned = make_gp_outputs(rng), ("v_y", "w_x", "w_z"), ("a_y", "tau_x", "tau_z")
         signs = [np.array([-1.0 if name in odd else 1.0 for name in o.features]) for o in outputs]
         images = [
-            structs.replace(
-                o, inducing=o.inducing * s, alpha=o.alpha * (-1 if o.output in ("a_y", "tau_x", "tau_z") else 1)
-            )
+            structs.replace(o, inducing=o.inducing * s, alpha=-o.alpha if o.output in turned else o.alpha)
             for o, s in zip(outputs, signs, strict=True)
         ]
         return gaussian_process_residual(vehicle, outputs), gaussian_process_residual(other, images)
