@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Force, Format, Json, OptionalOut, Out
-from quadexp.cli.terminal import answered, format_of, guarded, print_lines, single_values
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines, say, single_values
 
 
 @guarded
@@ -53,6 +53,7 @@ def compare_two(
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
+    from quadexp.report.checked import check_flights, rows_of
     from quadexp.report.compare import compare, compare_tables
 
     form = format_of(format, json)
@@ -67,7 +68,12 @@ def compare_two(
         from quadexp.report.draw import save_figure
 
         save_figure(picture(report["kind"], [first, *others]), path, force=force)
+    checked = {str(p): check_flights(*rows_of(p)) for p in (first, *others) if report["kind"] == "results"}
+    wrong = [f"{results}: {line}" for results, found in checked.items() for line in found.lines(beside=False)]
     picked = {key: value for key, value in report.items() if key != "lines"} | ({"picture": path} if path else {})
+    picked |= {"checked": [f"{results}: {found.text()}" for results, found in checked.items()] + wrong}
+    for line in wrong:
+        say(f"warning: {line}")
     if not answered(form, picked, lambda: compare_tables(first, *others), "compare"):
         print_lines(report["lines"])
         if path:
@@ -101,7 +107,9 @@ def report(
     made = make_report(results, out, figures=figures, baseline=baseline, force=force)
     if answered(form, made, lambda: _files({"page": made["path"], **made["figures"]}), "report"):
         return
-    print_lines([*made["answer"], made["note"], *made["figures"].values(), made["path"]])
+    checked = made["checked"]
+    print_lines([*made["answer"], made["note"], f"{checked['text']}.", *checked["lines"]])
+    print_lines([*made["figures"].values(), made["path"]])
 
 
 @guarded

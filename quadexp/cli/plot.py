@@ -36,7 +36,7 @@ def plot(
     """Draw results with any keys of the configuration as axes; without keys, what was swept chooses them.
 
     The value of a key is that of the configuration stored with each flight, also of one that was not swept. Means are
-    over the common flights, and bars their intervals, as in tables; k/n stands where only k of n flights ended well.
+    over the common flights, and bars their intervals, as in tables; k/n stands where only k of n flights were completed.
     The suffix of --out chooses the format: png, pdf, svg, or html, a page that opens offline with the numbers.
 
     \b
@@ -45,6 +45,7 @@ def plot(
     quadexp plot results/x --x vehicle.mass --facet trajectory --where "controller like '*_mpc'" --out b.html
     """
     from quadexp.errors import UsageError
+    from quadexp.report.checked import check_flights
     from quadexp.report.draw import FIGURES, check_path, records, save_view
     from quadexp.report.frame import SweepFrame
     from quadexp.report.query import chosen
@@ -64,11 +65,15 @@ def plot(
     save_view(made, path, title=f"{results.name}: {made.y_label}", force=force)
     numbers = records(made)
     about = {"kind": made.kind, "x": made.x.key, "by": made.by, "facet": made.facet, "y": made.y}
-    record = {"path": path, **about, "notes": [made.caption, *made.notes], "points": numbers}
+    checked = check_flights(frame.root, frame.rows)
+    notes = [made.caption, *made.notes, f"{checked.text()}.", *checked.lines()]
+    record = {"path": path, **about, "notes": notes, "points": numbers}
     if answered(form, record, lambda: numbers, "plot"):
         return
     for note in made.notes:
         say(f"note: {note}")
+    for line in checked.lines():
+        say(f"warning: {line}")
     print_lines([path])
 
 

@@ -34,7 +34,7 @@ def results(
     ] = None,
     limit: Annotated[int | None, typer.Option("--limit", "-n", min=1, help="Show at most this many rows.")] = None,
     failures: Annotated[
-        bool, typer.Option("--failures", help="Show only flights that did not end well, with the cause.")
+        bool, typer.Option("--failures", help="Show only flights that were not completed, with the cause.")
     ] = False,
     html: Annotated[
         Path | None, typer.Option("--html", metavar="FILE", help="Write a sortable table as a page that opens offline.")
@@ -72,6 +72,7 @@ def results(
     """
     from quadexp.errors import UsageError
     from quadexp.log.outcome import RULE
+    from quadexp.report.checked import check_flights
     from quadexp.report.flights_table import csv_of, flights_table
     from quadexp.report.flown_by import flown_by, flown_by_lines
     from quadexp.sweeps.results import prune as prune_results
@@ -113,11 +114,15 @@ def results(
     for row in total:
         counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
     unwanted = sum(not row["wanted"] for row in total)
+    checked = check_flights(frame.root, [row for row in total if row["wanted"]])
     say(
         f"{len(total)} cells"
         + "".join(f", {count} {outcome}" for outcome, count in sorted(counts.items()))
         + (f"; {unwanted} not of the last sweep (--prune)" if unwanted else "")
+        + f"; {checked.text()}"
     )
+    for line in checked.lines(beside=False):
+        say(f"warning: {line}")
     if counts.keys() - {"ok"}:
         say(RULE)
     if several:

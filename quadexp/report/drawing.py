@@ -96,7 +96,7 @@ def _over_what_was_swept(
     begin = f"{metric.removesuffix('_error')}_error"
     try:
         views = automatic(SweepFrame(rows, out, record), metric, confidence)
-    except UsageError:  # no flight ended well
+    except UsageError:  # no flight was completed
         return []
     return [
         (f"{begin}_{view.file_name}", "axes", (rows, out, metric, confidence, record, i))
@@ -187,7 +187,7 @@ def fastest(
     rows: Sequence[Mapping[str, Any]],
 ) -> dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]]:
     """For each trajectory the flights at the highest speed of most controllers, one per controller, and the controllers
-    without a flight that ended well."""
+    without a completed flight."""
     found: dict[str, dict[float, dict[str, list[Mapping[str, Any]]]]] = {}
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
     for row, label in zip(rows, column_labels(rows), strict=True):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, with_unit
-from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.table import Table, csv_text
 from quadexp.report.view import unit_and_factor
 
@@ -37,10 +37,7 @@ def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
 
 def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
     """The flights as a page that sorts and filters, and opens without a network."""
-    found = {name: frame.column(name) for name in names}
-    columns = [Column(name, heading(name), unit_and_factor(name)[0] if is_metric(name) else 1.0) for name in names]
-    rows = [{name: found[name][i] for name in names} for i in range(len(frame.rows))]
-    return sortable_page(title, columns, rows, notes=[f"{len(rows)} flights of {title}"])
+    return sortable_page(title, flights_table(frame, names).table, notes=[f"{len(frame.rows)} flights of {title}"])
 
 
 def heading(name: str) -> str:

@@ -1,6 +1,6 @@
 """A sweep while it runs: how far it is and its table so far, on the terminal and as a page.
 
-Means are over the flights of each controller that have ended well so far, so they are of different flights until all
+Means are over the flights of each controller that have completed so far, so they are of different flights until all
 are flown: the table of results, which compares common flights only, is made at the end.
 """
 
@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from quadexp.messages import html
+from quadexp.report.document import Block, PageTable, Section, document
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown, is_invalid
-from quadexp.report.plain_page import plain_page, scrolled
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES, course_labels
 from quadexp.report.text import number, shown, speed_text
 
 MOST_LINES = 60  # of the table on the page
-SO_FAR = "Means over the flights that ended well so far; the table of results compares common flights only."
+SO_FAR = "Means over the completed flights so far; the table of results compares common flights only."
 
 
 @dataclass
@@ -54,15 +53,15 @@ class Live:
         return f"{count}, {clock(self.elapsed)} so far{rest}"
 
     def table(self) -> Table:
-        """A column a controller, a line a world, trajectory and speed: the mean error of the flights that ended well,
-        and how many were lost; first how many ended well at all."""
+        """A column a controller, a line a world, trajectory and speed: the mean error of the completed flights,
+        and how many were lost; first how many were completed at all."""
         rows = [row for row in self.rows if not is_invalid(row)]  # settings that contradict each other are no flight
         factor, unit = shown(self.metric)
         labels = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
         names = sorted(labels.values())
         courses = course_labels((trajectory, setting) for _, _, trajectory, _, setting in map(condition_of, rows))
         several = len({condition_of(row)[:2] for row in rows}) > 1
-        errors: dict[tuple[str, str, float], dict[str, list[float]]] = {}  # NaN for a flight that did not end well
+        errors: dict[tuple[str, str, float], dict[str, list[float]]] = {}  # NaN for a flight that was not completed
         ended: dict[str, list[float]] = {name: [] for name in names}
         for row in rows:
             plant, vehicle, trajectory, speed, setting = condition_of(row)
@@ -82,16 +81,16 @@ class Live:
         ]
         well = (f"{_count(values)} of {len(values)}" for values in ended.values())
         title = f"{TITLES.get(self.metric, self.metric)} so far ({unit}): {self.progress_text()}"
-        return Table(["trajectory", "m/s", *names], [["ended well", "", *well], *lines], title, head=1, notes=[SO_FAR])
+        return Table(["trajectory", "m/s", *names], [["completed", "", *well], *lines], title, head=1, notes=[SO_FAR])
 
 
 def _count(errors: list[float]) -> int:
-    """How many flights ended well."""
+    """How many flights were completed."""
     return sum(map(math.isfinite, errors))
 
 
 def _mean(errors: list[float]) -> str:
-    """Of the flights that ended well, and how many did not."""
+    """Of the completed flights, and how many were not."""
     well = [error for error in errors if math.isfinite(error)]
     lost = f" ({len(errors) - len(well)} lost)" if len(well) < len(errors) else ""
     return (number(sum(well) / len(well) if well else math.nan) if errors else "") + lost
@@ -109,14 +108,10 @@ def clock(seconds: float) -> str:
 def page(live: Live, seconds: float) -> str:
     """The page, which loads itself anew every few seconds while the sweep runs."""
     table = live.table()
-    more = len(table.rows) - 1 - MOST_LINES
-    notes = [*table.notes, *([f"{more} more lines are not shown."] if more > 0 else [])]
-    part = Table(table.columns, table.rows[: MOST_LINES + 1], table.title, head=1, notes=notes)
-    state = html(live.state.partition(" ")[0].rstrip(":"))
-    body = (
-        f'<p data-state="{state}">{html(live.progress_text())}</p>'
-        f'<progress max="{live.total}" value="{live.done}" aria-label="Flights"></progress>'
-        f"{scrolled(part)}"
-    )
-    again = f'<meta http-equiv="refresh" content="{seconds:g}">' if live.state == "running" else ""
-    return plain_page(f"{live.title} - quadexp sweep", body, again)
+    if (more := len(table.rows) - 1 - MOST_LINES) > 0:
+        notes = [*table.notes, f"{more} more lines are not shown."]
+        table = replace(table, rows=table.rows[: MOST_LINES + 1], notes=notes)
+    block = Block(progress=(live.done, live.total, live.progress_text()), tables=[PageTable.of(table)])
+    sections = [Section("sweep", "", live.title, "", [block])]
+    refresh = f"{seconds:g}" if live.state == "running" else ""
+    return document(f"{live.title} - quadexp sweep", sections, refresh=refresh)

@@ -2,7 +2,7 @@
 
 The error table has trajectory and speed down and controllers across; every setting that was swept is a column of its
 own, with its unit above and its values down, and so are many plants or worlds. The first row counts the flights that
-ended well; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
+completed; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
 settings contradict each other. The comparison table has one row per contestant and condition, against the baseline.
 """
 
@@ -46,7 +46,7 @@ def value_text(s: Statistic) -> tuple[str, str]:
 
 
 def own_text(s: Statistic) -> str:
-    """Such as "own 13.1 of 19", over all own flights that ended well; "" if all of them are common ones."""
+    """Such as "own 13.1 of 19", over all own completed flights; "" if all of them are common ones."""
     mean = with_interval(SHOWN[s.metric][0] * s.mean, NAN, NAN)[0]
     return f"own {mean} of {s.n}" if s.n > s.common else ""
 
@@ -69,7 +69,7 @@ def cell_text(s: Statistic) -> str:
 @dataclass(frozen=True)
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
-    flown: column -> how many of its flights ended well. entries: (row, column) -> statistic. notes: lines below. keys:
+    flown: column -> how many of its flights were completed. entries: (row, column) -> statistic. notes: lines below. keys:
     settings that were swept. invalid: (row, column) of settings that contradict each other."""
 
     metric: str

@@ -27,7 +27,7 @@ WHO = ("controller", "model")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
 Y_TITLES = {
     "mean_error": "mean error", "rmse": "RMSE", "max_error": "largest error", "attitude_rmse": "attitude error (RMS)",
-    "heading_rmse": "heading error (RMS)", SUCCESS: "flights that ended well",
+    "heading_rmse": "heading error (RMS)", SUCCESS: "completed flights",
     "saturated_share": "samples at a thrust limit",
 }  # fmt: skip
 Y_UNITS = {SUCCESS: (100.0, "%"), "saturated_share": (100.0, "%"), "outside_data": (100.0, "%"),
@@ -294,7 +294,7 @@ def _notes(
         trials = sum(point.trials for point in found.values())
         ended = sum(point.ended for point in found.values())
         if ended < trials:
-            notes.append(f"{trials - ended} of {trials} flights did not end well: marked k/n where k of n did")
+            notes.append(f"{trials - ended} of {trials} flights were not completed: marked k/n where k of n were")
     if wrong := sum(bool(point.invalid) for point in found.values()):
         notes.append(f"{count(wrong, 'place')} invalid: settings that contradict each other")
     return notes
@@ -303,8 +303,8 @@ def _notes(
 def _why_nothing(frame: SweepFrame, keys: Sequence[str], y: str) -> str:
     if not any(row["outcome"] == "ok" for row in frame.rows):
         flights = count(len(frame.rows), "flight")
-        return f"none of the {flights} ended well: there is no {y} to draw (--y success draws that)"
-    return f"no flight that ended well has {y} and a value of {listed(keys)}"
+        return f"none of the {flights} completed: there is no {y} to draw (--y success draws that)"
+    return f"no completed flight has {y} and a value of {listed(keys)}"
 
 
 def _check_y(frame: SweepFrame, y: str) -> None:

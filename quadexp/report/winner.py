@@ -4,7 +4,7 @@
     ratio      exp(L_j - L_least) of another to the least, paired, with its interval and p over the seeds (see
                inference.log_ratio)
     p          k max_j p_j, at most 1, for k ranked contestants; corrected by Holm over the lines of a table
-    best       p < 1 - confidence = alpha, and no contestant ended a larger share of its flights well
+    best       p < 1 - confidence = alpha, and no contestant completed a larger share of its flights
 
 The least of k is chosen after the fact, so each p_j is multiplied by k (Bonferroni). This keeps the error rate for any
 correlation: to be named falsely, one of k must beat an equal or better one, with a probability of alpha / (2 k) at
@@ -83,7 +83,7 @@ def line_p(
 ) -> tuple[Contestant | None, float]:
     """The contestant that may be marked as best of one condition, and the p that it is not; (None, nan) for none.
 
-    barred: those with the smallest share of flights that ended well on this plant and vehicle.
+    barred: those with the smallest share of completed flights on this plant and vehicle.
     """
     among = groups.common_in(condition)
     flights = groups.flights([condition])
@@ -109,7 +109,7 @@ def _flew_most(who: Contestant, flights: dict[Contestant, Flights]) -> bool:
 class Verdict:
     """The contestant with the least error of one metric on one plant and vehicle, over all conditions.
 
-    flown: [label, flights that ended well, trials] of each. compared: labels. common: number of common flights, of
+    flown: [label, completed flights, trials] of each. compared: labels. common: number of common flights, of
     `units` seeds in `conditions` conditions. least: "" if nobody is compared. ways: number of ranked contestants.
     best: `least` differs significantly from all of them and no contestant flew more. flew_less: another one ended a
     larger share of its flights well. alike: those not distinguishable from the least. next: the nearest one, with
@@ -138,10 +138,10 @@ class Verdict:
     bound_ratio: list[float]
 
     def text(self) -> str:
-        """Such as "least over the 20 flights that all ended well: gp_mpc, the best of 3, ..."."""
+        """Such as "least over the 20 flights that all completed: gp_mpc, the best of 3, ..."."""
         if not self.least or not self.ways > 1:
             return ""
-        over = f"over the {count(self.common, 'flight')} that all ended well"
+        over = f"over the {count(self.common, 'flight')} that all completed"
         head = f"least {over}{', bounds aside' if self.bound else ''}: {self.least}"
         value, low, high, _ = self.ratio
         limits = "" if math.isnan(low) else f" [{low:.3g}, {high:.3g}]"
@@ -150,7 +150,7 @@ class Verdict:
         if self.alike:
             return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
         if self.flew_less:
-            return f"{head}, but others ended more of their flights well (nearest: {self.next}, {ratio})"
+            return f"{head}, but others completed more of their flights (nearest: {self.next}, {ratio})"
         return f"{head}, the best of {self.ways}, significantly less than the next, {self.next} ({ratio})"
 
 
@@ -194,5 +194,5 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
 
 
 def barred(groups: Groups) -> dict[tuple[str, str], frozenset[Contestant]]:
-    """Plant and vehicle -> those with the smallest share of flights that ended well."""
+    """Plant and vehicle -> those with the smallest share of completed flights."""
     return {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}

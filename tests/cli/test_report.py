@@ -16,7 +16,7 @@ def test_from_a_sweep_to_a_page(here):
     assert run("evaluate", "--sweep", *QUICK, *sweep)[0] == 0
     code, out, _ = run("report", "results/hover", "--out", "page.html", "--figures", "paper")
     lines = out.splitlines()
-    assert code == 0 and lines[-1] == "page.html" and "All 4 flights ended well." in out
+    assert code == 0 and lines[-1] == "page.html" and "All 4 flights were completed." in out
     assert "paper/error_against_time.pdf" in lines
     text = (here / "page.html").read_text(encoding="utf-8")
     assert lines[0].split("(")[0] in text

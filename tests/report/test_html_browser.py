@@ -99,7 +99,7 @@ def test_no_error_and_no_request(opened):
 
 
 def test_the_first_screen_holds_the_answer_and_the_best(opened):
-    for selector in ("[data-answer]", "[data-scoreboard] .top"):
+    for selector in ("[data-answer]", "[data-table=scoreboard] .top"):
         box = opened.execute_script(f"return document.querySelector('{selector}').getBoundingClientRect().toJSON()")
         assert box["top"] >= 0 and box["bottom"] <= 900
 
@@ -253,8 +253,8 @@ def test_the_error_shown_is_that_of_the_flight(opened):
         "return [...document.querySelectorAll('.pilot')].map(p => [p.textContent, p.querySelector('.now').textContent])"
     )
     errors = {text.removesuffix(now): float(now.split()[0]) for text, now in shown}
-    assert errors["nominal MPC"] == pytest.approx(160, rel=0.1)  # half of 40 mm per m/s at 8 m/s
-    assert errors["nominal MPC"] / errors["GP MPC"] == pytest.approx(20, rel=0.02)
+    assert errors["nominal_mpc"] == pytest.approx(160, rel=0.1)  # half of 40 mm per m/s at 8 m/s
+    assert errors["nominal_mpc"] / errors["gp_mpc"] == pytest.approx(20, rel=0.02)
 
 
 def slide(browser, name, value):
@@ -287,14 +287,14 @@ def test_two_flights_side_by_side(opened):
         " const s = document.querySelector(`[data-replay=${n}]`); s.value = v; s.dispatchEvent(new Event('change')); }"
     )
     names = opened.execute_script("return [...document.querySelector('[data-replay=left]').options].map(o => o.text)")
-    nominal, gp = names.index("nominal MPC"), names.index("GP MPC")
+    nominal, gp = names.index("nominal_mpc"), names.index("gp_mpc")
     seen = {}
     for order in ((gp, nominal), (nominal, gp)):
         opened.execute_script(choose, *order)
         time.sleep(0.15)
         stream = io.BytesIO(base64.b64decode(picture(opened).partition(",")[2]))
         pixels = np.asarray(Image.open(stream).convert("RGBA"), int)
-        blue = (pixels[..., 3] > 200) & (pixels[..., 2] - pixels[..., 0] > 100)  # GP MPC is the blue one
+        blue = (pixels[..., 3] > 200) & (pixels[..., 2] - pixels[..., 0] > 100)  # gp_mpc is the blue one
         seen[order] = [int(half.sum()) for half in np.array_split(blue, 2, axis=1)]
         hint = opened.execute_script("return document.querySelector('[data-replay=hint]').textContent")
         left, right = (float(part.split()[1]) for part in hint.split(", ")[-2:])

@@ -59,8 +59,8 @@ def test_the_page_grows_and_its_numbers_are_those_of_the_flights(out):
         assert AGAIN in text and 'max="4" value="3"' in text
         columns, ended, line = watch.shot().table().columns, *watch.shot().table().rows
         assert columns == ["trajectory", "m/s", "gp_mpc", "nominal_mpc"]
-        assert ended == ["ended well", "", "0 of 1", "2 of 2"]
-        assert line[2:] == ["- (1 lost)", "250.0"]  # nothing ended well; (0.2 + 0.3) / 2 m
+        assert ended == ["completed", "", "0 of 1", "2 of 2"]
+        assert line[2:] == ["- (1 lost)", "250.0"]  # nothing completed; (0.2 + 0.3) / 2 m
         fly(watch, row("gp_mpc", seed=1, error=0.004))
         assert watch.shot().table().rows[1][2] == "4.00 (1 lost)"
     left = (out / FILE).read_text()
