@@ -36,7 +36,7 @@ def plot(
     """Draw results with any keys of the configuration as axes; without keys, what was swept chooses them.
 
     The value of a key is that of the configuration stored with each flight, also of one that was not swept. Means are
-    over the common flights, and bars their intervals, as in tables; k/n stands where only k of n flights were completed.
+    over the common flights, and bars their intervals, as in tables; k/n: only k of n flights were completed.
     The suffix of --out chooses the format: png, pdf, svg, or html, a page that opens offline with the numbers.
 
     \b

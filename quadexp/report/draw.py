@@ -368,9 +368,7 @@ def parallel_figure(view: View) -> Figure:
         panel.axvline(k, color="#555555", linewidth=0.8, zorder=0)
     gone = sum(not point.is_shown for point in view.places.values())
     if gone:
-        panel.text(
-            n, -0.1, f" {gone} without a completed flight", fontsize=7, color="#777777", va="center", ha="right"
-        )
+        panel.text(n, -0.1, f" {gone} without a completed flight", fontsize=7, color="#777777", va="center", ha="right")
     bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=panel, label=view.y_label)
     if isinstance(norm, LogNorm):
         plain_log(bar.ax.yaxis)

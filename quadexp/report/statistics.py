@@ -1,8 +1,8 @@
 """Statistics of a comparison over the seeds: one `Statistic` per metric and contestant, in each condition and over all.
 
-Two means: `mean` over the contestant's own completed flights, and `common_mean` over the common flights, which
-tables show. Flights that were not completed are counted by outcome, and lower the success rate. A contestant is compared
-with the baseline seed by seed, difference = contestant - baseline, over the common flights; the others are counted in
+Two means: `mean` over the contestant's own completed flights, and `common_mean` over the common flights, which tables
+show. Flights that were not completed are counted by outcome, and lower the success rate. A contestant is compared with
+the baseline seed by seed, difference = contestant - baseline, over the common flights; the others are counted in
 `left_out` by cause. p-values are corrected for all comparisons of one metric. Equations: inference.py; common flights,
 conditions and pairs: pairing.py; who is best: winner.py.
 

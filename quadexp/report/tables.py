@@ -69,8 +69,8 @@ def cell_text(s: Statistic) -> str:
 @dataclass(frozen=True)
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
-    flown: column -> how many of its flights were completed. entries: (row, column) -> statistic. notes: lines below. keys:
-    settings that were swept. invalid: (row, column) of settings that contradict each other."""
+    flown: column -> how many of its flights it completed. entries: (row, column) -> statistic. notes: lines below.
+    keys: settings that were swept. invalid: (row, column) of settings that contradict each other."""
 
     metric: str
     unit: str

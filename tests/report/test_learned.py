@@ -82,12 +82,12 @@ def test_a_checkpoint_is_drawn_with_its_data_only_if_it_is_the_one_that_flew(fit
     path = folder / "data.parquet"
     write_table(path, synthetic_dataset(rows=1200).columns, {}, "residuals")
     data = read_dataset(path)
-    save_model(folder, replace(model, dataset={**model.dataset, "sha256": data.sha256}))
+    save_model(folder, replace(model, dataset={**model.dataset, "sha256": data.sha256}), force=True)
     (folder / "report.json").write_text(json.dumps({"dataset": str(path), "rows": []}))
     digest = hashlib.sha256((folder / "model.json").read_bytes()).hexdigest()
     sheet = fit_sheet(str(folder), digest)
     assert len(sheet.whole().axes) == 2 and sheet.panels("fit")[0].startswith('<figure class="plate"')
-    save_model(folder, model)
+    save_model(folder, model, force=True)
 
 
 def test_both_stand_on_the_page(fitted, tmp_path):

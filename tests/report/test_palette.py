@@ -6,8 +6,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from quadexp.report.page.sheet import SHAPES, TOKENS, VARIABLES
 
+from quadexp.report.page.sheet import SHAPES, TOKENS, VARIABLES
 from quadexp.report.style import HUES, LOOKS, MARKERS, MOST_VARIANTS, shaded
 
 # Linear sRGB as seen without one kind of cone: Machado, Oliveira, Fernandes 2009 (IEEE TVCG 15(6)), severity 1.

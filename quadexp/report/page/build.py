@@ -6,7 +6,7 @@ import base64
 import json
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from quadexp.messages import script
 from quadexp.report.document import Block, PageTable, Section, document, template_text
 from quadexp.report.page.answer import answer
 from quadexp.report.page.learned import fit_sheets
-from quadexp.report.page.over_time import MAX_FLIGHTS, estimate_sheets, power_sheets
+from quadexp.report.page.over_time import MAX_FLIGHTS, MAX_GROUPS, estimate_sheets, power_sheets
 from quadexp.report.page.pareto import pareto_sheets
 from quadexp.report.page.provenance import LOOKED_AT, facts, machines, portable, records, settings, sweep_command
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, case_of, choose_cases, pack_replay
@@ -45,11 +45,19 @@ DATA_LIMIT = 250_000  # bytes of a CSV inside it
 CARRIED = ("statistics.csv", "results.csv")
 METHODS = (
     "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds."
-    " Flights of one seed have the same noise for every controller, and may share it between conditions, so differences"
-    " are taken seed by seed, over several conditions as the mean of a seed; p-values come from a paired permutation"
-    " test of the seeds and are corrected by Holm for the number of comparisons. Ratios over several conditions are"
-    " geometric means, every condition with the same weight; their interval is for new seeds, not for new trajectories."
-    " Lost flights are counted."
+    " Differences are taken seed by seed (the same noise for every controller), over several conditions as the mean of"
+    " a seed; p-values come from a paired permutation test of the seeds, corrected by Holm for the number of comparisons."
+    " Ratios over several conditions are geometric means, every condition with the same weight; their interval is for"
+    " new seeds, not for new trajectories. Lost flights are counted."
+)
+TIME = (
+    "For a controller on the line, no other one has both a shorter step and a smaller error. Bounds are left out. Wall"
+    " time of the control step{}: medians over the flights of their median and 99th percentile. Other load on the"
+    " machine increases the latter."
+)
+POWER = (
+    "For every world with a battery or motors, its fastest condition, and of these the one with the largest error; at"
+    f" most {MAX_FLIGHTS} controllers. Rotors: their mean (line), and the range from the lowest to the highest (band)."
 )
 
 
@@ -70,9 +78,11 @@ def make_report(
     if figures is not None:
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
-    drawn = PageFigures.of(comparison)
-    page, left_out = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
+    swept, sheets = swept_figures(comparison), _sheets(comparison)
+    page, left_out = render(comparison, swept, sheets, _report_command(comparison, out, figures, baseline))
     write_text(out, page, force=force)
+    drawn = [sheet for several in sheets.values() for sheet in several if sheet.draws or sheet.whole]
+    named = swept.paper() | {sheet.name: sheet.figure(comparison.look) for sheet in drawn} if figures else {}
     said, checked = answer(comparison), comparison.checked
     return {
         "path": out,
@@ -81,30 +91,14 @@ def make_report(
         "note": said.note,
         "checked": checked._asdict() | {"text": checked.text(), "lines": checked.lines()},
         "left_out": left_out,
-        "figures": {} if figures is None else _write_paper(Path(figures), drawn.paper(comparison)),
+        "figures": _write_paper(Path(figures), named) if figures else {},
     }
 
 
-@dataclass(frozen=True)
-class PageFigures:
-    """swept: over the keys that were swept. power_left: worlds that `power` leaves out."""
-
-    swept: Swept
-    pareto: Sequence[Sheet]
-    power: Sequence[Sheet]
-    learned: Sequence[Sheet]
-    power_left: int
-
-    @classmethod
-    def of(cls, comparison: Comparison) -> PageFigures:
-        power, left = power_sheets(comparison)
-        learned = fit_sheets(comparison) + estimate_sheets(comparison)
-        return cls(swept_figures(comparison), pareto_sheets(comparison), power, learned, left)
-
-    def paper(self, comparison: Comparison) -> dict[str, Figure]:
-        """The same figures for a paper, by name."""
-        sheets = [sheet for sheet in (*self.pareto, *self.power, *self.learned) if sheet.draws or sheet.whole]
-        return self.swept.paper() | {sheet.name: sheet.figure(comparison.look) for sheet in sheets}
+def _sheets(comparison: Comparison) -> dict[str, list[Sheet]]:
+    """Anchor of a section -> its figures."""
+    learned = fit_sheets(comparison) + estimate_sheets(comparison)
+    return {"time": pareto_sheets(comparison), "power": power_sheets(comparison), "learned": learned}
 
 
 def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]:
@@ -128,81 +122,58 @@ class Extent(NamedTuple):
 EXTENTS = (Extent(), Extent(BUDGET // 3), Extent(0), Extent(0, 1), Extent(0, 1, 200), Extent(0, 1, 40))
 
 
-def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[str, list[str]]:
+def render(
+    comparison: Comparison, swept: Swept, sheets: Mapping[str, Sequence[Sheet]], command: str
+) -> tuple[str, list[str]]:
     """The page, with less data if it would be too large, and what was left out.
 
     First fewer flights to replay, then none and no CSV inside, then only the main metric, then fewer conditions.
     """
-    bad, flights = worst_rows(comparison), records(comparison)
+    bad, flights, power = worst_rows(comparison), records(comparison), sheets["power"]
     cases, downloads, every = choose_cases(comparison, bad), _downloads(comparison), numbers(comparison)
-    said, board, several = answer(comparison), scoreboard(comparison), worlds(comparison)
-    figures = _figure_sections(comparison, drawn, flights)
-    script_text = template_text("replay.js").replace("@@SHAPES@@", json.dumps(SHAPES))
+    about = {"answer": answer(comparison), "board": scoreboard(comparison), "looks": comparison.look, "shapes": SHAPES}
+    about |= {"row_notes": [*comparison.checked.lines(), *comparison.notes], "version": __version__, "theme": TOKENS}
+    backends = sorted({row["backend"] for row in comparison.rows if row["backend"]})
+    on = ", ".join(filter(None, (" and ".join(backends), "; ".join(machines(flights)))))
+    lead = TIME.format(f" ({on})" if on else "")
+    figures = [
+        worlds(comparison),
+        figure_section("time", "Time", "Error against computing time", lead, sheets["time"]),
+        figure_section("power", "Power", "Battery and rotors", POWER, power[:MAX_GROUPS]),
+        figure_section("learned", "Learned", "Learned models", "", sheets["learned"]),
+    ]
+    player = template_text("replay.js").replace("@@SHAPES@@", json.dumps(SHAPES))
     for extent in EXTENTS:
         packed, kept = pack_replay(comparison, cases, extent.replay) if extent.replay else ([], [])
-        shown = _shortened(every, extent)
-        carried = downloads if extent.replay else []
-        most_tabs = None if extent.metrics == len(TABLED) else extent.metrics
-        swept = swept_section(drawn.swept, most_tabs)
-        left_out = _left_out(comparison, packed, kept, every, shown) + drawn.swept.left
-        left_out += [f"figures of the {title}" for _, title, _ in drawn.swept.tabs[len(swept.blocks) :]]
-        left_out += [f"battery and rotors of {drawn.power_left} more worlds"] if drawn.power_left else []
+        shown, carried = _shortened(every, extent), downloads if extent.replay else []
+        tabs = swept_section(swept, None if extent.metrics == len(TABLED) else extent.metrics)
+        left_out = _left_out(comparison, packed, kept, every, shown) + swept.left
+        left_out += [f"figures of the {title}" for _, title, _ in swept.tabs[len(tabs.blocks) :]]
+        more = len(power) - MAX_GROUPS
+        left_out += [f"battery and rotors of {more} more worlds"] if more > 0 else []
         left_out += [f"{name}, which is in the results folder" for name in CARRIED if name not in dict(carried)]
-        sections = [_replay_section(packed), shown, several, swept, *figures]
+        sections = [_replay_section(packed), shown, tabs, *figures]
         sections.append(worst(comparison, bad, {case: i for i, case in enumerate(kept)}))
         sections.append(_origin(comparison, flights, command, carried, left_out))
-        page = document(
-            f"{comparison.root.resolve().name} – quadexp report",
-            sections=[section for section in sections if section and section.blocks],
-            answer=said,
-            board=board,
-            theme=TOKENS,
-            looks=comparison.look,
-            shapes=SHAPES,
-            row_notes=[*comparison.checked.lines(), *comparison.notes],
-            left_out=left_out,
-            version=__version__,
-            replay_json=script(packed),
-            replay_script=script_text if packed else "",
-        )
+        there = [section for section in sections if section.blocks]
+        data = {"left_out": left_out, "replay_json": script(packed), "replay_script": player if packed else ""}
+        page = document(f"{comparison.root.resolve().name} – quadexp report", there, **about, **data)
         if len(page.encode()) < LIMIT:
             return page, left_out
     size = len(page.encode()) / 1e6
     raise QuadexpError(f"the report would be {size:.1f} MB, more than {LIMIT / 1e6:g}: report on fewer conditions")
 
 
-def _figure_sections(comparison: Comparison, drawn: PageFigures, flights: Sequence[Mapping[str, Any]]) -> list[Section]:
-    backends = sorted({row["backend"] for row in comparison.rows if row["backend"]})
-    on = ", ".join(filter(None, (" and ".join(backends), "; ".join(machines(flights)))))
-    time = (
-        "For a controller on the line, no other one has both a shorter step and a smaller error. Bounds are left out."
-        f" Wall time of the control step{f' ({on})' if on else ''}: medians over the flights of their median and 99th"
-        " percentile. Other load on the machine increases the latter."
-    )
-    power = (
-        "For every world with a battery or motors, its fastest condition, and of these the one with the largest error;"
-        f" at most {MAX_FLIGHTS} controllers. Rotors: their mean (line), and the range from the lowest to the highest"
-        " (band)."
-    )
-    return [
-        figure_section("time", "Time", "Error against computing time", time, drawn.pareto),
-        figure_section("power", "Power", "Battery and rotors", power, drawn.power),
-        figure_section("learned", "Learned", "Learned models", "", drawn.learned),
-    ]
-
-
 def _replay_section(packed: Sequence[Mapping[str, Any]]) -> Section:
     tracks = [track for case in packed for track in case["tracks"]]
+    wind = " Arrow: the wind that blows on the vehicle, longer where stronger."
+    told = " Ring and dotted line: the position that the controller was told."
     note = (
         "Drones are drawn larger than in reality; bars on the rotors show thrust as a share of its range; the grid is"
+        f" at the lowest point.{wind if any('wind' in track for track in tracks) else ''}"
+        f"{told if any('estimate' in track for track in tracks) else ''} Keys, with the picture in focus: space plays,"
+        " ← → move by 0.1 s (with shift: turn), + − change the speed, 1 to 9 show and hide, Home and End."
     )
-    note += " at the lowest point."
-    if any("wind" in track for track in tracks):
-        note += " Arrow: the wind that blows on the vehicle, longer where stronger."
-    if any("estimate" in track for track in tracks):
-        note += " Ring and dotted line: the position that the controller was told."
-    note += " Keys, with the picture in focus: space plays, ← → move by 0.1 s (with shift: turn), + − change the speed,"
-    note += " 1 to 9 show and hide, Home and End."
     lead = "All controllers on the same reference with the same noise. Errors can be magnified."
     return Section("replay", "Replay", "Replay", lead, [Block(replay=True, notes=[note])] if packed else [])
 

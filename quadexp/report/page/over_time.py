@@ -17,7 +17,7 @@ from quadexp.report.page.source import Comparison
 from quadexp.report.style import Look
 from quadexp.report.text import number, percent
 
-MAX_GROUPS = 6  # worlds with panels
+MAX_GROUPS = 6  # worlds with panels on the page
 MAX_FLIGHTS = 4  # of one panel
 BINS = 200  # of time
 COEFFICIENTS = [name for name in ESTIMATE_COLUMNS if name.startswith("C_")]
@@ -38,8 +38,8 @@ def columns_of(flight: Flight, name: str) -> list[str]:
     return [column for column in flight.columns if column == name or column.startswith(f"{name}_")]
 
 
-def power_sheets(comparison: Comparison) -> tuple[list[Sheet], int]:
-    """The first case of every world but the clean one, if it has a battery or rotors; and how many more there are."""
+def power_sheets(comparison: Comparison) -> list[Sheet]:
+    """The first case of every world but the clean one, if it has a battery or rotors."""
     first: dict[tuple[str, str], Any] = {}
     for case in ordered_cases(comparison):
         plant, vehicle = case[0][:2]
@@ -59,7 +59,7 @@ def power_sheets(comparison: Comparison) -> tuple[list[Sheet], int]:
             ends = [f"{label} {share}" for label, flight in flights if (share := end_of_charge(flight))]
             text = f"Charge left at the end: {', '.join(ends)}." if ends else ""
             sheets.append(Sheet(sheet_name("power", title), title, draws, [label for label, _ in flights], text))
-    return sheets[:MAX_GROUPS], max(0, len(sheets) - MAX_GROUPS)
+    return sheets
 
 
 def estimate_sheets(comparison: Comparison) -> list[Sheet]:

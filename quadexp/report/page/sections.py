@@ -129,10 +129,8 @@ def _difference_cell(s: Statistic | None) -> Cell:
     return Cell(text if s.difference < 0 else f"+{text}", (_change(s)[0], f"{limits} {p}"), lost, s.significant)
 
 
-def worlds(comparison: Comparison) -> Section | None:
-    """Success and error of every contestant in each plant, vehicle and world; None where there is only one."""
-    if len(comparison.worlds) < 2:
-        return None
+def worlds(comparison: Comparison) -> Section:
+    """Success and error of every contestant in each plant, vehicle and world; empty where there is only one."""
     factor, unit = shown(comparison.metric)
     lines, columns = [], list(comparison.look)
     for plant, vehicle in comparison.worlds[:MOST_WORLDS]:
@@ -157,7 +155,7 @@ def worlds(comparison: Comparison) -> Section | None:
         " flights that all compared controllers completed there. Wind and estimate: of one flight of that world."
     )
     table = PageTable("worlds", f"{metric} ({unit})", heads, lines)
-    return Section("worlds", "Worlds", "Worlds", lead, [Block(tables=[table], notes=notes)])
+    return Section("worlds", "Worlds", "Worlds", lead, [Block(tables=[table], notes=notes)] if len(lines) > 1 else [])
 
 
 def surroundings(flight: Flight) -> list[str]:
