@@ -98,9 +98,12 @@ def results(
         path = html or Path(f"{folder.name}.html")
         _page(frame, names or [*usual, "key"], path, folder.name, force, opened, form)
         return
+    checked = check_flights(frame.root, [row for row in total if row["wanted"]])
+    for line in checked.lines(beside=False):
+        say(f"warning: {line}")
     if form == "json":
         chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
-        emit({"count": len(total), "rows": chosen if names else frame.rows})
+        emit({"count": len(total), "checked": checked.text(), "rows": chosen if names else frame.rows})
         return
     if form == "csv":
         shown = names or [name for name in usual if name in table.names]
@@ -114,15 +117,12 @@ def results(
     for row in total:
         counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
     unwanted = sum(not row["wanted"] for row in total)
-    checked = check_flights(frame.root, [row for row in total if row["wanted"]])
     say(
         f"{len(total)} cells"
         + "".join(f", {count} {outcome}" for outcome, count in sorted(counts.items()))
         + (f"; {unwanted} not of the last sweep (--prune)" if unwanted else "")
         + f"; {checked.text()}"
     )
-    for line in checked.lines(beside=False):
-        say(f"warning: {line}")
     if counts.keys() - {"ok"}:
         say(RULE)
     if several:

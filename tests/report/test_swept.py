@@ -98,7 +98,7 @@ def test_five_thousand_flights_are_sampled_where_a_picture_shows_no_more_and_tab
     def counted(reader):
         return lambda path, *words, **options: read.append(path) or reader(path, *words, **options)
 
-    for place in ("frame.read_metadata", "page.source.read_metadata", "page.source.read_flight"):
+    for place in ("frame.read_metadata", "page.source.read_record", "page.source.read_flight"):
         room, _, name = place.rpartition(".")
         module = __import__(f"quadexp.report.{room}", fromlist=[name])
         monkeypatch.setattr(module, name, counted(getattr(module, name)))

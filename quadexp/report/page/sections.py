@@ -133,7 +133,7 @@ def worlds(comparison: Comparison) -> Section:
     """Success and error of every contestant in each plant, vehicle and world; empty where there is only one."""
     factor, unit = shown(comparison.metric)
     lines, columns = [], list(comparison.look)
-    for plant, vehicle in comparison.worlds[:MOST_WORLDS]:
+    for plant, vehicle in comparison.worlds[:MOST_WORLDS] if len(comparison.worlds) > 1 else ():
         rows = [row for row in comparison.rows if (row["plant"], row["vehicle"]) == (plant, vehicle)]
         there = replace(comparison, rows=rows)
         labels = {comparison.labels[contestant]: label for contestant, label in there.labels.items()}
@@ -148,14 +148,14 @@ def worlds(comparison: Comparison) -> Section:
         lines.append([Cell(f"{plant}, {vehicle}"), Cell("", surroundings(sample) if sample else ()), *cells])
     heads = [Cell("world"), Cell("wind, estimate"), *(Cell(label, mark=label) for label in columns)]
     metric = TITLES.get(comparison.metric, comparison.metric)
-    left = len(comparison.worlds) - len(lines)
-    notes = [f"{left} more worlds are in the results, not here"] if left else []
+    left = len(comparison.worlds) - MOST_WORLDS
+    notes = [f"{left} more worlds are in the results, not here"] if left > 0 else []
     lead = (
         f"Each plant, vehicle and world by itself: completed flights, and the {metric}, a geometric mean over the"
         " flights that all compared controllers completed there. Wind and estimate: of one flight of that world."
     )
     table = PageTable("worlds", f"{metric} ({unit})", heads, lines)
-    return Section("worlds", "Worlds", "Worlds", lead, [Block(tables=[table], notes=notes)] if len(lines) > 1 else [])
+    return Section("worlds", "Worlds", "Worlds", lead, [Block(tables=[table], notes=notes)] if lines else [])
 
 
 def surroundings(flight: Flight) -> list[str]:

@@ -16,7 +16,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, read_metadata, read_table
+from quadexp.log.store import read_flight, read_record, read_table
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.checked import Checked, check_flights
 from quadexp.report.pairing import (
@@ -249,14 +249,16 @@ class Comparison:
         return 1 / rate if rate else math.nan
 
     def flight_record(self, row: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Metadata of a row's flight; None if its file is missing."""
+        """Metadata of a row's flight; None if its file is missing, or was changed since it was written."""
         try:
-            return read_metadata(CellStore(self.root).path(row["key"]), "flight")
+            return read_record(CellStore(self.root).path(row["key"]), "flight")
         except (UsageError, DataError):
             return None
 
     def flight(self, row: Mapping[str, Any]) -> Flight | None:
-        """The flight of a row; None if its file is missing or holds no samples."""
+        """The flight of a row; None if its file is missing, was changed, or holds no samples."""
+        if self.flight_record(row) is None:  # Arrow can end the process over bytes that were changed
+            return None
         try:
             flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
         except (UsageError, DataError):
