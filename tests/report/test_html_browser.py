@@ -104,12 +104,6 @@ def test_the_first_screen_holds_the_answer_and_the_best(opened):
         assert box["top"] >= 0 and box["bottom"] <= 900
 
 
-@pytest.mark.parametrize("width", [320, 390, 768, 1280])
-def test_nothing_is_wider_than_the_screen(browser, page, width):
-    show(browser, page, width=width)
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-
-
 @pytest.fixture(scope="module")
 def wide_page(tmp_path_factory):
     """Eleven contestants, two of them variants of one controller, and a setting that varies: wider than a screen."""
@@ -305,20 +299,23 @@ def test_two_flights_side_by_side(opened):
     assert opened.execute_script("return document.querySelector('[data-replay=pair]').offsetHeight") == 0
 
 
-@pytest.mark.parametrize("width", [390, 768, 1280])
+@pytest.mark.parametrize("width", [320, 390, 768, 1280])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_three_widths_in_light_and_dark(browser, page, width, scheme):
-    show(browser, page, width=width, color_scheme=scheme)
+@pytest.mark.parametrize("name", ["table", "weather"])
+def test_a_page_fits_every_screen_in_both_themes(browser, page, worlds, name, width, scheme):
+    show(browser, page if name == "table" else worlds("weather", weather), width=width, color_scheme=scheme)
     browser.execute_script("document.querySelector('[data-replay=beside]').click()")
     right = "Math.max(...[...document.querySelectorAll('.transport *, .overlay *')].filter(e => e.offsetWidth)"
     box = f"return {right}.map(e => e.getBoundingClientRect().right))"
     assert browser.execute_script(box) <= width
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     ground, ink = browser.execute_script(
-        "const s = getComputedStyle(document.querySelector('[data-sure]')), b = getComputedStyle(document.body);"
+        "const s = getComputedStyle(document.querySelector('[data-flown]')), b = getComputedStyle(document.body);"
         "return [b.backgroundColor, s.color].map(c => c.match(/[0-9]+/g).slice(0, 3).map(Number))"
     )
     assert (sum(ground) > sum(ink)) == (scheme == "light") and abs(sum(ground) - sum(ink)) > 300
+    panels = browser.execute_script("return document.querySelectorAll('#power figure svg').length")
+    assert panels == (2 if name == "weather" else 0) and browser.get_log("browser") == []
 
 
 def test_in_print_no_heading_is_torn_from_what_it_is_about(browser, page):
@@ -447,13 +444,3 @@ def test_the_estimate_is_drawn_where_the_controller_was_told(browser, worlds, of
     ghost = added(clean, from_above(browser, worlds(f"told{off}", told)))
     flown = np.nonzero(clean[..., 3] > 200)[0].mean()  # the trail and the vehicle
     assert np.ptp(ghost[:, 1]) > 20 and (ghost[:, 1].mean() - flown) * off < -5
-
-
-@pytest.mark.parametrize("width", [320, 390, 1280])
-def test_flights_in_a_world_fit_the_screen(browser, worlds, width):
-    show(browser, worlds("weather", weather), width=width)
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-    right = "Math.max(...[...document.querySelectorAll('.transport *')].map(e => e.getBoundingClientRect().right))"
-    assert browser.execute_script(f"return {right} <= document.querySelector('.player').getBoundingClientRect().right")
-    assert browser.execute_script("return document.querySelectorAll('#power figure svg').length") == 2
-    assert browser.get_log("browser") == []

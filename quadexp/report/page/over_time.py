@@ -74,7 +74,7 @@ def estimate_sheets(comparison: Comparison) -> list[Sheet]:
         flights = [(label, f) for label, row in rows.items() if (f := comparison.flight(row)) and identified(f)]
         if not flights:
             continue
-        (label, first), title = flights[0], f"{trajectory} on {plant}"
+        (label, first), place = flights[0], f"{trajectory} on {plant}"
         names = identified(first)
         draws = {
             f"{name} identified over time": partial(
@@ -86,7 +86,8 @@ def estimate_sheets(comparison: Comparison) -> list[Sheet]:
         texts = [f"{n} {number(end)} of {number(true)}" for n, (end, true) in ends.items() if math.isfinite(end * true)]
         text = f"Dashed: the plant's own value. At the end, {label}: {', '.join(texts)}." if texts else ""
         labels = [label for label, _ in flights]
-        sheets.append(Sheet(sheet_name("coefficients", title), title, draws, labels, text))
+        title = f"Coefficients identified in flight, {place}"
+        sheets.append(Sheet(sheet_name("coefficients", place), title, draws, labels, text))
     return sheets
 
 
