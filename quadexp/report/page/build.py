@@ -46,7 +46,7 @@ CARRIED = ("statistics.csv", "results.csv")
 METHODS = (
     "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds."
     " Differences are taken seed by seed (the same noise for all), over several conditions as the mean of"
-    " a seed; p-values come from a paired permutation test of the seeds, corrected by Holm for the number of comparisons."
+    " a seed; p-values come from a paired permutation test of the seeds, corrected by Holm over all comparisons."
     " Ratios over several conditions are geometric means, every condition with the same weight; their interval is for"
     " new seeds, not for new trajectories. Lost flights are counted."
 )
