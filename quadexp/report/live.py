@@ -1,7 +1,6 @@
 """A sweep while it runs: how far it is and its table so far, on the terminal and as a page.
 
-Means are over the flights of each controller that have completed so far, so they are of different flights until all
-are flown: the table of results, which compares common flights only, is made at the end.
+The table is that of the results, of the flights that are there: over common flights, beside them each one's own.
 """
 
 from __future__ import annotations
@@ -12,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from quadexp.report.document import Block, PageTable, Section, document
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown, is_invalid
+from quadexp.report.pairing import is_invalid
+from quadexp.report.statistics import compute_statistics
 from quadexp.report.table import Table
-from quadexp.report.tables import TITLES, course_labels
-from quadexp.report.text import number, shown, speed_text
+from quadexp.report.tables import TITLES, table_of
+from quadexp.report.text import shown
 
 MOST_LINES = 60  # of the table on the page
-SO_FAR = "Means over the completed flights so far; the table of results compares common flights only."
 
 
 @dataclass
@@ -53,47 +52,14 @@ class Live:
         return f"{count}, {clock(self.elapsed)} so far{rest}"
 
     def table(self) -> Table:
-        """A column a controller, a line a world, trajectory and speed: the mean error of the completed flights,
-        and how many were lost; first how many were completed at all."""
+        """The error table of the flights that are there."""
+        title = f"{TITLES.get(self.metric, self.metric)} so far ({shown(self.metric)[1]}): {self.progress_text()}"
         rows = [row for row in self.rows if not is_invalid(row)]  # settings that contradict each other are no flight
-        factor, unit = shown(self.metric)
-        labels = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
-        names = sorted(labels.values())
-        courses = course_labels((trajectory, setting) for _, _, trajectory, _, setting in map(condition_of, rows))
-        several = len({condition_of(row)[:2] for row in rows}) > 1
-        errors: dict[tuple[str, str, float], dict[str, list[float]]] = {}  # NaN for a flight that was not completed
-        ended: dict[str, list[float]] = {name: [] for name in names}
-        for row in rows:
-            plant, vehicle, trajectory, speed, setting = condition_of(row)
-            line = (
-                f"{plant}, {vehicle}" if several else "",
-                courses[trajectory, setting],
-                -1.0 if speed is None else speed,
-            )
-            error = factor * row[self.metric] if is_flown(row) and row[self.metric] is not None else math.nan
-            name = labels[contestant_of(row)]
-            errors.setdefault(line, {}).setdefault(name, []).append(error)
-            ended[name].append(error)
-        lines = [
-            [f"{course} ({world})" if world else course, speed_text(None if speed < 0 else speed, "")]
-            + [_mean(cells.get(name, [])) for name in names]
-            for (world, course, speed), cells in sorted(errors.items())
-        ]
-        well = (f"{_count(values)} of {len(values)}" for values in ended.values())
-        title = f"{TITLES.get(self.metric, self.metric)} so far ({unit}): {self.progress_text()}"
-        return Table(["trajectory", "m/s", *names], [["completed", "", *well], *lines], title, head=1, notes=[SO_FAR])
-
-
-def _count(errors: list[float]) -> int:
-    """How many flights were completed."""
-    return sum(map(math.isfinite, errors))
-
-
-def _mean(errors: list[float]) -> str:
-    """Of the completed flights, and how many were not."""
-    well = [error for error in errors if math.isfinite(error)]
-    lost = f" ({len(errors) - len(well)} lost)" if len(well) < len(errors) else ""
-    return (number(sum(well) / len(well) if well else math.nan) if errors else "") + lost
+        if not rows:
+            return Table(["trajectory", "m/s"], [], title)
+        known = [{**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]} for row in rows]
+        table = table_of(compute_statistics(known, metrics=(self.metric,), baseline="")).table()
+        return replace(table, title=title, notes=table.notes[:1])
 
 
 def clock(seconds: float) -> str:
