@@ -153,10 +153,6 @@ def test_a_wide_table_scrolls_visibly_and_its_first_columns_stay(browser, wide_p
     assert browser.execute_script(ground, box) not in ("rgba(0, 0, 0, 0)", "transparent")
 
 
-def test_a_narrow_table_has_no_hint(opened):
-    assert not opened.execute_script(f"return {BOX}.previousElementSibling.offsetHeight > 0")
-
-
 def test_a_wide_table_fits_a_sheet_of_paper(browser, wide_page):
     show(browser, wide_page, width=1046, replay=False)  # A4 across, margins of 1 cm
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
@@ -164,18 +160,6 @@ def test_a_wide_table_fits_a_sheet_of_paper(browser, wide_page):
     rights = browser.execute_script(wide)
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
     assert rights and max(rights) <= 1046
-
-
-def test_variants_differ_in_shade_and_marker_and_every_line_says_its_setting(browser, wide_page):
-    show(browser, wide_page, replay=False)
-    marks = browser.execute_script(
-        "return [...document.querySelectorAll('[data-table=mean_error] th[data-label] .mark')].map(m => {"
-        " const s = getComputedStyle(m), d = m.querySelector('path').getAttribute('d');"
-        " return [d, s.fill, s.stroke].join(); })"
-    )
-    assert len(marks) == len(set(marks)) == 11
-    courses = "return [...document.querySelectorAll('[data-table=mean_error] tbody th')].map(h => h.textContent.trim())"
-    assert browser.execute_script(courses) == ["circle, payload 0 kg"] * 2 + ["circle, payload 0.1 kg"] * 2
 
 
 def test_the_replay_plays_and_pauses(opened):
@@ -348,12 +332,6 @@ def test_a_worst_flight_opens_in_the_replay(opened):
     press(opened, "End")
     assert "lost" in opened.execute_script("return document.querySelector('[data-replay=pilots]').textContent")
     assert opened.execute_script("return document.activeElement.dataset.replay") == "scene"
-
-
-def test_metrics_switch(opened):
-    opened.execute_script("document.querySelector('[data-metric-switch=rmse]').click()")
-    seen = "return [...document.querySelectorAll('[data-metric]')].filter(e => !e.hidden).map(e => e.dataset.metric)"
-    assert opened.execute_script(seen) == ["rmse"]
 
 
 def test_themes(browser, page):

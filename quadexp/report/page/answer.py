@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from quadexp.report.page.source import Comparison
 from quadexp.report.tables import TITLES
-from quadexp.report.text import count, duration, listed, number, percent, shown, span, typeset
+from quadexp.report.text import count, duration, listed, number, percent, shown, typeset
 
 QUESTION = (
     "How much does knowing the aerodynamics buy, which way of knowing it is best, and does it still run in real time?"
@@ -138,20 +138,17 @@ def odds(p: float) -> str:
 
 def _note(comparison: Comparison) -> str:
     """What the answer is averaged over, and what is not in it."""
-    conditions = [c for c in comparison.conditions if c[:2] == comparison.world]
-    speeds = [c[3] for c in conditions if c[3] is not None]
-    seeds = {row["seed"] for row in comparison.main_rows}
-    plant, vehicle = comparison.world
-    flown = listed(list(dict.fromkeys(c[2] for c in conditions))) + (f" at {span(speeds, 'm/s')}" if speeds else "")
-    each = f", {comparison.verdict.common} flights each" if comparison.verdict.common else ""
-    parts = [f"Geometric means over {flown}, {count(len(seeds), 'seed')}{each}, plant {plant}, vehicle {vehicle}."]
-    pooled = comparison.overall.get(comparison.rival)
-    if pooled is not None and pooled.testable:
-        tests = count(len(comparison.overall), "comparison")
-        parts.append(f"{comparison.confidence:.0%} intervals; p: paired permutation test, by Holm over {tests}.")
+    verdict, (plant, vehicle) = comparison.verdict, comparison.world
+    conditions = sum(condition[:2] == comparison.world for condition in comparison.conditions)
+    seeds = count(len({row["seed"] for row in comparison.main_rows}), "seed")
+    each = f", {verdict.common} flights each" if verdict.common else ""
+    over = f"{count(conditions, 'condition')}, {seeds}{each}, plant {plant}, vehicle {vehicle}"
+    parts = [
+        f"Geometric means over {over}; {comparison.confidence:.0%} intervals, p by a paired permutation test (Holm)."
+    ]
     parts += ["Other plants and vehicles are in the tables."] if len(comparison.worlds) > 1 else []
-    alone = [label for label in comparison.order if label not in comparison.verdict.compared]
-    if alone and comparison.verdict.common:
+    alone = [label for label in comparison.order if label not in verdict.compared]
+    if alone and verdict.common:
         parts.append(f"Not compared, because they completed too few flights: {listed(alone)}.")
     bad = [row["outcome"].replace("_", " ") for row in comparison.main_rows if row["outcome"] != "ok"]
     if bad:

@@ -131,7 +131,12 @@ def render(
     """
     bad, flights, power = worst_rows(comparison), records(comparison), sheets["power"]
     cases, downloads, every = choose_cases(comparison, bad), _downloads(comparison), numbers(comparison)
-    about = {"answer": answer(comparison), "board": scoreboard(comparison), "looks": comparison.look, "shapes": SHAPES}
+    about: dict[str, Any] = {
+        "answer": answer(comparison),
+        "board": scoreboard(comparison),
+        "looks": comparison.look,
+        "shapes": SHAPES,
+    }
     about |= {"row_notes": [*comparison.checked.lines(), *comparison.notes], "version": __version__, "theme": TOKENS}
     backends = sorted({row["backend"] for row in comparison.rows if row["backend"]})
     on = ", ".join(filter(None, (" and ".join(backends), "; ".join(machines(flights)))))
@@ -156,7 +161,11 @@ def render(
         sections.append(worst(comparison, bad, {case: i for i, case in enumerate(kept)}))
         sections.append(_origin(comparison, flights, command, carried, left_out))
         there = [section for section in sections if section.blocks]
-        data = {"left_out": left_out, "replay_json": script(packed), "replay_script": player if packed else ""}
+        data: dict[str, Any] = {
+            "left_out": left_out,
+            "replay_json": script(packed),
+            "replay_script": player if packed else "",
+        }
         page = document(f"{comparison.root.resolve().name} – quadexp report", there, **about, **data)
         if len(page.encode()) < LIMIT:
             return page, left_out

@@ -53,7 +53,7 @@ _COLOUR = re.compile("#[0-9a-f]{6}")
 
 def marker_path(marker: str) -> str:
     """The path (SVG) of a marker of matplotlib, 9 units across, around zero."""
-    shape = MarkerStyle(marker)
+    shape: Any = MarkerStyle(marker)
     path = shape.get_path().transformed(shape.get_transform().scale(9, -9))
     letters = {path.MOVETO: "M", path.LINETO: "L", path.CURVE3: "Q", path.CURVE4: "C", path.CLOSEPOLY: "Z"}
     parts = path.iter_segments(simplify=False)

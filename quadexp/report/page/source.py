@@ -140,8 +140,10 @@ class Comparison:
         """Who has the least error in the main world."""
         (verdict,) = verdicts(self.main_rows, metric=self.metric, confidence=self.confidence)
         named = {label: self.labels[contestant] for contestant, label in self.groups.labels.items()} | {"": ""}
-        one = {name: named[getattr(verdict, name)] for name in ("least", "next", "bound")}
-        several = {name: [named[label] for label in getattr(verdict, name)] for name in ("compared", "alike")}
+        one: dict[str, Any] = {name: named[getattr(verdict, name)] for name in ("least", "next", "bound")}
+        several: dict[str, Any] = {
+            name: [named[label] for label in getattr(verdict, name)] for name in ("compared", "alike")
+        }
         return replace(verdict, **one, **several)
 
     def geometric_mean(self, label: str, *, own: bool = False) -> float:
