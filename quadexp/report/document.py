@@ -5,6 +5,7 @@ shows them all.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -25,6 +26,7 @@ THEME = {  # CSS variable -> (light, dark)
     "alarm": ("#b3261e", "#ff8a7d"),
     "shade": ("#c9ccd1", "#3d4652"),  # where a table continues beyond the edge
 }
+_NUMBER = re.compile(r"(\*\*)?(-?[\d.e+-]+)(?:\*\*)?(?: (\[[^\]]*\]))?(\*)?(?: \((.*)\))?")
 WIDE = 8  # columns; with more, a table is printed across the sheet
 
 
@@ -38,6 +40,14 @@ class Cell:
     lost: str = ""
     best: bool = False
     mark: str = ""
+
+
+def cell_of(text: str) -> Cell:
+    """A cell of a table of texts."""
+    if (parts := _NUMBER.fullmatch(text)) is None:
+        return Cell(text)
+    bold, value, limits, star, beside = parts.groups("")
+    return Cell(value + star, (limits, beside), best=bool(bold))
 
 
 @dataclass(frozen=True)
@@ -54,8 +64,8 @@ class PageTable:
 
     @classmethod
     def of(cls, table: Table, name: str = "", *, sorts: bool = False) -> PageTable:
-        """A table of texts, in which `**1.2**` marks the best."""
-        lines = [[Cell(text.replace("**", ""), best="**" in text) for text in row] for row in table.rows]
+        """A table of texts; of a cell such as `**1.2** [1.1, 1.3]* (1 lost)` the rest stands below the number."""
+        lines = [[cell_of(text) for text in row] for row in table.rows]
         return cls(name, table.title, [*map(Cell, table.columns)], lines, table.notes, sorts)
 
     @property

@@ -137,18 +137,16 @@ def test_the_numbers_on_the_page_are_those_of_the_table(text, results):
     assert set(tables) > METRICS
     for metric in METRICS:
         cells, table = tables[metric], table_of(statistics.of(metric))
-        by_label = dict(zip(read_comparison(results).look, range(2, 6), strict=True))
         assert len(cells) == 1 + len(table.rows)
         for line, row in zip(cells[1:], table.rows, strict=True):
-            for label in table.columns:
-                entry = table.entries[row, label]
-                assert BARE.sub("", line[by_label[label]]) == BARE.sub("", cell_text(entry))
+            for text, label in zip(line[len(row) :], table.columns, strict=True):
+                assert BARE.sub("", text) == BARE.sub("", cell_text(table.entries[row, label]))
 
 
 def test_a_lost_flight_is_counted_and_stands_first_among_the_worst(text):
     worst = text[text.index('<section id="worst"') :]
     assert worst.index("lost: 10.2 m from the reference") < worst.index("nominal_mpc")
-    assert "left out: 1 lost" in text
+    assert "1 lost" in text
 
 
 def test_the_replay_holds_the_flights(text):

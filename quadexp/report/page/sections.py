@@ -14,17 +14,16 @@ from quadexp.log.outcome import RULE
 from quadexp.log.schema import Flight
 from quadexp.report.document import Block, Cell, PageTable, Section
 from quadexp.report.metrics import position_error
-from quadexp.report.notes import table_notes
 from quadexp.report.page.provenance import redo_command
 from quadexp.report.page.replay import Case, case_of, case_title
 from quadexp.report.page.sheet import Sheet, figure_html
-from quadexp.report.page.source import TABLED, Comparison, course_of
+from quadexp.report.page.source import TABLED, Comparison
 from quadexp.report.page.swept import Swept
 from quadexp.report.pairing import Condition, Flights, condition_of
 from quadexp.report.statistics import Statistic
 from quadexp.report.style import Figure, Look
-from quadexp.report.tables import TITLES, lost_text, own_text, value_text
-from quadexp.report.text import duration, number, percent, probability, shown, speed_text, with_interval
+from quadexp.report.tables import TITLES, comparison_table, table_of
+from quadexp.report.text import duration, number, percent, probability, shown
 
 WORST = 9
 MOST_WORLDS = 30
@@ -80,53 +79,19 @@ def numbers(comparison: Comparison) -> Section:
 
 
 def _number_block(comparison: Comparison, metric: str) -> Block:
-    statistics, unit = comparison.select(metric), shown(metric)[1]
-    by_place = {(s.condition, comparison.labels[s.contestant]): s for s in statistics}
-    flown: dict[str, Flights] = {}  # on all plants and vehicles
-    for (_, label), s in by_place.items():
-        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown)
-    columns = [label for label in comparison.look if label in flown]
-    compared = [c for c in columns if any(s.baseline for (_, who), s in by_place.items() if who == c)]
-    order = list(dict.fromkeys(map(course_of, comparison.conditions)))
-    conditions = sorted(
-        comparison.conditions, key=lambda c: (order.index(course_of(c)), -1.0 if c[3] is None else c[3])
-    )
-
-    def table(name: str, title: str, heads: list[Cell], labels: list[str], cell: Any) -> PageTable:
-        lines = [
-            [Cell(comparison.course_title(course_of(at))), Cell(speed_text(at[3], ""))]
-            + [cell(by_place.get((at, label))) for label in labels]
-            for at in conditions
-        ]
-        return PageTable(name, title, [Cell("trajectory"), Cell("m/s"), *heads], lines)
-
-    heads = [Cell(label, (f"{flown[label].text()} completed",), mark=label) for label in columns]
-    tables = [table(metric, f"{TITLES[metric]} ({unit})", heads, columns, _mean_cell)]
-    if compared:
-        baseline = next(s.baseline for s in statistics if s.baseline)
-        bold = f"negative is better, bold if p < {1 - comparison.confidence:.2g}"
-        title = f"Paired difference to {baseline} ({unit}), flights with the same noise: {bold}"
-        heads = [Cell(label, mark=label) for label in compared]
-        tables.append(table(f"{metric}-differences", title, heads, compared, _difference_cell))
-    return Block(TITLES[metric], metric, tables=tables, notes=table_notes(statistics, ()))
-
-
-def _mean_cell(s: Statistic | None) -> Cell:
-    if s is None:
-        return Cell("-")
-    (text, limits), lost, own = value_text(s), lost_text(s).replace("_", " "), own_text(s)
-    star = "*" if s.significant and text else ""
-    return Cell(text + star, (limits.strip(), own + ("; " if own and lost else "")), lost, s.best)
-
-
-def _difference_cell(s: Statistic | None) -> Cell:
-    lost = f"left out: {s.left_out}" if s and s.left_out else ""
-    if s is None or not s.pairs:
-        return Cell("-", lost=lost)
-    factor, _ = shown(s.metric)
-    text, limits = with_interval(*(factor * v for v in (s.difference, s.difference_low, s.difference_high)))
-    p = probability(s.p_holm) if s.testable else ""
-    return Cell(text if s.difference < 0 else f"+{text}", (_change(s)[0], f"{limits} {p}"), lost, s.significant)
+    """The error table, with the counts of completed flights in its heading, and the paired differences."""
+    statistics, marks = comparison.select(metric), comparison.look
+    errors = table_of(statistics)
+    table = errors.table()
+    means = PageTable.of(table, metric)
+    heads = [
+        Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)
+        for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True))
+    ]
+    tables = [replace(means, heads=heads, lines=means.lines[1:], notes=())]
+    if (differences := comparison_table(statistics)) is not None:
+        tables.append(PageTable.of(differences, f"{metric}-differences"))
+    return Block(TITLES[metric], metric, tables=tables, notes=errors.notes)
 
 
 def worlds(comparison: Comparison) -> Section:
