@@ -49,12 +49,6 @@ AIR = {  # baseline -> controllers that are the same but for what they know of t
 BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
 
 
-def course_of(condition: Condition) -> Course:
-    """A condition without its speed."""
-    plant, vehicle, trajectory, _, setting = condition
-    return plant, vehicle, trajectory, setting
-
-
 @dataclass(frozen=True)
 class Comparison:
     """Results with their statistics. metric: the main one. baseline: a controller's name. notes: on the rows.
