@@ -47,7 +47,7 @@ measure();
 
 for (const table of document.querySelectorAll("table.sorts")) { // by a click on a heading; numbers as numbers, gaps last
   const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
-  const key = (row, i) => { const text = row.cells[i].textContent.trim(); return text && !isNaN(text) ? +text : text; };
+  const key = (row, i) => { const text = row.cells[i].textContent.trim().replace("\u2212", "-"); return text && !isNaN(text) ? +text : text; };
   const compare = (x, y) => typeof x === typeof y ? (x < y ? -1 : x > y ? 1 : 0) : typeof x === "number" ? -1 : 1;
   heads.forEach((head, i) => {
     const button = document.createElement("button");
