@@ -303,7 +303,7 @@ def _notes(
 def _why_nothing(frame: SweepFrame, keys: Sequence[str], y: str) -> str:
     if not any(row["outcome"] == "ok" for row in frame.rows):
         flights = count(len(frame.rows), "flight")
-        return f"none of the {flights} completed: there is no {y} to draw (--y success draws that)"
+        return f"none of the {flights} was completed: there is no {y} to draw (--y success draws that)"
     return f"no completed flight has {y} and a value of {listed(keys)}"
 
 

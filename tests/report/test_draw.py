@@ -157,7 +157,7 @@ def test_a_wrong_suffix_is_one_line(tmp_path):
 
 def test_nothing_that_ended_well_is_one_line_and_success_is_drawn(tmp_path):
     read = SweepFrame.read(swept(tmp_path / "r", ["controller.nodes=5,10"], lambda config: None))
-    with pytest.raises(UsageError, match="none of the 2 flights were completed"):
+    with pytest.raises(UsageError, match="none of the 2 flights was completed"):
         view(read, x="controller.nodes")
     assert figure_of(view(read, x="controller.nodes", y="success")).axes
 

@@ -70,7 +70,7 @@ def test_a_wide_interval_does_not_squash_the_means(rows):
 
 def test_what_was_not_flown_is_not_drawn(rows):
     lost = [made | {"outcome": "lost"} for made in rows]
-    with pytest.raises(UsageError, match="none of the 24 flights were completed"):
+    with pytest.raises(UsageError, match="none of the 24 flights was completed"):
         speed_figure(lost)
     assert solve_times(lost) is None
 
