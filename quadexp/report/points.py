@@ -1,8 +1,8 @@
-"""What a figure shows at each of its places: a mean with its interval, and how many flights ended well.
+"""What a figure shows at each of its places: a mean with its interval, and how many flights were completed.
 
 A place is one value of every key that the figure shows (x, lines, panels). Its mean is over the common flights, by the
 one rule of every table (pairing.py): places that differ in keys of the controller stand beside each other, and are over
-the flights that all of them ended well. Settings that the figure does not show are averaged, seed by seed:
+the flights that all of them completed. Settings that the figure does not show are averaged, seed by seed:
 
     mean      over the seeds, of the mean over the other settings of that seed
     interval  of the mean over the seeds, as in tables (inference.mean_interval); of a share, where each flight has a
@@ -24,7 +24,7 @@ from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
 
 Place = tuple[Any, ...]  # a value of each key that is shown
-SUCCESS = "success"  # the share of flights that ended well
+SUCCESS = "success"  # the share of completed flights
 
 
 @dataclass(frozen=True)

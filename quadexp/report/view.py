@@ -299,7 +299,7 @@ def _notes(
         notes.append(f"mean over {key}: {', '.join(texts[:MOST_VALUES])}{rest}")
     trials, ended = (sum(getattr(point, name) for point in places.values()) for name in ("trials", "ended"))
     if y != SUCCESS and ended < trials:
-        notes.append(f"{trials - ended} of {trials} flights did not end well: marked k/n where k of n did")
+        notes.append(f"{trials - ended} of {trials} flights were not completed: marked k/n where k of n were")
     if wrong := sum(bool(point.invalid) for point in places.values()):
         notes.append(f"{count(wrong, 'place')} invalid: settings that contradict each other")
     return notes

@@ -57,7 +57,7 @@ def test_a_wide_interval_does_not_squash_the_means(rows):
 
 def test_what_was_not_flown_is_not_drawn(rows):
     lost = [made | {"outcome": "lost"} for made in rows]
-    with pytest.raises(UsageError, match="none of the 24 flights ended well"):
+    with pytest.raises(UsageError, match="none of the 24 flights was completed"):
         speed_figure(lost)
 
 
