@@ -106,8 +106,8 @@ def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
     return sides
 
 
-def ended_well(sides: Sequence[Mapping[Key, Row]]) -> tuple[dict[Key, tuple[Row, ...]], set[Key]]:
-    """The flights that ended well in all results, with a row of each; and those that all compared contestants did."""
+def completed_in_all(sides: Sequence[Mapping[Key, Row]]) -> tuple[dict[Key, tuple[Row, ...]], set[Key]]:
+    """The flights completed in all results, with a row of each; and those that all compared contestants completed."""
     both = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
     flights = {key: rows for key, rows in both.items() if all(map(is_flown, rows))}
     by_contestant: dict[Any, set[Any]] = {who: set() for _, who, _ in both}
@@ -196,7 +196,7 @@ def _contestants(
     both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], metric: str, confidence: float
 ) -> list[dict[str, Any]]:
     """For each contestant: completed flights, means of a and b over the common flights, and b against a."""
-    flights, shared = ended_well([{key: pair[i] for key, pair in both.items()} for i in (0, 1)])
+    flights, shared = completed_in_all([{key: pair[i] for key, pair in both.items()} for i in (0, 1)])
     made: list[dict[str, Any]] = []
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in both.items() if key[1] == contestant}
@@ -303,7 +303,7 @@ def results_means(paths: Sequence[Path]) -> tuple[str, dict[str, tuple[list[floa
     tables = [read_table(path / RESULTS_FILE, "results") for path in paths]
     metric = tables[0][1].get("metric", "mean_error")
     sides = matched(*(from_columns(columns) for columns, _ in tables))
-    flights, shared = ended_well(sides)
+    flights, shared = completed_in_all(sides)
     in_all = [contestant for at, contestant, seed in sides[0] if all((at, contestant, seed) in side for side in sides)]
     means = {}
     for who, label in contestant_labels(list(dict.fromkeys(in_all))).items():

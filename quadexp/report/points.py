@@ -80,13 +80,13 @@ def points(
     for place, own in places.items():
         rows = [frame.rows[i] for i in own]
         outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
-        trials, ended_well = outcomes.total(), outcomes.pop("ok", 0)
-        about: dict[str, Any] = {"ended": ended_well, "trials": trials, "lost": dict(outcomes)}
+        trials, completed = outcomes.total(), outcomes.pop("ok", 0)
+        about: dict[str, Any] = {"ended": completed, "trials": trials, "lost": dict(outcomes)}
         about["invalid"] = "" if trials else str(rows[0]["cause"])
         if y == SUCCESS:
             single = len({row["seed"] for row in rows}) == len(rows)
-            low, high = success_interval(ended_well, trials, confidence) if single else (math.nan, math.nan)
-            share = ended_well / trials if trials else math.nan
+            low, high = success_interval(completed, trials, confidence) if single else (math.nan, math.nan)
+            share = completed / trials if trials else math.nan
             made[place] = Point(share, low, high, trials, 0, method="Clopper-Pearson", **about)
             continue
         errors: dict[tuple[Place, int], list[float]] = {}

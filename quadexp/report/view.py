@@ -248,9 +248,9 @@ def _made(
     places = points(frame, keys, y, others=others, confidence=confidence)
     if not any(point.is_shown for point in places.values()):
         if any(row["outcome"] == "ok" for row in frame.rows):
-            raise UsageError(f"no flight that ended well has {y} and a value of {listed(keys)}")
+            raise UsageError(f"no completed flight has {y} and a value of {listed(keys)}")
         flights = count(len(frame.rows), "flight")
-        raise UsageError(f"none of the {flights} ended well: there is no {y} to draw (--y success draws that)")
+        raise UsageError(f"none of the {flights} was completed: there is no {y} to draw (--y success draws that)")
     axes = {
         key: Axis.of(key, list(dict.fromkeys(shown_column(frame, key, keys))) if key in WHO else frame.values(key))
         for key in keys

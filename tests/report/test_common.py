@@ -33,7 +33,7 @@ def at(seeds):
 
 
 class TestRule:
-    def test_flights_that_all_ended_well(self):
+    def test_flights_that_all_completed(self):
         assert common(at({"a": "123", "b": "234", "c": ""})) == (["a", "b"], frozenset({("x", 2), ("x", 3)}))
         assert common({"a": set(), "b": set()}) == ([], frozenset())
 

@@ -163,7 +163,7 @@ def test_a_page_holds_the_numbers_and_needs_no_network(frame):
     assert not re.search(r"(?:src|href)=[\"']?(?:https?:)?//", page) and "@import" not in page
 
 
-def test_nothing_that_ended_well_is_one_line_and_success_is_drawn(tmp_path):
+def test_nothing_that_was_completed_is_one_line_and_success_is_drawn(tmp_path):
     read = SweepFrame.read(swept(tmp_path / "r", ["controller.nodes=5,10"], lambda config: None))
     with pytest.raises(UsageError, match="none of the 2 flights was completed"):
         view(read, x="controller.nodes")
