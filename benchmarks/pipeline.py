@@ -37,7 +37,7 @@ CELLS = 15 * 4
 
 @dataclass(frozen=True)
 class Measured:
-    """A command that ended well: wall clock and processor time (s), GB of its largest process, its JSON object."""
+    """A command that completed: wall clock and processor time (s), GB of its largest process, its JSON object."""
 
     seconds: float
     processor: float

@@ -19,7 +19,7 @@ from rich.console import Console
 from quadexp import messages
 from quadexp.cli.terminal import print_lines
 from quadexp.log.check.candidates import flow
-from quadexp.report.sortable import Column, sortable_page
+from quadexp.report.document import sortable_page
 from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.table import _MARKS, Table
 from quadexp.tune.preset import _yaml
@@ -133,7 +133,7 @@ def test_html_has_text_and_no_tag(text):
     table = Page(Table(["a", "b"], [[text, text]], text, notes=[text]).html())
     assert [table.tags.count(tag) for tag in ("td", "th", "tr")] == [2, 2, 2]
     assert set(table.tags) <= {"table", "caption", "thead", "tbody", "tr", "td", "th", "p", "b"}
-    whole = Page(sortable_page(text, [Column("a", text)], [{"a": text}], notes=[text]))
+    whole = Page(sortable_page(text, Table([text], [[text]]), notes=[text]))
     assert whole.tags.count("td") == 1 and whole.tags.count("script") == 1
     assert "</" not in messages.script({text: text}) and json.loads(messages.script([text])) == [text]
 

@@ -14,12 +14,11 @@ from quadexp.bench.ranking import Row, Standing, standings
 from quadexp.errors import UsageError
 from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
-from quadexp.messages import html
 from quadexp.provenance import provenance
+from quadexp.report.document import Block, PageTable, Section, document
 from quadexp.report.flown_by import flown_by_lines
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN
-from quadexp.report.plain_page import paragraph, plain_page, scrolled
 from quadexp.report.result_rows import from_columns, to_columns
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
@@ -33,7 +32,7 @@ RULE = (
     " cells (task, world, seed), where lost flights share the last ranks; then the others in the same way. In"
     " brackets the 95 % interval over the seeds. =: not told apart from the one above (paired permutation test of"
     " the seeds, p < 0.05 each). x least: geometric mean of the error over the least of each cell. It and the"
-    " error over the baseline's are of flights that ended well, (n): of n only, and who loses the hard ones has"
+    " error over the baseline's are of completed flights, (n): of n only, and who loses the hard ones has"
     " less. Bounds are told the plant's equations and take no rank. settings: as shipped are those of a"
     " publication or, where there is none, of this program; set by hand on seeds that are flown here, they are"
     " flattered. Bold: the least of a line, without a test. step: median over the instants of the fastest loop, on"
@@ -107,7 +106,7 @@ def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
 def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str = "") -> Table:
     """The standings of one family."""
     found = standings(rows, metric=metric, baseline=baseline)
-    heads = ["place", "entry", "settings", "ended well", "mean rank", "x least", f"error / {baseline}", "step"]
+    heads = ["place", "entry", "settings", "completed", "mean rank", "x least", f"error / {baseline}", "step"]
     notes = [f"{listed([one.entry for one in found if one.bound])}: bound, not ranked"] if found[-1].bound else []
     seeds = len({row["seed"] for row in rows})
     if seeds < least_seeds(1):
@@ -160,7 +159,7 @@ def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world
 
 
 def _mean(rows: Sequence[Row], metric: str) -> tuple[float, int]:
-    """Geometric mean over the flights that ended well (m), and how many did not."""
+    """Geometric mean over the completed flights (m), and how many were not."""
     errors = [float(row[metric]) for row in rows if row["outcome"] == "ok" and float(row[metric]) > 0]
     mean = math.exp(float(np.mean(np.log(errors)))) if errors else math.nan
     return mean, sum(row["outcome"] != "ok" for row in rows)
@@ -193,12 +192,14 @@ def write_page(path: Path, rows: Sequence[Row], protocol: Protocol, notes: Seque
     """Write the leaderboard as one page that opens offline."""
     entries, metric = {row["entry"] for row in rows}, protocol.metric
     size = f"size {rows[0]['size']}, protocol v{protocol.version} ({protocol.sha256[:SHORT]})"
-    parts = [paragraph(f"{len(entries)} entries, {count(len(rows), 'flight')}, {size}."), paragraph(RULE)]
-    for name, own in families_of(rows).items():
+    lead = f"{len(entries)} entries, {count(len(rows), 'flight')}, {size}. {RULE[:1].upper()}{RULE[1:]}."
+    sections = []
+    for name, flights in families_of(rows).items():
         what = f"{protocol.families[name].what}." if name in protocol.families else ""
-        board = board_table(own, metric=metric, baseline=protocol.baseline)
-        worlds, tasks = (error_table(own, metric=metric, by=by) for by in (("world",), ("task", "world")))
-        parts += [f"<h2>{html(name)}</h2>", paragraph(what), *map(scrolled, (board, worlds, tasks))]
+        board = board_table(flights, metric=metric, baseline=protocol.baseline)
+        worlds, tasks = (error_table(flights, metric=metric, by=by) for by in (("world",), ("task", "world")))
+        tables = [PageTable.of(table) for table in (board, worlds, tasks)]
+        sections.append(Section(name, name, name, f"{lead} {what}".strip(), [Block(tables=tables)]))
     origin = [f"Protocol: sha256 {protocol.sha256}", *flown_by_lines(rows), *notes]
-    body = "\n".join([*parts, "<h2>Provenance</h2>", *map(paragraph, origin)])
-    return write_text(path, plain_page(f"Leaderboard, protocol v{protocol.version}", body))
+    sections.append(Section("provenance", "Provenance", "Provenance", "", [Block(notes=origin)]))
+    return write_text(path, document(f"Leaderboard, protocol v{protocol.version}", sections))

@@ -1,6 +1,6 @@
 """Who is ahead. In every cell (task, world, seed) of a family, the ranked entries are put in order:
 
-    rank of a flight      1 for the least error of those that ended well, ties share their mean rank; all that were lost
+    rank of a flight      1 for the least error of those that completed, ties share their mean rank; all that were lost
                           or not flown come after them, and share theirs
     mean rank             mean over tasks and worlds, then over seeds; its interval is Student's t over six seeds or
                           more: of three, whose ranks are few numbers, it held the mean in 90 % of 2,000 tables for 95
@@ -8,8 +8,8 @@
     place                 those not told apart, by the number of flights lost, from the entry that lost the fewest come
                           first, then those not told apart from the fewest of the rest; among them by mean rank
     level                 with the one above: not told apart by lost flights, nor by their mean ranks
-    of the least          geometric mean of error / least error of the cell, over its own flights that ended well
-    against the baseline  ratio of errors over the cells that both ended well, seeds paired (pairing.seed_means)
+    of the least          geometric mean of error / least error of the cell, over its own completed flights
+    against the baseline  ratio of errors over the cells that both completed, seeds paired (pairing.seed_means)
 
 Both are over other cells where flights were lost, so each has its number of cells. Bounds (told the plant's equations)
 are shown and take no rank, nor do they make a cell's least error. Ranks and `of the least` depend on who takes part,
@@ -148,7 +148,7 @@ def _cell(row: Row) -> tuple[str, str, int]:
 
 
 def _error(row: Row, metric: str) -> float:
-    """The error of a flight, infinite for one that did not end well."""
+    """The error of a flight, infinite for one that was not completed."""
     value = float(row[metric]) if row["outcome"] == "ok" else math.inf
     return value if math.isfinite(value) else math.inf
 

@@ -13,6 +13,7 @@ import typer
 
 from quadexp.cli.command import Answer, Ask, command, single_values
 from quadexp.cli.options import Force, OptionalOut, Out
+from quadexp.cli.terminal import say
 
 
 @command
@@ -43,6 +44,7 @@ def compare_two(
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
+    from quadexp.report.checked import check_flights, rows_of
     from quadexp.report.compare import compare, compare_tables
 
     if out is not None:
@@ -55,7 +57,12 @@ def compare_two(
         from quadexp.report.draw import save_figure
 
         save_figure(picture(report["kind"], [first, *others]), out, force=force)
+    checked = {str(p): check_flights(*rows_of(p)) for p in (first, *others) if report["kind"] == "results"}
+    wrong = [f"{results}: {line}" for results, found in checked.items() for line in found.lines(beside=False)]
+    for line in wrong:
+        say(f"warning: {line}")
     record = {key: value for key, value in report.items() if key != "lines"} | ({"picture": out} if out else {})
+    record |= {"checked": [f"{results}: {found.text()}" for results, found in checked.items()] + wrong}
     return Answer(record, lambda: compare_tables(first, *others), [*report["lines"], *([out] if out else [])])
 
 
@@ -76,8 +83,10 @@ def report(
     from quadexp.report.page import make_report
 
     made = make_report(results, out, figures=figures, baseline=baseline, force=force)
-    lines = [*made["answer"], made["note"], *made["figures"].values(), made["path"]]
-    return Answer(made, _files({"page": made["path"], **made["figures"]}), lines)
+    checked = made["checked"]
+    said = [*made["answer"], made["note"], f"{checked['text']}.", *checked["lines"]]
+    files = _files({"page": made["path"], **made["figures"]})
+    return Answer(made, files, [*said, *made["figures"].values(), made["path"]])
 
 
 @command

@@ -45,7 +45,7 @@ def plot(
     """Draw results with any keys of the configuration as axes; without keys, what was swept chooses them.
 
     The value of a key is that of the configuration stored with each flight, also of one that was not swept. Means are
-    over the common flights, and bars their intervals, as in tables; k/n stands where only k of n flights ended well.
+    over the common flights, and bars their intervals, as in tables; k/n: only k of n flights were completed.
     The suffix of --out chooses the format: png, pdf, svg, or html, a page that opens offline with the numbers.
 
     \b
@@ -57,6 +57,7 @@ def plot(
     from dataclasses import replace
 
     from quadexp.errors import UsageError
+    from quadexp.report.checked import check_flights
     from quadexp.report.draw import FIGURES, check_path, records, save_view
     from quadexp.report.frame import SweepFrame
     from quadexp.report.query import chosen
@@ -82,11 +83,15 @@ def plot(
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)
     about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
-    record = {"path": path, **about, "notes": [figure.caption, *figure.notes], "points": numbers}
+    checked = check_flights(frame.root, frame.rows)
+    notes = [figure.caption, *figure.notes, f"{checked.text()}.", *checked.lines()]
+    record = {"path": path, **about, "notes": notes, "points": numbers}
     if answered(form, record, lambda: numbers, "plot"):
         return
     for note in ((figure.caption,) if width else ()) + figure.notes:
         say(f"note: {note}")
+    for line in checked.lines():
+        say(f"warning: {line}")
     print_lines([path])
 
 

@@ -27,7 +27,7 @@ def results(
     sort: Annotated[str | None, Ask("Sort by these columns; -KEY for descending order.", "KEYS")] = None,
     columns: Annotated[str | None, Ask("Show these columns or keys, commas between.", "KEYS")] = None,
     limit: Annotated[int | None, Ask("Show at most this many rows.", flag="--limit -n", least=1)] = None,
-    failures: Annotated[bool, Ask("Show only flights that did not end well, with the cause.")] = False,
+    failures: Annotated[bool, Ask("Show only flights that were not completed, with the cause.")] = False,
     html: Annotated[Path | None, Ask("Write a sortable table as a page that opens offline.", "FILE")] = None,
     opened: Annotated[bool, Ask("Open that page in the browser.", flag="--open")] = False,
     prune: Annotated[bool, Ask("Remove cells (see above).")] = False,
@@ -58,6 +58,7 @@ def results(
     """
     from quadexp.errors import UsageError
     from quadexp.log.outcome import RULE
+    from quadexp.report.checked import check_flights
     from quadexp.report.flown_by import flown_by, flown_by_lines
     from quadexp.report.tables import csv_of, flights_table, page_of
     from quadexp.sweeps.results import select
@@ -79,17 +80,21 @@ def results(
     if html or opened:
         page = page_of(frame, names or [*usual, "key"], folder.name)
         return _page(page, html or Path(f"{folder.name}.html"), force, opened)
+    checked = check_flights(frame.root, [row for row in total if row["wanted"]])
+    for line in checked.lines(beside=False):
+        say(f"warning: {line}")
     table = flights_table(frame, names or usual, all_of_them=bool(names))
     shown = names or [name for name in usual if name in table.names]
     outcomes = [row["outcome"] for row in total]
     counts = {outcome: outcomes.count(outcome) for outcome in sorted(set(outcomes))}
     unwanted = sum(not row["wanted"] for row in total)
     said = ", ".join([f"{len(total)} cells", *(f"{count} {outcome}" for outcome, count in counts.items())])
-    remarks = [said + (f"; {unwanted} not of the last sweep (--prune)" if unwanted else "")]
+    said += f"; {unwanted} not of the last sweep (--prune)" if unwanted else ""
+    remarks = [f"{said}; {checked.text()}"]
     remarks += [RULE] if counts.keys() - {"ok"} else []
     remarks += flown_by_lines(total) if several else []
     chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
-    record = {"count": len(total), "rows": chosen if names else frame.rows}
+    record = {"count": len(total), "checked": checked.text(), "rows": chosen if names else frame.rows}
     return Answer(record, [table.table], [table.table], remarks=remarks, texts={"csv": lambda: csv_of(frame, shown)})
 
 

@@ -41,7 +41,7 @@ FINITE_SAMPLES = 200  # of a path, of which each must be finite
 
 
 class InfeasibleError(UsageError):
-    """The reference exceeds the vehicle's total thrust, or the plant's lag what the loop stands."""
+    """The reference exceeds the vehicle's total thrust, or the plant's lag what the loop tolerates."""
 
 
 def generator(config: Config) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""The delay and lag that a flight's loop stands, for the record of the flight."""
+"""The delay and lag that a flight's loop tolerates, for the record of the flight."""
 
 from __future__ import annotations
 

@@ -68,9 +68,9 @@ def instability(
     told_of = " and ".join(f"{_ms(value)} of {name}" for name, value in predicts.items() if value)
     return (
         f"{controller.name} on {config.plant.name}: {causes or 'no delay'}; at {controller.rate:g} Hz with a horizon of"
-        f" {controller.horizon:g} s this loop stands {_ms(margins['lag'])} of lag or {_ms(margins['delay'])} of delay"
-        f"{f' beyond the {told_of} that it predicts' if told_of else ''}, and is not stable at hover; what makes it"
-        f" stable: {found}; to fly it all the same: controller.allow_unstable=true"
+        f" {controller.horizon:g} s this loop tolerates {_ms(margins['lag'])} of lag or {_ms(margins['delay'])} of"
+        f" delay{f' beyond the {told_of} that it predicts' if told_of else ''}, and is not stable at hover; what makes"
+        f" it stable: {found}; to fly it all the same: controller.allow_unstable=true"
     )
 
 

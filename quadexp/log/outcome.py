@@ -1,6 +1,6 @@
 """How a flight ended, in one word, which stands in its file and in its row of results.
 
-    ok             flown to its end inside its corridor: it "ended well"
+    ok             flown to its end inside its corridor: it is completed
     left_corridor  flown to its end, but at some instant further from its reference than its corridor reaches
     lost           ended early: beyond trajectory.lost_distance or lost_box, or outside the domain of the plant's model
     solver_failed  ended early: a control step failed
@@ -26,11 +26,11 @@ CORRIDOR = 20.0  # sizes of the vehicle, in every direction from the reference
 COMPLETED = ("ok", "left_corridor")  # flown to the end: their errors are those of the whole path
 UNFLOWN = ("infeasible", "failed")  # without a sample
 FAILURES = ("left_corridor", "lost", "solver_failed", *UNFLOWN)  # of flights that were asked for
-RULE = f"a flight ends well inside its corridor: {CORRIDOR:g} times the distance between its outermost rotors"
+RULE = f"a flight is completed inside its corridor: {CORRIDOR:g} times the distance between its outermost rotors"
 
 
 def corridor(size: float, t: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> float:
-    """Largest distance (m) from the reference with which a flight ends well.
+    """Largest distance (m) from the reference with which a flight is completed.
 
     size: of the vehicle (m). t: (k,) (s). position, velocity: of the reference, (k, 3) (m, m/s).
     """

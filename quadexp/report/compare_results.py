@@ -1,7 +1,7 @@
 """What differs between results: outcomes, errors, and the settings of their cells.
 
 Flights of two results are paired by condition, contestant and seed. Errors are over the flights that all contestants
-ended well in both (pairing.py): b is compared with a as a contestant is with a baseline in statistics.py, by a mean
+completed in both (pairing.py): b is compared with a as a contestant is with a baseline in statistics.py, by a mean
 ratio over the seeds with its interval and a paired permutation test; b is "not distinguishable" if that is not
 significant, and "n seeds cannot tell" where it could not be.
 """
@@ -37,7 +37,7 @@ MOST_LETTERS = 36  # of a value
 MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
 MOST_CONDITIONS = 6  # lines of conditions, the largest changes first
 EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
-NOTE = "means over the flights that all of them ended well in every one of these results"
+NOTE = "means over the flights that all of them completed in every one of these results"
 
 Row = Mapping[str, Any]
 Key = tuple[Any, ...]  # condition, contestant, seed
@@ -106,8 +106,8 @@ def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
     return sides
 
 
-def ended_well(sides: Sequence[Mapping[Key, Row]]) -> tuple[dict[Key, tuple[Row, ...]], set[Key]]:
-    """The flights that ended well in all results, with a row of each; and those that all compared contestants did."""
+def completed_in_all(sides: Sequence[Mapping[Key, Row]]) -> tuple[dict[Key, tuple[Row, ...]], set[Key]]:
+    """The flights completed in all results, with a row of each; and those that all compared contestants completed."""
     both = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
     flights = {key: rows for key, rows in both.items() if all(map(is_flown, rows))}
     by_contestant: dict[Any, set[Any]] = {who: set() for _, who, _ in both}
@@ -195,8 +195,8 @@ def _settings(a: Path, b: Path, both: Mapping[Key, tuple[Row, Row]]) -> dict[str
 def _contestants(
     both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], metric: str, confidence: float
 ) -> list[dict[str, Any]]:
-    """For each contestant: flights that ended well, means of a and b over the common flights, and b against a."""
-    flights, shared = ended_well([{key: pair[i] for key, pair in both.items()} for i in (0, 1)])
+    """For each contestant: completed flights, means of a and b over the common flights, and b against a."""
+    flights, shared = completed_in_all([{key: pair[i] for key, pair in both.items()} for i in (0, 1)])
     made: list[dict[str, Any]] = []
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in both.items() if key[1] == contestant}
@@ -205,7 +205,7 @@ def _contestants(
         rows = [dict(both[key][i], controller="ab"[i], model="", variant=key[0][4]) for key in kept for i in (0, 1)]
         (pooled,) = overall(rows, metric=metric, baseline="a", confidence=confidence)
         beyond = len(pairs) - len(kept)
-        left_out = [pooled.left_out, f"{beyond} not ended well by all" if beyond else ""]
+        left_out = [pooled.left_out, f"{beyond} not completed by all" if beyond else ""]
         means = (
             change(*(_mean([both[key][i] for key in some], metric) for i in (0, 1)))
             for some in ([key for key in own if key in shared], own)
@@ -238,7 +238,7 @@ def _contestants(
 
 
 def _conditions(both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], metric: str) -> list[dict[str, Any]]:
-    """Means over the seeds that ended well on both sides, for every condition and contestant."""
+    """Means over the seeds that completed on both sides, for every condition and contestant."""
     groups: dict[Key, list[tuple[Row, Row]]] = {}
     for key, pair in both.items():
         if all(map(is_flown, pair)):
@@ -269,7 +269,7 @@ def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str
             left_out.append(f"  {one['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', one['left_out'])}")
         if one["own"]["pairs"] > one["pairs"]:
             means = " and ".join(number(factor * one["own"][side]) for side in "ab")
-            own.append(f"  {one['label']}: over all {one['own']['pairs']} that it ended well in both: {means} {unit}")
+            own.append(f"  {one['label']}: over all {one['own']['pairs']} that it completed in both: {means} {unit}")
     return Table([*heading, "p (Holm)", "b is"], rows, notes=[*left_out, *own]).lines()
 
 
@@ -303,7 +303,7 @@ def results_means(paths: Sequence[Path]) -> tuple[str, dict[str, tuple[list[floa
     tables = [read_table(path / RESULTS_FILE, "results") for path in paths]
     metric = tables[0][1].get("metric", "mean_error")
     sides = matched(*(from_columns(columns) for columns, _ in tables))
-    flights, shared = ended_well(sides)
+    flights, shared = completed_in_all(sides)
     in_all = [contestant for at, contestant, seed in sides[0] if all((at, contestant, seed) in side for side in sides)]
     means = {}
     for who, label in contestant_labels(list(dict.fromkeys(in_all))).items():

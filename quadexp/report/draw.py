@@ -1,12 +1,12 @@
 """The one drawer: a view as lines, as a heat map or as parallel coordinates, with the mean of a metric over any keys.
 
 lines      a panel for every value of `facet`, a line for every value of `by`, bars for the interval. Values of a key
-           that is no number stand side by side. Where flights were lost stands "k/n"; where none ended well, a cross at
+           that is no number stand side by side. Where flights were lost stands "k/n"; where none completed, a cross at
            the upper edge
 heat       one key along x, one along y, the mean as a colour and as a number. What was not asked for is blank, what is
-           invalid crossed out; without a flight that ended well it says how many were lost
+           invalid crossed out; without a completed flight it says how many were lost
 parallel   an axis a key, a line a combination, its colour the error, which is the last axis. Combinations without a
-           flight that ended well are dashed and grey, and end below it
+           completed flight are dashed and grey, and end below it
 
 A file is PNG, PDF or SVG, or one HTML page with the numbers, which opens offline. With `View.width` it is for a paper:
 as wide as a column or page of the IEEE with letters that fit it, and its notes are left to the caption.
@@ -32,10 +32,11 @@ from matplotlib.patches import Rectangle
 
 from quadexp.errors import UsageError
 from quadexp.files.writer import check_output, write_text, written
+from quadexp.report.document import sortable_page
 from quadexp.report.figures import ERROR_COLOURS
 from quadexp.report.points import SUCCESS, Place, Point
-from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.style import PLAIN, STYLE, Figure, Look, entries, looks, plain_log, styled
+from quadexp.report.table import records_table
 from quadexp.report.text import significant
 from quadexp.report.view import Axis, View, value_text
 
@@ -257,13 +258,13 @@ def is_log(view: View) -> bool:
 
 
 def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mapping[Place, str]) -> None:
-    """A cross above the lines where no flight of a place ended well, or its settings are invalid."""
+    """A cross above the lines where no flight of a place was completed, or its settings are invalid."""
     start = len(view.facet)
     for k, (line, label) in enumerate(labels.items()):
         cross = {"marker": "x", "markersize": 5, "color": look[line].colour, "linestyle": "none"}
         own = {place: point for place, point in view.places.items() if place[start : start + len(line)] == line}
         if not any(point.is_shown for point in own.values()):
-            what = "invalid" if all(point.invalid for point in own.values()) else "no flight ended well"
+            what = "invalid" if all(point.invalid for point in own.values()) else "no flight was completed"
             grid[0].plot([], [], label=f"{label} ({what})".strip(), **cross)
         for panel, facet in zip(grid, view.panels, strict=False):
             gone = [(p[-1], point) for p, point in own.items() if p[:start] == facet and not point.is_shown]
@@ -279,7 +280,7 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
 
 
 def _make_room(panel: Any, lines: int, log: bool) -> None:
-    """Leave the upper edge to the crosses of places where no flight ended well."""
+    """Leave the upper edge to the crosses of places where no flight was completed."""
     low, high = panel.get_ylim()
     share = 1.0 / (0.92 - 0.055 * min(lines, 5))
     panel.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
@@ -378,9 +379,7 @@ def parallel_figure(view: View) -> Figure:
         panel.axvline(k, color="#555555", linewidth=0.8, zorder=0)
     gone = sum(not point.is_shown for point in view.places.values())
     if gone:
-        panel.text(
-            n, -0.1, f" {gone} without a flight that ended well", fontsize=7, color="#777777", va="center", ha="right"
-        )
+        panel.text(n, -0.1, f" {gone} without a completed flight", fontsize=7, color="#777777", va="center", ha="right")
     bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=panel, label=view.y_label)
     if isinstance(norm, LogNorm):
         plain_log(bar.ax.yaxis)
@@ -455,13 +454,13 @@ def page_of(view: View, title: str) -> str:
     stream = io.StringIO()
     figure_of(view).savefig(stream, format="svg", metadata={"Date": None})
     svg = stream.getvalue()
-    rows = records(view)
-    columns = [Column(name, f"{name} ({view.unit})" if name == view.y and view.unit else name) for name in rows[0]]
-    scaled = [{**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}} for row in rows]
+    shown = [{**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}} for row in records(view)]
+    rows = [{n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()} for row in shown]
+    table = records_table(rows)
+    heads = [f"{name} ({view.unit})" if name == view.y and view.unit else name for name in table.columns]
     return sortable_page(
         view.heading or title or view.y_label,
-        columns,
-        scaled,
+        replace(table, columns=heads),
         above=svg[svg.index("<svg") :],
         notes=(view.caption, *view.notes),
     )

@@ -130,7 +130,7 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure:
     panel.set_title(f"control step, {', '.join(backends)}")
     gone = [label for label in dict.fromkeys(labels) if label not in groups]
     if gone:
-        figure.suptitle(textwrap.fill(f"no flight ended well: {', '.join(gone)}", 90), fontsize=8)
+        figure.suptitle(textwrap.fill(f"no flight was completed: {', '.join(gone)}", 90), fontsize=8)
     return figure
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 UNKNOWN = "an earlier version that did not say"
@@ -18,11 +18,6 @@ def flown_by(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def programs_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, int]:
-    """Such as "quadexp 0.1.0, sources 78f30eeaa2be" -> number of rows that it flew."""
-    return dict(Counter(map(program_name, rows)).most_common())
-
-
 def program_name(row: Mapping[str, Any]) -> str:
     """The program of a row, for people."""
     if not row.get("sources"):
@@ -30,15 +25,15 @@ def program_name(row: Mapping[str, Any]) -> str:
     return f"quadexp {row.get('program')}, sources {row['sources']}"
 
 
-def counted(found: Mapping[str, int]) -> str:
-    """Such as "3 by quadexp 0.1.0, sources 78f30eeaa2be; 2 by ..."."""
-    return "; ".join(f"{count} by {name}" for name, count in found.items())
+def programs_text(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Such as "3 by quadexp 0.1.0, sources 78f30eeaa2be; 2 by ...", the most frequent first."""
+    return "; ".join(f"{count} by {name}" for name, count in Counter(map(program_name, rows)).most_common())
 
 
-def mixed_programs(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+def mixed_programs(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The line below a table with flights of several programs; else empty."""
-    found = programs_of(rows)
-    return [] if len(found) < 2 else [f"flights of {len(found)} programs stand side by side: {counted(found)}"]
+    programs = len(set(map(program_name, rows)))
+    return [f"flights of {programs} programs stand side by side: {programs_text(rows)}"] if programs > 1 else []
 
 
 def differing_libraries(texts: Iterable[str | None], here: str) -> str:

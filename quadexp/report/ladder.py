@@ -1,7 +1,7 @@
 """Mean errors place by place, all controllers beside each other: as a table and as a figure.
 
 A place is a plant (or a world), a trajectory and a speed. Each controller's mean is over all its flights there, and
-there is none where a flight did not end well. So the ladder of worlds says what each imperfection costs: its rows are
+there is none where a flight was not completed. So the ladder of worlds says what each imperfection costs: its rows are
 those of one plant in several worlds (`plant` is "simplified/only_motor_lag"), first the one without any.
 """
 
@@ -94,7 +94,7 @@ def means_figure(means: Means, first: First) -> Figure:
 
 
 def _cell(s: Statistic | None, bold: bool) -> str:
-    """The mean, or how many of its flights did not end well."""
+    """The mean, or how many of its flights were not completed."""
     if s is None:
         return ""
     if s.failures:

@@ -1,25 +1,22 @@
 """A sweep while it runs: how far it is and its table so far, on the terminal and as a page.
 
-Means are over the flights of each controller that have ended well so far, so they are of different flights until all
-are flown: the table of results, which compares common flights only, is made at the end.
+The table is that of the results, of the flights that are there: over common flights, beside them each one's own.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from quadexp.messages import html
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown, is_invalid
-from quadexp.report.plain_page import plain_page, scrolled
+from quadexp.report.document import Block, PageTable, Section, document
+from quadexp.report.pairing import is_invalid
 from quadexp.report.table import Table
-from quadexp.report.tables import TITLES, course_labels
-from quadexp.report.text import number, shown, speed_text
+from quadexp.report.tables import TITLES, error_table
+from quadexp.report.text import shown
 
 MOST_LINES = 60  # of the table on the page
-SO_FAR = "Means over the flights that ended well so far; the table of results compares common flights only."
 
 
 @dataclass
@@ -54,47 +51,14 @@ class Live:
         return f"{count}, {clock(self.elapsed)} so far{rest}"
 
     def table(self) -> Table:
-        """A column a controller, a line a world, trajectory and speed: the mean error of the flights that ended well,
-        and how many were lost; first how many ended well at all."""
+        """The error table of the flights that are there."""
+        title = f"{TITLES.get(self.metric, self.metric)} so far ({shown(self.metric)[1]}): {self.progress_text()}"
         rows = [row for row in self.rows if not is_invalid(row)]  # settings that contradict each other are no flight
-        factor, unit = shown(self.metric)
-        labels = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
-        names = sorted(labels.values())
-        courses = course_labels((trajectory, setting) for _, _, trajectory, _, setting in map(condition_of, rows))
-        several = len({condition_of(row)[:2] for row in rows}) > 1
-        errors: dict[tuple[str, str, float], dict[str, list[float]]] = {}  # NaN for a flight that did not end well
-        ended: dict[str, list[float]] = {name: [] for name in names}
-        for row in rows:
-            plant, vehicle, trajectory, speed, setting = condition_of(row)
-            line = (
-                f"{plant}, {vehicle}" if several else "",
-                courses[trajectory, setting],
-                -1.0 if speed is None else speed,
-            )
-            error = factor * row[self.metric] if is_flown(row) and row[self.metric] is not None else math.nan
-            name = labels[contestant_of(row)]
-            errors.setdefault(line, {}).setdefault(name, []).append(error)
-            ended[name].append(error)
-        lines = [
-            [f"{course} ({world})" if world else course, speed_text(None if speed < 0 else speed, "")]
-            + [_mean(cells.get(name, [])) for name in names]
-            for (world, course, speed), cells in sorted(errors.items())
-        ]
-        well = (f"{_count(values)} of {len(values)}" for values in ended.values())
-        title = f"{TITLES.get(self.metric, self.metric)} so far ({unit}): {self.progress_text()}"
-        return Table(["trajectory", "m/s", *names], [["ended well", "", *well], *lines], title, head=1, notes=[SO_FAR])
-
-
-def _count(errors: list[float]) -> int:
-    """How many flights ended well."""
-    return sum(map(math.isfinite, errors))
-
-
-def _mean(errors: list[float]) -> str:
-    """Of the flights that ended well, and how many did not."""
-    well = [error for error in errors if math.isfinite(error)]
-    lost = f" ({len(errors) - len(well)} lost)" if len(well) < len(errors) else ""
-    return (number(sum(well) / len(well) if well else math.nan) if errors else "") + lost
+        if not rows:
+            return Table(["trajectory", "m/s"], [], title)
+        known = [{**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]} for row in rows]
+        table = error_table(known, self.metric, baseline="").table()
+        return replace(table, title=title, notes=table.notes[:1])
 
 
 def clock(seconds: float) -> str:
@@ -109,14 +73,10 @@ def clock(seconds: float) -> str:
 def page(live: Live, seconds: float) -> str:
     """The page, which loads itself anew every few seconds while the sweep runs."""
     table = live.table()
-    more = len(table.rows) - 1 - MOST_LINES
-    notes = [*table.notes, *([f"{more} more lines are not shown."] if more > 0 else [])]
-    part = Table(table.columns, table.rows[: MOST_LINES + 1], table.title, head=1, notes=notes)
-    state = html(live.state.partition(" ")[0].rstrip(":"))
-    body = (
-        f'<p data-state="{state}">{html(live.progress_text())}</p>'
-        f'<progress max="{live.total}" value="{live.done}" aria-label="Flights"></progress>'
-        f"{scrolled(part)}"
-    )
-    again = f'<meta http-equiv="refresh" content="{seconds:g}">' if live.state == "running" else ""
-    return plain_page(f"{live.title} - quadexp sweep", body, again)
+    if (more := len(table.rows) - 1 - MOST_LINES) > 0:
+        notes = [*table.notes, f"{more} more lines are not shown."]
+        table = replace(table, rows=table.rows[: MOST_LINES + 1], notes=notes)
+    block = Block(progress=(live.done, live.total, live.progress_text()), tables=[PageTable.of(table)])
+    sections = [Section("sweep", "", live.title, "", [block])]
+    refresh = f"{seconds:g}" if live.state == "running" else ""
+    return document(f"{live.title} - quadexp sweep", sections, refresh=refresh)

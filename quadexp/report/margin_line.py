@@ -1,4 +1,4 @@
-"""The delay and lag that a loop stands, in words."""
+"""The delay and lag that a loop tolerates, in words."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ LONG = 0.499  # s: margins are not looked for beyond half a second
 
 
 def margin_line(margins: Mapping[str, Any] | None) -> str:
-    """What a loop stands of what nobody predicted; "" where it is not known. margins: see experiment.loop_margins.
+    """What a loop tolerates of what nobody predicted; "" where it is not known. margins: see experiment.loop_margins.
     They are those of the MPC by itself, which is said where a remedy is around it."""
     if not margins:
         return ""
     if not margins["delay"]:
         return "hover is not stable, even without a delay"
     delay, lag = (_milliseconds(margins[name]) for name in ("delay", "lag"))
-    of = "the bare MPC stands" if margins.get("without") or margins.get("age") else "stands"
+    of = "the bare MPC tolerates" if margins.get("without") or margins.get("age") else "tolerates"
     line, predicted = f"{of} {delay} of unmodelled delay, {lag} of unmodelled lag", _predicted(margins)
     left_out = "".join(f", without {name}" for name in margins.get("without", ()))
     if not predicted:
@@ -28,7 +28,7 @@ def margin_line(margins: Mapping[str, Any] | None) -> str:
 
 
 def world_note(margins: Mapping[str, Any] | None) -> str:
-    """Where the world's own delays are more than the loop stands; "" where they are not."""
+    """Where the world's own delays are more than the loop tolerates; "" where they are not."""
     if not margins or margins["world_stable"] or not margins["delay"]:
         return ""
     world = f"{_milliseconds(margins['world_latency'])} of delay and {_milliseconds(margins['world_lag'])} of motor lag"

@@ -46,7 +46,7 @@ NUMBERS = {
     "solve_time_median": Shown("solve time median", 1e6, "us"),
     "solve_time_p99": Shown("solve time p99", 1e6, "us"),
     "solve_time_max": Shown("solve time max", 1e6, "us"),
-    "success": Shown("flights that ended well", 100.0, "%"),  # of several flights
+    "success": Shown("completed flights", 100.0, "%"),  # of several flights
 }
 # Errors that have a table of results.
 SHOWN = {name: (NUMBERS[name].factor, NUMBERS[name].unit) for name in ("rmse", "mean_error", "max_error")}

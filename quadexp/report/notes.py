@@ -42,13 +42,13 @@ def table_notes(
     seeds = sorted({s.seeds for s in statistics})
     seeds_text = count(seeds[0], "seed") if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
     all_well = not any(s.failures for s in statistics)
-    over = f"mean over {'' if all_well else 'the flights of a line that all ended well, of '}{seeds_text}"
+    over = f"mean over {'' if all_well else 'the flights of a line that all completed, of '}{seeds_text}"
     contestants = len({s.contestant for s in statistics})
     alpha = 1 - confidence
     line = "a trajectory and speed, whatever the settings" if any(s.variant for s in statistics) else "a line"
     bold = (
         f"; bold: least error of {line}, significantly less than every other (p < {alpha:.2g}, corrected for the choice"
-        " among them and for the lines), if no other ended more flights well"
+        " among them and for the lines), if no other completed more flights"
         + ("; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else "")
         + ("" if any(s.best for s in statistics) else "; here: none")
     )
@@ -68,7 +68,7 @@ def table_notes(
     if not all_well:
         lines.append(RULE)
     if any(s.n > s.common for s in statistics):
-        lines.append("own: mean over all own flights that ended well, and their number")
+        lines.append("own: mean over all own completed flights, and their number")
     lines += [text for one in found if (text := one.text())]
     return (*lines, *_first([entry.text() for entry in pooled]))
 
@@ -142,7 +142,7 @@ def _unknown_world(rows: Sequence[Row]) -> str:
 
 
 def _attitude_error(rows: Sequence[Row]) -> str:
-    """Large attitude errors of flights that ended well."""
+    """Large attitude errors of completed flights."""
     errors = [one for one in _known(rows, "attitude_rmse") if one[1]["outcome"] == "ok"]
     large = [one for one in errors if one[0] > LARGE_ATTITUDE_ERROR]
     if not large:

@@ -4,9 +4,9 @@
     contestant  who flew it: controller, checkpoint and the controller's own settings
     trial       a flight that was requested and that at least one contestant could fly (was not infeasible for all)
     invalid     a combination of settings that contradict each other: no flight was requested, it takes no part
-    flown       "k of n": of n trials, k ended well
+    flown       "k of n": of n trials, k completed
     compared    contestants with k > 0
-    common      the flights (condition, seed) that all compared contestants ended well, made whole; as long as there are
+    common      the flights (condition, seed) that all compared contestants completed, made whole; as long as there are
                 none, the contestants with the smallest k are removed from the comparison
     pair        two flights of one condition and seed: they have the same noise
     unit        a seed. Conditions that differ only in the world, the grid of a controller or a remedy share every gust
@@ -20,7 +20,7 @@
 
 Means, intervals and tests that stand beside each other are over the common flights, so they are of the same paths and
 noise. The mean over all own flights is printed beside them, with its count. The contestants with the smallest share of
-flights that ended well are never marked as best.
+completed flights are never marked as best.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def contestant_of(row: Row) -> Contestant:
 
 
 def is_flown(row: Row) -> bool:
-    """Whether a flight ended well."""
+    """Whether a flight completed."""
     return bool(row["outcome"] == "ok")
 
 
@@ -108,7 +108,7 @@ def setting_pairs(variant: str) -> list[tuple[str, str]]:
 
 
 class Flights(NamedTuple):
-    """How many flights ended well, of how many trials."""
+    """How many flights were completed, of how many trials."""
 
     ended: int
     trials: int
@@ -125,9 +125,9 @@ class Flights(NamedTuple):
 
 
 def common(ended: Mapping[Who, Set[tuple[What, int]]]) -> tuple[list[Who], frozenset[tuple[What, int]]]:
-    """Who is compared, and the whole flights that all of them ended well; nobody if there are no common flights.
+    """Who is compared, and the whole flights that all of them completed; nobody if there are no common flights.
 
-    ended: who -> flights (condition, seed) that ended well.
+    ended: who -> flights (condition, seed) that completed.
     """
     compared = [who for who, flights in ended.items() if flights]
     while compared:
@@ -164,7 +164,7 @@ def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
 
 
 def flew_least(flights: Mapping[Who, Flights]) -> frozenset[Who]:
-    """The contestants with the smallest share of flights that ended well; none if all have the same."""
+    """The contestants with the smallest share of completed flights; none if all have the same."""
     shares = {who: one.share for who, one in flights.items() if one.trials}
     low, high = min(shares.values(), default=0.0), max(shares.values(), default=0.0)
     return frozenset(who for who, share in shares.items() if share == low < high)
@@ -219,7 +219,7 @@ class Groups:
         self._baselines = [contestant for contestant in self.contestants if contestant[0] == baseline]
 
     def flights(self, conditions: Iterable[Condition]) -> dict[Contestant, Flights]:
-        """Contestant -> how many of its trials in these conditions ended well."""
+        """Contestant -> how many of its trials in these conditions were completed."""
         counts: dict[Contestant, Flights] = {}
         for here in (self.conditions[condition] for condition in conditions):
             flown = {who: [one for same in by_seed.values() for one in same] for who, by_seed in here.items()}
@@ -261,7 +261,7 @@ class Groups:
     def pairs(
         self, condition: Condition, contestant: Contestant, rival: Contestant, among: Common | None = None
     ) -> tuple[list[tuple[Flown, Flown]], Counter[str]]:
-        """Flights of the same seed that both ended well, and the number of other seeds by cause.
+        """Flights of the same seed that both completed, and the number of other seeds by cause.
 
         among: take only the common flights, if both contestants are among the compared ones.
         """
@@ -283,7 +283,7 @@ class Groups:
             elif its[0].outcome != "ok":
                 causes[f"{its[0].outcome} by {name}"] += 1
             elif shared is not None and seed not in shared:
-                causes["not ended well by all"] += 1
+                causes["not completed by all"] += 1
             else:
                 pairs.append((mine[0], its[0]))
         return pairs, causes

@@ -1,8 +1,8 @@
-"""What a figure shows at each of its places: a mean with its interval, and how many flights ended well.
+"""What a figure shows at each of its places: a mean with its interval, and how many flights were completed.
 
 A place is one value of every key that the figure shows (x, lines, panels). Its mean is over the common flights, by the
 one rule of every table (pairing.py): places that differ in keys of the controller stand beside each other, and are over
-the flights that all of them ended well. Settings that the figure does not show are averaged, seed by seed:
+the flights that all of them completed. Settings that the figure does not show are averaged, seed by seed:
 
     mean      over the seeds, of the mean over the other settings of that seed
     interval  of the mean over the seeds, as in tables (inference.mean_interval); of a share, where each flight has a
@@ -24,7 +24,7 @@ from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
 
 Place = tuple[Any, ...]  # a value of each key that is shown
-SUCCESS = "success"  # the share of flights that ended well
+SUCCESS = "success"  # the share of completed flights
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,13 @@ def points(
     for place, own in places.items():
         rows = [frame.rows[i] for i in own]
         outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
-        trials, ended_well = outcomes.total(), outcomes.pop("ok", 0)
-        about: dict[str, Any] = {"ended": ended_well, "trials": trials, "lost": dict(outcomes)}
+        trials, completed = outcomes.total(), outcomes.pop("ok", 0)
+        about: dict[str, Any] = {"ended": completed, "trials": trials, "lost": dict(outcomes)}
         about["invalid"] = "" if trials else str(rows[0]["cause"])
         if y == SUCCESS:
             single = len({row["seed"] for row in rows}) == len(rows)
-            low, high = success_interval(ended_well, trials, confidence) if single else (math.nan, math.nan)
-            share = ended_well / trials if trials else math.nan
+            low, high = success_interval(completed, trials, confidence) if single else (math.nan, math.nan)
+            share = completed / trials if trials else math.nan
             made[place] = Point(share, low, high, trials, 0, method="Clopper-Pearson", **about)
             continue
         errors: dict[tuple[Place, int], list[float]] = {}

@@ -1,8 +1,8 @@
 """Statistics of a comparison over the seeds: one `Statistic` per metric and contestant, in each condition and over all.
 
-Two means: `mean` over the contestant's own flights that ended well, and `common_mean` over the common flights, which
-tables show. Flights that did not end well are counted by outcome, and lower the success rate. A contestant is compared
-with the baseline seed by seed, difference = contestant - baseline, over the common flights; the others are counted in
+Two means: `mean` over the contestant's own completed flights, and `common_mean` over the common flights, which tables
+show. Flights that were not completed are counted by outcome, and lower the success rate. A contestant is compared with
+the baseline seed by seed, difference = contestant - baseline, over the common flights; the others are counted in
 `left_out` by cause. p-values are corrected for all comparisons of one metric. Equations: inference.py; common flights,
 conditions and pairs: pairing.py; who is best: winner.py.
 
@@ -65,7 +65,7 @@ class Statistic:
     NaN for a trajectory without one.
 
     conditions, units: over all conditions, number of those with pairs, and of their seeds, which are the values.
-    own_reduction, own_pairs: over all flights that both ended well.
+    own_reduction, own_pairs: over all flights that both completed.
     """
 
     metric: str
@@ -139,7 +139,7 @@ class Statistic:
 
     @property
     def failures(self) -> dict[str, int]:
-        """Outcome -> count, of the flights that did not end well."""
+        """Outcome -> count, of the flights that were not completed."""
         return {name: count for name in FAILURES if (count := getattr(self, name))}
 
     @property
@@ -177,7 +177,7 @@ class Statistic:
         about = self.chance + (f"; left out: {self.left_out}" if self.left_out else "")
         if self.own_pairs > self.pairs:
             own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
-            about += f"; over all {self.own_pairs} that both ended well: {own:.1f} % {more}"
+            about += f"; over all {self.own_pairs} that both completed: {own:.1f} % {more}"
         over = count(self.conditions, "condition")
         return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
 

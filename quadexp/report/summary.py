@@ -6,7 +6,7 @@ import json
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.margin_line import margin_line
 from quadexp.report.metrics import METRICS, errors_none
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
+from quadexp.report.table import records_table
 from quadexp.report.text import speed_text
 
 MODEL_FILE = "model.json"
@@ -95,115 +96,94 @@ def world_line(record: Mapping[str, Any]) -> list[str]:
     """The world of a flight and its parts; nothing where the flight does not tell."""
     if not (world := record.get("world")):
         return []
-    parts = world_options(record)
-    same = ",".join(parts) in ("", world)
-    return [f"world       {world}" + ("" if same else f": {', '.join(parts)}")]
+    parts = ", ".join(world_options(record))
+    return [f"world       {world}" + ("" if parts.replace(", ", ",") in ("", world) else f": {parts}")]
 
 
 def world_options(record: Mapping[str, Any]) -> list[str]:
     """The parts of a flight's world that do something, such as "wind=dryden"; a flight records no others."""
     config = record.get("config") or {}
-    found = {group: config[group].get("name") for group in WORLD if isinstance(config.get(group), Mapping)}
-    return [f"{group}={name}" for group, name in found.items() if (group, name) != ("sensor", "perfect")]
+    names = {group: config[group].get("name") for group in WORLD if isinstance(config.get(group), Mapping)}
+    return [f"{group}={name}" for group, name in names.items() if (group, name) != ("sensor", "perfect")]
 
 
 def _table(path: Path) -> dict[str, Any]:
     record = read_metadata(path)
     kind = record["kind"]
     columns, _ = read_table(path, kind)
-    count = len(next(iter(columns.values()))) if columns else 0
+    rows, size = len(next(iter(columns.values()))) if columns else 0, path.stat().st_size
     summary: dict[str, Any] = {
-        "path": str(path),
-        "kind": kind,
-        "schema": record["schema"],
-        "rows": count,
-        "bytes": path.stat().st_size,
-        "columns": {name: describe(name, kind)._asdict() for name in columns},
-        "config": record.get("config"),
-        "seed": record.get("seed"),
-        "versions": record.get("versions", {}),
-        "sources": record.get("sources", ""),
-        "provenance": record.get("provenance", {}),
-        "hashed": has_content_hash(path),
-    }
-    lines = [f"{path}: {kind}, {count} rows, {len(columns)} columns, {_size(summary['bytes'])}"]
+        "path": str(path), "kind": kind, "schema": record["schema"], "rows": rows, "bytes": size,
+        "columns": {name: describe(name, kind)._asdict() for name in columns}, "config": record.get("config"),
+        "seed": record.get("seed"), "versions": record.get("versions", {}), "sources": record.get("sources", ""),
+        "provenance": record.get("provenance", {}), "hashed": has_content_hash(path),
+    }  # fmt: skip
+    lines = [f"{path}: {kind}, {rows} rows, {len(columns)} columns, {_size(size)}"]
     if kind == "flight" and "row" in record:
-        row = record["row"] | errors_none(record.get("outcome"))
-        summary["metrics"] = {name: row.get(name) for name in METRICS}
-        summary["outcome"] = record.get("outcome")
-        summary["tables"] = [_metric_table(summary["metrics"])]
-        not_flown = [f"outcome     {record.get('outcome')}: {record.get('cause')}"]
-        summary["world"] = {"name": record.get("world"), "parts": world_options(record)}
-        lines += flight_lines(record, always=True) if count else not_flown
-        lines += world_line(record)
+        lines += _flight_lines(record, rows, summary)
     elif kind == "flight" and record.get("recorded"):
-        summary |= {"source": record.get("source"), "findings": record.get("findings", [])}
-        lines += _recorded_lines(record, columns)
+        lines += _recorded_lines(record, columns, summary)
     elif kind == "residuals":
-        summary["flights"] = record.get("flights", [])
         lines += _residual_lines(record, columns, summary)
     elif kind == "results":
-        from quadexp.report.result_rows import from_columns
-
-        rows = from_columns(columns)
-        summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
-        lines += _result_lines(record, rows, summary)
+        lines += _result_lines(record, columns, summary)
     lines += _config_lines(record.get("config"))
     if kind == "results":  # the versions of the flights are in the rows; those of the record are of the table
         created = summary["provenance"].get("created")
         return summary | {"lines": lines + ([f"table       written {created}"] if created else [])}
-    lines += _unit_lines(summary["columns"])
-    lines += _provenance_lines(record)
+    lines += _unit_lines(summary["columns"]) + _provenance_lines(record)
     if not summary["hashed"]:
         lines.append("hash        none of the columns: written by an earlier version, an edit would not be noticed")
     return summary | {"lines": lines}
 
 
-def _metric_table(metrics: Mapping[str, Any]) -> Any:
-    from quadexp.report.table import records_table
+def _flight_lines(record: Mapping[str, Any], samples: int, summary: dict[str, Any]) -> list[str]:
+    outcome = record.get("outcome")
+    row = record["row"] | errors_none(outcome)
+    metrics = {name: row.get(name) for name in METRICS}
+    table = [{"figure": name, "value": metrics[name], "unit": describe(name, "results").unit} for name in METRICS]
+    summary |= {"metrics": metrics, "outcome": outcome, "tables": [records_table(table)]}
+    summary["world"] = {"name": record.get("world"), "parts": world_options(record)}
+    flown = flight_lines(record, always=True) if samples else [f"outcome     {outcome}: {record.get('cause')}"]
+    return flown + world_line(record)
 
-    found = [
-        {"figure": name, "value": value, "unit": describe(name, "results").unit} for name, value in metrics.items()
-    ]
-    return records_table(found)
 
-
-def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
+def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
     """The source of a recorded flight, and the findings of the quality check."""
-    source, t = record.get("source", {}), columns["t"]
+    source, findings, t = record.get("source", {}), record.get("findings", []), columns["t"]
+    summary |= {"source": record.get("source"), "findings": findings}
     file, form, rate = (source.get(key) for key in ("file", "format", "rate"))
     hertz = f" at {rate:.4g} Hz" if isinstance(rate, (int, float)) else ""
     lines = [f"recorded    {file} ({form}), {float(t[-1] - t[0]) if len(t) else 0.0:.1f} s{hertz}"]
     if all(name in columns for name in ("v_x", "v_y", "v_z")) and len(t):
         lines.append(f"peak speed  {float(np.sqrt(sum(columns[f'v_{i}'] ** 2 for i in 'xyz')).max()):.2f} m/s")
-    return lines + [f"finding     {finding['message']}" for finding in record.get("findings", [])]
+    return lines + [f"finding     {finding['message']}" for finding in findings]
 
 
 def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
-    from quadexp.report.table import records_table
-
     vehicle, flights = record.get("vehicle", {}), record.get("flights", [])
     lines = [
         f"vehicle     {vehicle.get('name')} ({vehicle.get('fingerprint')}), frame {record.get('frame')}",
         f"flights     {len(flights)}, {float(np.sum(columns['dt'])):.0f} s",
     ]
     check_finite(columns, [name for name in columns if columns[name].dtype.kind == "f"], "data set")
-    found = []
+    table = []
     for name in ("v_x", "v_y", "v_z", "a_x", "a_y", "a_z"):
-        values, unit = columns[name], describe(name, "residuals").unit
-        numbers = {kind: float(getattr(values, kind)()) for kind in ("mean", "std", "min", "max")}
-        found.append({"column": name, **numbers, "unit": unit})
-        lines.append(
-            f"{name:<12}mean {numbers['mean']:8.3f}  std {numbers['std']:7.3f}"
-            f"  min {numbers['min']:8.3f}  max {numbers['max']:8.3f} {unit}"
-        )
-    summary["tables"] = [records_table(found)]
+        unit = describe(name, "residuals").unit
+        numbers = {kind: float(getattr(columns[name], kind)()) for kind in ("mean", "std", "min", "max")}
+        table.append({"column": name, **numbers, "unit": unit})
+        mean, std, low, high = numbers.values()
+        lines.append(f"{name:<12}mean {mean:8.3f}  std {std:7.3f}  min {low:8.3f}  max {high:8.3f} {unit}")
+    summary |= {"flights": flights, "tables": [records_table(table)]}
     return lines
 
 
-def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], summary: dict[str, Any]) -> list[str]:
+def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
+    from quadexp.report.result_rows import from_columns
     from quadexp.report.tables import error_table
 
+    rows = from_columns(columns)
+    summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
     outcomes = Counter(row["outcome"] for row in rows)
     lines = ["outcomes    " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())]
     lines += flown_by_lines(rows)
@@ -219,38 +199,21 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.models.checkpoint import load_model, load_report
     from quadexp.models.neural import NeuralModel
     from quadexp.models.vehicle_model import VehicleModel
+    from quadexp.report.held_out import held_out_rows, held_out_table
 
-    model = load_model(path)
-    file = path / MODEL_FILE
+    model, file = load_model(path), path / MODEL_FILE
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
+    data, outputs = dict(model.dataset), () if isinstance(model, NeuralModel) else getattr(model, "outputs", ())
     summary: dict[str, Any] = {
-        "path": str(path),
-        "kind": model.kind,
-        "schema": record.get("schema"),
-        "bytes": file.stat().st_size,
-        "vehicle": dict(model.vehicle),
-        "dataset": dict(model.dataset),
-        "settings": dict(getattr(model, "settings", {})),
+        "path": str(path), "kind": model.kind, "schema": record.get("schema"), "bytes": file.stat().st_size,
+        "vehicle": dict(model.vehicle), "dataset": data, "settings": dict(getattr(model, "settings", {})),
         "versions": dict(getattr(model, "versions", {}) or record.get("versions", {})),
-        "drag": list(map(float, model.linear_drag.drag)),
-        "outputs": {}
-        if isinstance(model, NeuralModel)
-        else {
-            o.output: {
-                "features": list(o.features),
-                "inducing": len(o.alpha),
-                "lengthscale": list(map(float, np.atleast_1d(o.lengthscale))),
-                "signal_std": float(np.sqrt(o.signal_variance)),
-                "noise_std": float(np.sqrt(o.noise_variance)),
-            }
-            for o in getattr(model, "outputs", ())
-        },
-        "feature_range": dict(model.feature_range),
-    }
-    data = summary["dataset"]
+        "drag": list(map(float, model.linear_drag.drag)), "outputs": {o.output: _output_record(o) for o in outputs},
+        "feature_range": dict(model.feature_range), "held_out": held_out_rows(path),
+    }  # fmt: skip
     lines = [
         f"{path}: checkpoint, {summary['kind']}, {_size(summary['bytes'])}",
         f"vehicle     {model.vehicle.get('name')} ({model.vehicle.get('fingerprint')})",
@@ -273,7 +236,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         from quadexp.report.model_lines import model_lines, selection_lines
 
         summary |= {"thrust": str(model.thrust), "best": model.best}
-        summary["models"] = {kind: one.records() for kind, one in model.models.items()}
+        summary["models"] = {kind: fitted.records() for kind, fitted in model.models.items()}
         lines += model_lines(model)
         if (report := load_report(path)).get("selection"):
             lines += selection_lines(report["selection"], report.get("best_row", model.best))
@@ -281,18 +244,21 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     else:
         lines.append(f"drag        {model.linear_drag}")
     lines += range_lines(model.feature_range)
-    from quadexp.report.held_out import held_out_rows, held_out_table
-
-    summary["held_out"] = held_out_rows(path)
     if (scores := held_out_table(summary["held_out"])) is not None:
         lines += scores.lines()
         summary["tables"] = [scores]
     else:
         lines.append("held out    unknown: no scores stand beside this checkpoint")
-    settings = {k: v for k, v in summary["settings"].items() if k != "features"}
-    if settings:
-        lines.append("settings    " + ", ".join(f"{k} {v}" for k, v in settings.items()))
+    if settings := [f"{name} {value}" for name, value in summary["settings"].items() if name != "features"]:
+        lines.append(f"settings    {', '.join(settings)}")
     return summary | {"lines": lines + _provenance_lines(summary)}
+
+
+def _output_record(output: Any) -> dict[str, Any]:
+    """Of one output of a GP."""
+    stds = {f"{name}_std": float(np.sqrt(getattr(output, f"{name}_variance"))) for name in ("signal", "noise")}
+    scales = list(map(float, np.atleast_1d(output.lengthscale)))
+    return {"features": list(output.features), "inducing": len(output.alpha), "lengthscale": scales, **stds}
 
 
 def _config_lines(config: Mapping[str, Any] | None) -> list[str]:
@@ -310,22 +276,17 @@ def _config_lines(config: Mapping[str, Any] | None) -> list[str]:
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_short, value)) + "]"
-    return str(value)
+        return f"[{', '.join(map(_short, value))}]"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _unit_lines(columns: Mapping[str, Mapping[str, str]]) -> list[str]:
     """The columns, those of one unit and frame in one line."""
-    groups: dict[tuple[str, str], list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for name, column in columns.items():
-        groups.setdefault((column["unit"] or "-", column["frame"]), []).append(name)
-    return [
-        f"columns     {' '.join(names)}  [{unit}{', ' + frame if frame else ''}]"
-        for (unit, frame), names in groups.items()
-    ]
+        groups.setdefault(", ".join(filter(None, (column["unit"] or "-", column["frame"]))), []).append(name)
+    return [f"columns     {' '.join(names)}  [{unit}]" for unit, names in groups.items()]
 
 
 def _provenance_lines(record: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 The error table has trajectory and speed down and controllers across; every setting that was swept is a column of its
 own, with its unit above and its values down, and so are many plants or worlds. The first row counts the flights that
-ended well; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
+completed; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
 settings contradict each other. The comparison table has one row per contestant and condition, against the baseline.
 The table of flights has any columns of the results and any keys, for the terminal, as CSV and as a sortable page.
 """
@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
 from quadexp.report.metrics import NUMBERS, SHOWN
 from quadexp.report.notes import notes as row_notes
@@ -28,7 +29,6 @@ from quadexp.report.pairing import (
     is_invalid,
     setting_pairs,
 )  # fmt: skip
-from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics, overall
 from quadexp.report.table import Table, csv_text
 from quadexp.report.text import p_value, shown, speed_text, with_interval
@@ -48,7 +48,7 @@ def value_text(s: Statistic) -> tuple[str, str]:
 
 
 def own_text(s: Statistic) -> str:
-    """Such as "own 13.1 of 19", over all own flights that ended well; "" if all of them are common ones."""
+    """Such as "own 13.1 of 19", over all own completed flights; "" if all of them are common ones."""
     mean = with_interval(SHOWN[s.metric][0] * s.mean, NAN, NAN)[0]
     return f"own {mean} of {s.n}" if s.n > s.common else ""
 
@@ -71,9 +71,9 @@ def cell_text(s: Statistic) -> str:
 @dataclass(frozen=True)
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
-    flown: column -> how many of its flights ended well. entries: (row, column) -> statistic. notes: lines below. keys:
-    settings that were swept. headings: of their columns. invalid: (row, column) of settings that contradict each other.
-    """
+    flown: column -> how many of its flights it completed. entries: (row, column) -> statistic. notes: lines below.
+    keys: settings that were swept. headings: of their columns. invalid: (row, column) of settings that contradict each
+    other."""
 
     metric: str
     unit: str
@@ -263,9 +263,7 @@ def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
 
 def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
     """Flights as a page that sorts and filters, and opens without a network."""
-    columns = [Column(name, heading(name), shown(name)[0] if is_metric(name) else 1.0) for name in names]
-    rows = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
-    return sortable_page(title, columns, rows, notes=[f"{len(rows)} flights of {title}"])
+    return sortable_page(title, flights_table(frame, names).table, notes=[f"{len(frame.rows)} flights of {title}"])
 
 
 def heading(name: str) -> str:

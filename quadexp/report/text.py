@@ -98,12 +98,6 @@ def speed_text(speed: Any, unit: str = " m/s") -> str:
     return "" if speed is None or math.isnan(float(speed)) else f"{float(speed):g}{unit}"
 
 
-def span(values: Sequence[float], unit: str) -> str:
-    """Such as "4 to 12 m/s"."""
-    low, high = min(values), max(values)
-    return f"{low:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
-
-
 def count(n: int, what: str) -> str:
     """Such as "1 flight" or "3 flights"."""
     return f"{n} {what}{'' if n == 1 else 's'}"

@@ -248,9 +248,9 @@ def _made(
     places = points(frame, keys, y, others=others, confidence=confidence)
     if not any(point.is_shown for point in places.values()):
         if any(row["outcome"] == "ok" for row in frame.rows):
-            raise UsageError(f"no flight that ended well has {y} and a value of {listed(keys)}")
+            raise UsageError(f"no completed flight has {y} and a value of {listed(keys)}")
         flights = count(len(frame.rows), "flight")
-        raise UsageError(f"none of the {flights} ended well: there is no {y} to draw (--y success draws that)")
+        raise UsageError(f"none of the {flights} was completed: there is no {y} to draw (--y success draws that)")
     axes = {
         key: Axis.of(key, list(dict.fromkeys(shown_column(frame, key, keys))) if key in WHO else frame.values(key))
         for key in keys
@@ -299,7 +299,7 @@ def _notes(
         notes.append(f"mean over {key}: {', '.join(texts[:MOST_VALUES])}{rest}")
     trials, ended = (sum(getattr(point, name) for point in places.values()) for name in ("trials", "ended"))
     if y != SUCCESS and ended < trials:
-        notes.append(f"{trials - ended} of {trials} flights did not end well: marked k/n where k of n did")
+        notes.append(f"{trials - ended} of {trials} flights were not completed: marked k/n where k of n were")
     if wrong := sum(bool(point.invalid) for point in places.values()):
         notes.append(f"{count(wrong, 'place')} invalid: settings that contradict each other")
     return notes

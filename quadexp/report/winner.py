@@ -4,7 +4,7 @@
     ratio      exp(L_j - L_least) of another to the least, paired, with its interval and p over the seeds (see
                inference.log_ratio)
     p          k max_j p_j, at most 1, for k ranked contestants; corrected by Holm over the lines of a table
-    best       p < 1 - confidence = alpha, and no contestant ended a larger share of its flights well
+    best       p < 1 - confidence = alpha, and no contestant completed a larger share of its flights
 
 The least of k is chosen after the fact, so each p_j is multiplied by k (Bonferroni). This keeps the error rate for any
 correlation: to be named falsely, one of k must beat an equal or better one, with a probability of alpha / (2 k) at
@@ -80,7 +80,7 @@ def ratio_of(groups: Groups, among: Common, who: Contestant, other: Contestant, 
 def best_of_lines(groups: Groups, place: int, confidence: float) -> dict[tuple[Condition, Contestant], float]:
     """(condition, contestant) that may be marked as best of its line -> p that it is not, by Holm over the lines.
 
-    Those with the smallest share of flights that ended well on a plant and vehicle are not marked there."""
+    Those with the smallest share of completed flights on a plant and vehicle are not marked there."""
     barred = {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}
     p: dict[tuple[Condition, Contestant], float] = {}
     for condition, among in groups.lines.items():
@@ -109,8 +109,9 @@ class Verdict(NamedTuple):
     """The contestant with the least error of one metric on one plant and vehicle, over all conditions.
 
     common: number of common flights, of `units` seeds. least: "" if nobody is compared. ways: number of ranked
-    contestants. alike: those not distinguishable from the least. flew_less: another one ended a larger share of its
-    flights well. next: the nearest one, with `ratio` times the error. has_bound: a bound is compared, and not ranked.
+    contestants. alike: those not distinguishable from the least. flew_less: another one completed a larger share of
+    its flights. compared: labels. next: the nearest one, with `ratio` times the error. bound: the first bound that is
+    compared, and not ranked; the least has `bound_ratio` times its error.
     """
 
     metric: str
@@ -125,7 +126,9 @@ class Verdict(NamedTuple):
     next: str
     ratio: Ratio
     p: float
-    has_bound: bool
+    bound: str
+    bound_ratio: Ratio
+    compared: list[str]
 
     @property
     def best(self) -> bool:
@@ -133,11 +136,11 @@ class Verdict(NamedTuple):
         return self.ways > 1 and not self.alike and not self.flew_less
 
     def text(self) -> str:
-        """Such as "least over the 20 flights that all ended well: gp_mpc, the best of 3, ..."."""
+        """Such as "least over the 20 flights that all completed: gp_mpc, the best of 3, ..."."""
         if not self.ways > 1:
             return ""
-        over = f"over the {count(self.common, 'flight')} that all ended well"
-        head = f"least {over}{', bounds aside' if self.has_bound else ''}: {self.least}"
+        over = f"over the {count(self.common, 'flight')} that all completed"
+        head = f"least {over}{', bounds aside' if self.bound else ''}: {self.least}"
         value, low, high, _ = self.ratio
         limits = "" if math.isnan(low) else f" [{low:.3g}, {high:.3g}]"
         chance = probability(self.p) or f"{count(self.units, 'seed')} cannot tell"
@@ -145,7 +148,7 @@ class Verdict(NamedTuple):
         if self.alike:
             return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
         if self.flew_less:
-            return f"{head}, but others ended more of their flights well (nearest: {self.next}, {ratio})"
+            return f"{head}, but others completed more of their flights (nearest: {self.next}, {ratio})"
         return f"{head}, the best of {self.ways}, significantly less than the next, {self.next} ({ratio})"
 
 
@@ -158,6 +161,7 @@ def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: flo
         among, flights = groups.common(conditions), groups.flights(conditions)
         ranking = rank(groups, among, _ranked(flights), 0, confidence)
         least, alike = ranking.least, ranking.alike(confidence)
+        bound = next((who for who in among.compared if least is not None and is_bound(who[0])), None)
         nearest = next(iter([*alike, *ranking.ratios]), None)
         made.append(
             Verdict(
@@ -173,7 +177,9 @@ def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: flo
                 next=labels[nearest] if nearest else "",
                 ratio=ranking.ratios[nearest] if nearest else NO_RATIO,
                 p=ranking.p,
-                has_bound=least is not None and any(is_bound(who[0]) for who in among.compared),
+                bound=labels[bound] if bound else "",
+                bound_ratio=ratio_of(groups, among, least, bound, confidence) if least and bound else NO_RATIO,
+                compared=[labels[who] for who in among.compared],
             )
         )
     return made

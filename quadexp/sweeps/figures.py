@@ -62,7 +62,7 @@ def drawings(
     rows, store = [dict(row) for row in rows], CellStore(out)
     swept = {name: (record or {})[name] for name in ("grids", "without_flight") if name in (record or {})}
     asked, of_rows, figures = (metric, confidence, swept), _columns(rows), list[Drawing]()
-    with contextlib.suppress(UsageError):  # no flight ended well
+    with contextlib.suppress(UsageError):  # no flight was completed
         for which, view in enumerate(automatic(SweepFrame(rows, str(out), swept), metric, confidence)):
             name = f"{metric.removesuffix('_error')}_error_{view.file_name}"
             figures.append(_drawing(name, _swept, (rows, str(out), *asked, which), (of_rows, *asked, which)))
@@ -78,15 +78,15 @@ def drawings(
 
 
 class PathGrid(NamedTuple):
-    """Flights of one trajectory. cells: (controller, condition) -> row of the first seed that ended well, otherwise of
-    the first seed; one condition after the other. left_out: conditions beyond MAX_CONDITIONS."""
+    """Flights of one trajectory. cells: (controller, condition) -> row of the first completed seed, otherwise of the
+    first seed; one condition after the other. left_out: conditions beyond MAX_CONDITIONS."""
 
     cells: dict[tuple[str, str], Row]
     left_out: list[str]
 
 
 def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
-    """By trajectory, as far as a flight of it ended well. Of many speeds the slowest, the fastest, one between; where
+    """By trajectory with a completed flight. Of many speeds the slowest, the fastest, one between; where
     worlds and other settings differ too, the fastest of each."""
     names = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)

@@ -48,7 +48,7 @@ def select(
 
     filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `gp_*`. where:
     see report/query.py. sort: columns with commas between, "-" before one for descending order; what comes first
-    decides first, and missing values come last. failures: only what did not end well.
+    decides first, and missing values come last. failures: only what was not completed.
     Raises UsageError for a folder without results or an unknown column.
     """
     frame = _filtered(_frame(open_results(out))[0], filters)

@@ -27,7 +27,7 @@ from quadexp.log.store import read_metadata
 from quadexp.parts.cells import Cell, Cells
 from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
-from quadexp.report.flown_by import counted, differing_libraries, flown_by, program_name, programs_of
+from quadexp.report.flown_by import differing_libraries, flown_by, program_name, programs_text
 from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable
@@ -230,7 +230,7 @@ def _settle_old(store: CellStore, rows: dict[str, Row], old: Old) -> list[str]:
     """
     notes = []
     others = {key: row for key, row in rows.items() if row["sources"] != sources()}
-    found = counted(programs_of(others.values()))
+    found = programs_text(others.values())
     if others and old == "ask":
         raise UsageError(
             f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"

@@ -1,6 +1,6 @@
 """What a trial is worth: one number over its flights, the smaller the better.
 
-    flight that ended well      ln(e / 1 m), e its mean error (or another metric)
+    completed flight      ln(e / 1 m), e its mean error (or another metric)
     flight that did not         LOST (2 - s), s the share of its path that was flown; not flown at all: s = 0;
                                 flown to the end, but outside its corridor: s = 1
     trial                       the mean over its flights; with a least delay margin, and a smaller one found:
@@ -22,7 +22,7 @@ LEAST = 1e-9  # m, of an error, whose logarithm must exist
 
 
 class Worth(NamedTuple):
-    """value: see the module. error: geometric mean (m) over the flights that ended well, NaN for none. lost: number of
+    """value: see the module. error: geometric mean (m) over the completed flights, NaN for none. lost: number of
     the others. margin: smallest delay margin (s) of the flights, NaN where none is known."""
 
     value: float

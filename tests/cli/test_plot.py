@@ -71,7 +71,7 @@ class TestPlot:
         asked = ("plot", "lossy", "--x", "trajectory.speed", *labels, "--force")
         for width, inches in (("column", 3.5), ("page", 7.16)):
             code, _, err = run(*asked, "--width", width, "--out", "a.png")
-            assert code == 0 and "did not end well" in err and abs(imread("a.png").shape[1] - 150 * inches) <= 1
+            assert code == 0 and "were not completed" in err and abs(imread("a.png").shape[1] - 150 * inches) <= 1
         assert run(*asked, "--out", "a.html")[0] == 0
         page = Path("a.html").read_text()
         assert "<h1>&lt;i&gt;$Fig$</h1>" in page and "<b>" not in page

@@ -68,7 +68,7 @@ def test_an_observer_is_named_as_not_in_the_margins():
     world = [*FAST, "controller=nominal_mpc", "trajectory=hover", "trajectory.duration=0.5", "observer=disturbance"]
     margins = fly_one(compose(world)).metadata["margins"]
     assert margins["without"] == ["observer"] and "without observer" in margin_line(margins)
-    assert margin_line(margins).startswith("the bare MPC stands ")
+    assert margin_line(margins).startswith("the bare MPC tolerates ")
 
 
 def test_the_name_of_the_remedy_stands_in_the_row():

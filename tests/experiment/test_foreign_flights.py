@@ -42,7 +42,7 @@ def test_a_crazyflie_that_nobody_told_of_its_motors_stays_on_the_ground():
     """Its motors lag by 136 ms; what makes the loop stable is said, and is true."""
     with pytest.raises(UsageError) as refused:
         fly_one(compose(CRAZYFLIE))
-    assert "motors that lag by 136 ms" in str(refused.value) and "stands 93 ms of lag" in str(refused.value)
+    assert "motors that lag by 136 ms" in str(refused.value) and "tolerates 93 ms of lag" in str(refused.value)
     assert "controller.motor_lag=0.136 at this rate and horizon" in str(refused.value)
     assert mean_error(*CRAZYFLIE, "controller.motor_lag=0.136") < 150
     with pytest.raises(UsageError, match="lag by 136 ms"):
@@ -62,7 +62,7 @@ def test_a_perfect_model_of_a_crazyflie_flies_it_within_a_millimetre(world):
 
 
 def test_faster_motors_need_no_word_at_the_published_horizon_but_at_a_stiffer_one():
-    """62 ms: less than the published grid stands, more than the precise one."""
+    """62 ms: less than the published grid tolerates, more than the precise one."""
     mean_error(*BRUSHLESS)
     with pytest.raises(UsageError, match=r"or controller\.rate=100 controller\.horizon=0\.6;"):
         fly_one(compose([*BRUSHLESS, "horizon=precise"]))

@@ -1,4 +1,4 @@
-"""What a flight's record, its summary and the report say of the delays that the loop stands."""
+"""What a flight's record, its summary and the report say of the delays that the loop tolerates."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.report.margin_line import margin_line, world_note
-from quadexp.report.page.provenance import _margins
+from quadexp.report.page.provenance import margins as margins_of
 from quadexp.report.summary import flight_lines
 
 HOVER = ["trajectory=hover", "trajectory.duration=0.2"]
@@ -20,16 +20,16 @@ def flown(*overrides: str) -> dict:
 @pytest.mark.parametrize(
     ("horizon", "line"),
     [
-        ("published", "stands 67 ms of unmodelled delay, 93 ms of unmodelled lag (at hover)"),
-        ("precise", "stands 17 ms of unmodelled delay, 51 ms of unmodelled lag (at hover)"),
-        ("robust", "stands 47 ms of unmodelled delay, 83 ms of unmodelled lag (at hover)"),
+        ("published", "tolerates 67 ms of unmodelled delay, 93 ms of unmodelled lag (at hover)"),
+        ("precise", "tolerates 17 ms of unmodelled delay, 51 ms of unmodelled lag (at hover)"),
+        ("robust", "tolerates 47 ms of unmodelled delay, 83 ms of unmodelled lag (at hover)"),
     ],
 )
-def test_a_flight_says_what_its_loop_stands(horizon, line):
+def test_a_flight_says_what_its_loop_tolerates(horizon, line):
     metadata = flown("controller=nominal_mpc", f"horizon={horizon}")
     assert f"loop        {line}" in flight_lines(metadata)
     assert metadata["margins"]["world_stable"] and not world_note(metadata["margins"])
-    assert _margins([metadata, metadata, {}]) == [("nominal_mpc", line)]
+    assert margins_of([metadata, metadata, {}]) == [f"nominal_mpc: {line}"]
 
 
 def test_a_predicted_dead_time_is_what_the_margins_count_from():
@@ -48,7 +48,7 @@ def test_who_has_no_horizon_has_no_line():
 
 
 @pytest.mark.parametrize(("lag", "grid", "stable"), [(0.04, "precise", True), (0.2, "precise", False)])
-def test_a_world_that_lags_more_than_the_loop_stands_is_noted(lag, grid, stable):
+def test_a_world_that_lags_more_than_the_loop_tolerates_is_noted(lag, grid, stable):
     world = ["vehicle=lei_li", "plant=blade_element", f"plant.motor_lag={lag}", f"horizon={grid}"]
     world.append("controller.allow_unstable=true")  # without it such a flight is refused
     margins = flown(*world, "controller=nominal_mpc")["margins"]

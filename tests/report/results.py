@@ -82,7 +82,9 @@ def make_results(
                     row |= {"controller": controller, "model": "", "variant": "", "seed": seed}
                     row |= flight_metrics(flight, 0.0, 20.0) | {"backend": "compiled", "key": f"{len(rows):020x}"}
                     row |= {"outcome": flight.outcome, "cause": flight.metadata.get("cause", "")}
-                    write_flight(store.path(row["key"]), Flight(flight.columns, flight.metadata | {"row": row}))
+                    write_flight(
+                        store.path(row["key"]), Flight(flight.columns, flight.metadata | {"row": row}), key=row["key"]
+                    )
                     rows.append(row)
     record = {
         "metric": "mean_error",

@@ -12,7 +12,7 @@ from quadexp.parts.compose import expand
 from quadexp.report.compare import compare
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
-from quadexp.report.page.sections import scoreboard, tables
+from quadexp.report.page.sections import numbers, scoreboard
 from quadexp.report.page.source import read_comparison
 from quadexp.report.pairing import Flights, common, flew_least, whole
 from quadexp.report.result_rows import to_columns
@@ -33,7 +33,7 @@ def at(seeds):
 
 
 class TestRule:
-    def test_flights_that_all_ended_well(self):
+    def test_flights_that_all_completed(self):
         assert common(at({"a": "123", "b": "234", "c": ""})) == (["a", "b"], frozenset({("x", 2), ("x", 3)}))
         assert common({"a": set(), "b": set()}) == ([], frozenset())
 
@@ -112,8 +112,8 @@ class TestFifteenOfTwentyNotFlown:
             assert s.n == (5 if s.controller == "gp_mpc" else 20) and s.pairs == (5 if s.baseline else 0)
             assert s.success == pytest.approx(0.25 if s.controller == "gp_mpc" else 1.0) and not s.best
         linear = next(one for one in overall(rows) if one.controller == "linear_drag_mpc")
-        assert linear.pairs == 5 and linear.own_pairs == 20 and linear.left_out == "15 not ended well by all"
-        assert "over all 20 that both ended well: 50" in linear.text()
+        assert linear.pairs == 5 and linear.own_pairs == 20 and linear.left_out == "15 not completed by all"
+        assert "over all 20 that both completed: 50" in linear.text()
         (verdict,) = verdicts(rows)
         assert verdict.least == "gp_mpc" and not verdict.best and verdict.flew_less and verdict.common == 5
 
@@ -123,19 +123,15 @@ class TestFifteenOfTwentyNotFlown:
         write_table(tmp_path / "results.parquet", to_columns(rows), record, "results")
         comparison = read_comparison(tmp_path)
         said = answer(comparison)
-        assert said.flown == (
-            "Flights that ended well: perfect MPC, linear-drag MPC and nominal MPC 20 of 20, GP MPC 5 of 20."
-        )
+        assert said.flown == "Completed flights: perfect_mpc, linear_drag_mpc and nominal_mpc 20 of 20, gp_mpc 5 of 20."
         assert said.sentences[0].startswith(said.flown)
-        assert said.gain.startswith("Over the 5 flights that all ended well, ")
-        assert "with the least of these errors but only 5 of 20 flights that ended well" in said.gain
-        assert "the best of" not in said.gain and comparison.best is None
-        board = scoreboard(comparison)
-        assert [one["label"] for one in board][-1] == "gp_mpc" and board[-1]["ended"] == "5 of 20"
-        assert not any(one["role"] == "best" for one in board)
-        assert board[0]["own"].endswith("of 20") and board[-1]["own"] == ""
-        (line,) = tables(comparison)[0]["lines"]
-        assert not any(cell["best"] for cell in line["means"])
+        assert "Least over the 5 flights that all completed, bounds aside: gp_mpc, but others completed" in said.gain
+        assert "the best of" not in said.gain and not comparison.verdict.best
+        first, *_, last = scoreboard(comparison).lines
+        assert (last[0].text, last[1].lost) == ("gp_mpc", "5 of 20")
+        assert first[2].small[0].endswith("of 20") and last[2].small == ("",)
+        tables = [scoreboard(comparison), numbers(comparison).blocks[0].tables[0]]
+        assert not any(cell.best for table in tables for line in table.lines for cell in line)
 
     def test_figure(self, outcome):
         rows = lost_gp(outcome)
@@ -160,7 +156,7 @@ class TestFifteenOfTwentyNotFlown:
             assert one["pairs"] == 5 and 1e3 * one["b"] == pytest.approx(mean(rows, name, range(5)))
         assert by_label["nominal_mpc"]["own"]["pairs"] == 20
         assert 1e3 * by_label["nominal_mpc"]["own"]["b"] == pytest.approx(mean(rows, "nominal_mpc", range(20)))
-        assert any("nominal_mpc: over all 20 that it ended well in both" in line for line in report["lines"])
+        assert any("nominal_mpc: over all 20 that it completed in both" in line for line in report["lines"])
 
 
 def test_compare_says_not_distinguishable(tmp_path):
@@ -194,8 +190,8 @@ def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(tmp_path):
     assert "**" not in text  # nominal_mpc flew least, the others are bounds
     made = make_report(root, tmp_path / "report.html")
     first = made["answer"][0]
-    assert first.startswith("Flights that ended well: perfect MPC nodes=12 and perfect MPC nodes=8 4 of 4, nominal MPC")
-    assert "2 of 4. Over the 2 flights that all ended well, " in first and "the best" not in first
+    assert first.startswith("Completed flights: perfect_mpc nodes=12 and perfect_mpc nodes=8 4 of 4, nominal_mpc")
+    assert "2 of 4. Mean error: " in first and "the best of" not in first
     with SweepFigures(root, None, "mean_error", 0.95) as figures:
         figures.begin(result.rows)
         files = figures.end()

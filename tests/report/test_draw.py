@@ -64,7 +64,7 @@ def test_small_multiples_have_every_panel_and_every_line(frame):
         assert texts(panel).count("invalid") == 3
         assert texts(panel).count("0/2") == (1 if horizon == 2 else 0)
         assert len(drawn["nominal_mpc"].get_xdata()) == (2 if horizon == 2 else 3)
-    assert "2 of 36 flights did not end well" in figure.get_suptitle()
+    assert "2 of 36 flights were not completed" in figure.get_suptitle()
     (legend,) = figure.legends
     named = {text.get_text() for text in legend.get_texts()}
     assert named == {"nominal_mpc", "perfect_mpc", "rls_feedback (invalid)"}
@@ -103,7 +103,7 @@ def test_parallel_coordinates_have_a_line_a_combination(frame):
     heights = [height(axis, value) for axis, value in zip(made.along, best, strict=True)]
     assert any(np.allclose(line.get_ydata(), [*heights, 0.0]) for line in lines), "the least error ends lowest"
     assert sum(line.get_ydata()[-1] < 0 for line in lines) == 10  # one lost, nine invalid
-    assert any("10 without a flight that ended well" in text for text in texts(panel))
+    assert any("10 without a completed flight" in text for text in texts(panel))
 
 
 def test_names_of_ones_own_stand_at_axes_lines_panels_and_leave_the_colours(frame):
@@ -163,9 +163,9 @@ def test_a_page_holds_the_numbers_and_needs_no_network(frame):
     assert not re.search(r"(?:src|href)=[\"']?(?:https?:)?//", page) and "@import" not in page
 
 
-def test_nothing_that_ended_well_is_one_line_and_success_is_drawn(tmp_path):
+def test_nothing_that_was_completed_is_one_line_and_success_is_drawn(tmp_path):
     read = SweepFrame.read(swept(tmp_path / "r", ["controller.nodes=5,10"], lambda config: None))
-    with pytest.raises(UsageError, match="none of the 2 flights ended well"):
+    with pytest.raises(UsageError, match="none of the 2 flights was completed"):
         view(read, x="controller.nodes")
     assert figure_of(view(read, x="controller.nodes", y="success")).axes
 

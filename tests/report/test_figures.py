@@ -57,12 +57,12 @@ def test_a_wide_interval_does_not_squash_the_means(rows):
 
 def test_what_was_not_flown_is_not_drawn(rows):
     lost = [made | {"outcome": "lost"} for made in rows]
-    with pytest.raises(UsageError, match="none of the 24 flights ended well"):
+    with pytest.raises(UsageError, match="none of the 24 flights was completed"):
         speed_figure(lost)
 
 
 def test_paths_have_a_row_a_controller_and_a_column_a_condition():
-    """One colour scale; the place of a flight that did not end well says so; a single condition is in the title."""
+    """One colour scale; the place of a flight that was not completed says so; a single condition is in the title."""
     far, near, perfect = (straight_flight(20, (0.0, offset, 0.0)) for offset in (0.2, 0.01, 0.0))
     flights = {("a", "4 m/s"): far, ("a", "8 m/s"): far, ("b", "4 m/s"): near}
     figure = tracked_paths(flights, "circle", {("b", "8 m/s"): "lost"}, ["6 m/s"])

@@ -1,4 +1,4 @@
-"""The ladder of worlds: means by world and controller, drawn where every flight ended well."""
+"""The ladder of worlds: means by world and controller, drawn where every flight completed."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def test_references_without_all_of_the_residual():
     ]
 
 
-def test_large_attitude_errors_of_flights_that_ended_well():
+def test_large_attitude_errors_of_completed_flights():
     rows = [row("static_feedback", seed=s, attitude_rmse=math.radians(a)) for s, a in enumerate((2, 9.9, 11, 51.5))]
     rows.append(row("static_feedback", seed=4, attitude_rmse=math.radians(170), outcome="lost"))
     assert notes(rows) == [

@@ -2,7 +2,7 @@
 
 Three contestants fly several conditions, whose flights of a seed share most of their noise (correlation .9), as those
 that differ only in the world do. Their errors have one distribution, so each significant difference is false.
-From two to twenty seeds; all flights end well, some are lost by chance, or a condition keeps two common ones.
+From two to twenty seeds; all flights are completed, some are lost by chance, or a condition keeps two common ones.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from quadexp.report.frame import SweepFrame
 from quadexp.report.tables import page_of as table_page
 from quadexp.report.view import view
 from tests.report.sweeps import swept
-from tests.report.test_html_browser import browser, pytestmark  # noqa: F401
+from tests.report.test_html_browser import browser, pytestmark, show  # noqa: F401
 
 SIZES = ((1280, 900), (760, 900), (390, 800))
 COLUMN = (
@@ -37,12 +37,7 @@ def pages(tmp_path_factory):
 
 
 def opened(browser, path, width=1280, height=900):  # noqa: F811
-    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    for kind in ("browser", "performance"):
-        browser.get_log(kind)
-    browser.get(path.as_uri())
-    return browser
+    return show(browser, path, width, height, replay=False)
 
 
 def requests(browser):  # noqa: F811

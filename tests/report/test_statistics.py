@@ -199,8 +199,8 @@ class TestOverall:
             "gp_mpc", [1.0 + 0.1 * s for s in range(8)], speed=8.0
         )
         (gp,) = overall(rows)
-        assert (gp.conditions, gp.units) == (1, 8) and gp.left_out == "2 not ended well by all"
-        assert gp.own_pairs == 10 and "over all 10 that both ended well" in gp.text()
+        assert (gp.conditions, gp.units) == (1, 8) and gp.left_out == "2 not completed by all"
+        assert gp.own_pairs == 10 and "over all 10 that both completed" in gp.text()
 
     def test_worse_is_said_as_more(self):
         rows = errors("nominal_mpc", [0.1, 0.1]) + errors("gp_mpc", [0.12, 0.12])

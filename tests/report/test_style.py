@@ -96,7 +96,7 @@ def test_on_the_page_rank_decides_no_colour_and_figures_have_the_same(tmp_path, 
     monkeypatch.setattr("tests.report.results.SEEDS", range(10))
     monkeypatch.setitem(ERRORS, better, 0.0004)  # the least error of all, of one or the other
     comparison = read_comparison(make_results(tmp_path / "results", lost=False))
-    assert comparison.best == better
+    assert comparison.verdict.best and comparison.verdict.least == better
     assert {label: (look.hue, look.marker) for label, look in comparison.look.items()} == {
         label: LOOKS[label][:2] for label in comparison.look
     }

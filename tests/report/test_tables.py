@@ -197,7 +197,7 @@ class TestIntervals:
         assert 1e3 * gp.mean == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.common == 6
         assert r"- \* differs from nominal_mpc: p < 0.05" in table.markdown()
         assert table.notes[0].startswith(
-            "mean over the flights of a line that all ended well, of 7 seeds [95 % interval: Student's t]; bold:"
+            "mean over the flights of a line that all completed, of 7 seeds [95 % interval: Student's t]; bold:"
         )
 
     def test_a_controller_that_loses_flights_is_not_the_best_and_who_has_the_larger_error_is_not_either(self):

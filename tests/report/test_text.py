@@ -15,7 +15,6 @@ from quadexp.report.text import (
     percent,
     probability,
     relative,
-    span,
     speed_text,
     typeset,
 )
@@ -47,7 +46,6 @@ def test_times_speeds_and_counts():
     assert [duration(t) for t in (40.3e-6, 0.0142, 2.1, 0.25)] == ["40.3 µs", "14.2 ms", "2.10 s", "250 ms"]
     assert duration(0.02, exact=True) == "20 ms" and duration(math.nan) == "-"
     assert [speed_text(v) for v in (8.0, None, math.nan, 0.5)] == ["8 m/s", "", "", "0.5 m/s"]
-    assert span([4.0, 12.0], "m/s") == "4 to 12 m/s" and span([4.0], "m/s") == "4 m/s"
     assert [count(n, "flight") for n in (0, 1, 2)] == ["0 flights", "1 flight", "2 flights"]
     assert [relative(v) for v in (-99.123, 0.0, math.nan)] == ["-99.1 %", "same", "-"]
     assert [listed(words) for words in ([], ["a"], ["a", "b", "c"])] == ["", "a", "a, b and c"]

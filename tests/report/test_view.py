@@ -94,7 +94,7 @@ class TestNumbers:
 
     @pytest.mark.parametrize("y", ["mean_error", "rmse", "max_error"])
     def test_they_are_the_numbers_of_the_tables(self, masses, y):
-        """Also where flights are lost: both take the flights that all controllers of a line ended well."""
+        """Also where flights are lost: both take the flights that all controllers of a line completed."""
         frame = SweepFrame.read(masses)
         made = view(frame, x="vehicle.mass", y=y)
         assert made.by == ("controller",) and made.facet == ("trajectory",)
@@ -118,7 +118,7 @@ class TestNumbers:
         assert perfect.ended == 4 and perfect.seeds == nominal.seeds == 3
         assert not made.places["circle", "nominal_mpc", 1.8].is_shown
         assert made.places["circle", "perfect_mpc", 1.8].seeds == 4
-        assert "10 of 48 flights did not end well: marked k/n where k of n did" in made.notes
+        assert "10 of 48 flights were not completed: marked k/n where k of n were" in made.notes
 
     def test_success_is_a_number_like_the_others(self, masses):
         made = view(SweepFrame.read(masses), x="vehicle.mass", y="success")

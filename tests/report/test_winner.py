@@ -9,8 +9,8 @@ import pytest
 
 from quadexp.log.store import write_table
 from quadexp.report.inference import log_ratio
-from quadexp.report.page.answer import _odds, answer
-from quadexp.report.page.sections import scoreboard, tables
+from quadexp.report.page.answer import answer, odds
+from quadexp.report.page.sections import numbers
 from quadexp.report.page.source import read_comparison
 from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics
@@ -126,9 +126,8 @@ def test_the_page_says_not_distinguishable_of_identical_distributions(tmp_path):
     for i in range(12):
         comparison = results(tmp_path / str(i), sweep(rng, FOUR, conditions=2, seeds=4))
         said = answer(comparison).gain
-        assert "as close as" not in said
-        best += "the best of" in said or any(one["role"] == "best" for one in scoreboard(comparison))
-        sure += "not distinguishable from perfect MPC" in said and "times its error [" in said
+        best += "the best of" in said or comparison.verdict.best
+        sure += "that of perfect_mpc, so they are not distinguishable" in said and "times [" in said
     assert best <= 1 and sure >= 10
 
 
@@ -136,13 +135,12 @@ def test_the_page_names_a_real_best_and_gives_its_ratio_to_the_bound_an_interval
     factors = {"gp_mpc": 0.1, "linear_drag_mpc": 0.5, "rls_mpc": 0.4, "perfect_mpc": 0.08}
     comparison = results(tmp_path / "r", sweep(np.random.default_rng(5), FOUR, conditions=4, seeds=8, factors=factors))
     said = answer(comparison).gain
-    assert comparison.best == "gp_mpc" and "GP MPC, the best of 3 ways, tracks" in said
-    value, low, high, _ = comparison.to_bound("perfect_mpc")
+    assert comparison.verdict.best and "gp_mpc, the best of 4, significantly less than the next, rls_mpc" in said
+    value, low, high, _ = comparison.verdict.bound_ratio
     assert low < 1.25 < high and low < value < high
-    assert f"{100 * (value - 1):.1f}" in said and f"[{100 * (low - 1):.1f},\u00a0{100 * (high - 1):.1f}]" in said
-    assert next(one["label"] for one in scoreboard(comparison) if one["role"] == "best") == "gp_mpc"
-    cells = [cell for line in tables(comparison)[0]["lines"] for cell in line["means"] if cell["best"]]
-    assert len(cells) == 4
+    assert f"{value:.3g} times [{low:.3g},\u00a0{high:.3g}] that of perfect_mpc." in said
+    means = numbers(comparison).blocks[0].tables[0]
+    assert sum(cell.best for line in means.lines for cell in line) == 4
     assert "the best of 4, significantly less than the next" in error_table(comparison.rows).markdown()
 
 
@@ -159,8 +157,8 @@ def test_how_sure_is_said_in_words_that_follow_the_test(tmp_path):
     rng, doubted = np.random.default_rng(3), 0
     for i in range(6):
         comparison = results(tmp_path / str(i), sweep(rng, ["nominal_mpc", "gp_mpc"], conditions=2, seeds=6))
-        said, p = answer(comparison).sure, comparison.to_base[1]
-        assert ("not sure" in said) == (p >= 0.05)
+        said, pooled = answer(comparison).sure, comparison.overall["gp_mpc"]
+        assert ("not sure" in said) == (pooled.p_holm >= 0.05)
         doubted += "not sure" in said
     assert doubted >= 5
     factors = {"gp_mpc": 0.1}
@@ -172,7 +170,7 @@ def test_how_sure_is_said_in_words_that_follow_the_test(tmp_path):
 
 
 def test_odds():
-    found = [_odds(p) for p in (0.3, 0.05, 0.0005, 0.00042, 1e-9, 0.0)]
+    found = [odds(p) for p in (0.3, 0.05, 0.0005, 0.00042, 1e-9, 0.0)]
     never = "less than once in a million times"
     assert found == [
         "in 30 of 100 times",

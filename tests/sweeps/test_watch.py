@@ -58,20 +58,20 @@ def test_the_page_grows_and_its_numbers_are_those_of_the_flights(out):
         fly(watch, row(seed=0, error=0.2), row(seed=1, error=0.3), row("gp_mpc", error=0.9, outcome="lost"))
         text = shown(watch.path, "3 of 4 flights")
         assert AGAIN in text and 'max="4" value="3"' in text
-        columns, ended, line = watch.shot().table().columns, *watch.shot().table().rows
-        assert columns == ["trajectory", "m/s", "gp_mpc", "nominal_mpc"]
-        assert ended == ["ended well", "", "0 of 1", "2 of 2"]
-        assert line[2:] == ["- (1 lost)", "250.0"]  # nothing ended well; (0.2 + 0.3) / 2 m
+        columns, flown, line = watch.shot().table().columns, *watch.shot().table().rows
+        assert columns == ["trajectory", "m/s", "nominal_mpc", "gp_mpc"]
+        assert flown == ["flown", "", "2 of 2", "0 of 1"]
+        assert line[2].startswith("250.0 [") and line[3] == "1 lost"  # (0.2 + 0.3) / 2 m
         fly(watch, row("gp_mpc", seed=1, error=0.004))
-        assert watch.shot().table().rows[1][2] == "4.00 (1 lost)"
+        assert watch.shot().table().rows[1][2:] == ["300.0 (own 250.0 of 2)", "4.00 (1 lost)"]
     left = (out / FILE).read_text()
-    assert "4 of 4 flights, finished" in left and AGAIN not in left and "250.0" in left
+    assert "4 of 4 flights, finished" in left and AGAIN not in left and "own 250.0 of 2" in left
 
 
 def test_settings_that_contradict_each_other_are_no_flight():
     rows = [row(error=0.2), row(seed=1, outcome="lost"), row(seed=2, outcome="invalid")]
-    ended, line = Live("r", "mean_error", 3, rows=rows).table().rows
-    assert (ended[2], line[2]) == ("1 of 2", "200.0 (1 lost)")
+    flown, line = Live("r", "mean_error", 3, rows=rows).table().rows
+    assert (flown[2], line[2]) == ("1 of 2", "200.0 (1 lost)")
 
 
 def test_the_page_asks_no_other_machine_and_shows_names_as_text():

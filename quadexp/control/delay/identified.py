@@ -1,7 +1,7 @@
 """Delays that nobody knows: found in the first seconds of the flight, under a soft controller, and then made good.
 
-    at first    the published grid with soft weights (`soft`), which stands some 50 ms that nobody told it; dead time
-                `assumed`, the middle of what it stands
+    at first    the published grid with soft weights (`soft`), which tolerates some 50 ms that nobody told it; dead time
+                `assumed`, the middle of what it tolerates
     from        delay.after on a search in what was told and sent so far (timing.py), CANDIDATES of it in a control
                 step; again until all is known, then each time that the flight is half as long again, until all is
                 known to FINE_ENOUGH

@@ -6,40 +6,59 @@ import base64
 import json
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from importlib.resources import files
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from quadexp import __version__
 from quadexp.errors import QuadexpError
 from quadexp.files.names import file_name
 from quadexp.files.writer import check_output, write_text, written
-from quadexp.log.outcome import RULE
-from quadexp.messages import clean, script
-from quadexp.report.page import palette
+from quadexp.messages import script
+from quadexp.report.document import Block, PageTable, Section, document, template_text
 from quadexp.report.page.answer import answer
-from quadexp.report.page.learned import estimate_sheets, fit_sheets
+from quadexp.report.page.learned import fit_sheets
+from quadexp.report.page.over_time import MAX_FLIGHTS, MAX_GROUPS, estimate_sheets, power_sheets
 from quadexp.report.page.pareto import pareto_sheets
-from quadexp.report.page.power import MAX_FLIGHTS, power_sheets
-from quadexp.report.page.provenance import LOOKED_AT, origin, portable
+from quadexp.report.page.provenance import LOOKED_AT, facts, machines, portable, records, settings, sweep_command
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, case_of, choose_cases, pack_replay
-from quadexp.report.page.sections import scoreboard, tables, worlds, worst, worst_rows
-from quadexp.report.page.sheet import Sheet
-from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
-from quadexp.report.page.swept import Swept, swept_figures, swept_paper
+from quadexp.report.page.sections import (
+    figure_section,
+    numbers,
+    scoreboard,
+    swept_section,
+    worlds,
+    worst,
+    worst_rows,
+)  # fmt: skip
+from quadexp.report.page.sheet import SHAPES, TOKENS, Sheet
+from quadexp.report.page.source import TABLED, Comparison, read_comparison
+from quadexp.report.page.swept import Swept, swept_figures
 from quadexp.report.pairing import condition_of
 from quadexp.report.result_rows import to_csv
 from quadexp.report.statistics_file import statistics_csv
-from quadexp.report.style import LOOKS, Figure
-from quadexp.report.tables import TITLES
-from quadexp.report.text import typeset
+from quadexp.report.style import Figure
+from quadexp.report.table import Table
 
 LIMIT = 2_000_000  # bytes of the page
 DATA_LIMIT = 250_000  # bytes of a CSV inside it
 CARRIED = ("statistics.csv", "results.csv")
-LEARNED = {name: f"{LOOKS[key][0]}-0" for name, key in (("gp", "gp_mpc"), ("drag", "linear drag"), ("data", "nominal"))}
-TEMPLATES = files("quadexp.report.page") / "templates"
+METHODS = (
+    "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds."
+    " Differences are taken seed by seed (the same noise for all), over several conditions as the mean of"
+    " a seed; p-values come from a paired permutation test of the seeds, corrected by Holm over all comparisons."
+    " Ratios over several conditions are geometric means, every condition with the same weight; their interval is for"
+    " new seeds, not for new trajectories. Lost flights are counted."
+)
+TIME = (
+    "For a controller on the line, no other one has both a shorter step and a smaller error. Bounds are left out. Wall"
+    " time of the control step{}: medians over the flights of their median and 99th percentile. Other load on the"
+    " machine increases the latter."
+)
+POWER = (
+    "For every world with a battery or motors, its fastest condition, and of these the one with the largest error; at"
+    f" most {MAX_FLIGHTS} controllers. Rotors: their mean (line), and the range from the lowest to the highest (band)."
+)
 
 
 def make_report(
@@ -59,40 +78,27 @@ def make_report(
     if figures is not None:
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
-    drawn = PageFigures.of(comparison)
-    page, left_out = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
+    swept, sheets = swept_figures(comparison), _sheets(comparison)
+    page, left_out = render(comparison, swept, sheets, _report_command(comparison, out, figures, baseline))
     write_text(out, page, force=force)
-    drawings = {} if figures is None else _write_paper(Path(figures), drawn.paper(comparison))
-    made = answer(comparison)
-    record = {"path": out, "bytes": len(page.encode()), "answer": list(made.sentences), "note": made.note}
-    return {**record, "left_out": left_out, "figures": drawings}
+    drawn = [sheet for several in sheets.values() for sheet in several if sheet.draws or sheet.whole]
+    named = swept.paper() | {sheet.name: sheet.figure(comparison.look) for sheet in drawn} if figures else {}
+    said, checked = answer(comparison), comparison.checked
+    return {
+        "path": out,
+        "bytes": len(page.encode()),
+        "answer": list(said.sentences),
+        "note": said.note,
+        "checked": checked._asdict() | {"text": checked.text(), "lines": checked.lines()},
+        "left_out": left_out,
+        "figures": _write_paper(Path(figures), named) if figures else {},
+    }
 
 
-@dataclass(frozen=True)
-class PageFigures:
-    """swept: over the keys that were swept. sheets: of each section. power_left: worlds that power leaves out."""
-
-    swept: Swept
-    sheets: Mapping[str, Sequence[Sheet]]
-    power_left: int
-
-    @classmethod
-    def of(cls, comparison: Comparison) -> PageFigures:
-        power, left = power_sheets(comparison)
-        learned = {"fits": fit_sheets(comparison), "estimates": estimate_sheets(comparison)}
-        return cls(swept_figures(comparison), {"pareto": pareto_sheets(comparison), "power": power, **learned}, left)
-
-    def records(self) -> dict[str, list[dict[str, Any]]]:
-        """For the template."""
-        return {
-            section: [sheet.record(f"{section}{i}") for i, sheet in enumerate(sheets)]
-            for section, sheets in self.sheets.items()
-        }
-
-    def paper(self, comparison: Comparison) -> dict[str, Figure]:
-        """The same figures for a paper, by name."""
-        sheets = [sheet for own in self.sheets.values() for sheet in own if sheet.draws]
-        return swept_paper(self.swept) | {sheet.name: sheet.figure(comparison.look) for sheet in sheets}
+def _sheets(comparison: Comparison) -> dict[str, list[Sheet]]:
+    """Anchor of a section -> its figures."""
+    learned = fit_sheets(comparison) + estimate_sheets(comparison)
+    return {"time": pareto_sheets(comparison), "power": power_sheets(comparison), "learned": learned}
 
 
 def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]:
@@ -104,8 +110,7 @@ def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]
     return paths
 
 
-@dataclass(frozen=True)
-class Extent:
+class Extent(NamedTuple):
     """The amount of data on the page. replay: characters of packed flights. metrics: of tables and of figures over
     what was swept. lines: of the tables."""
 
@@ -113,149 +118,135 @@ class Extent:
     metrics: int = len(TABLED)
     lines: int | None = None
 
-    @property
-    def carries_data(self) -> bool:
-        return self.replay > 0
-
 
 EXTENTS = (Extent(), Extent(BUDGET // 3), Extent(0), Extent(0, 1), Extent(0, 1, 200), Extent(0, 1, 40))
 
 
-def environment() -> Any:
-    """The settings of a page's template: what it prints passes through the escaper of HTML."""
-    from jinja2 import Environment
-
-    made = Environment(autoescape=True, finalize=lambda value: clean(value) if type(value) is str else value)
-    made.filters["typeset"] = typeset
-    return made
-
-
-def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[str, list[str]]:
+def render(
+    comparison: Comparison, swept: Swept, sheets: Mapping[str, Sequence[Sheet]], command: str
+) -> tuple[str, list[str]]:
     """The page, with less data if it would be too large, and what was left out.
 
     First fewer flights to replay, then none and no CSV inside, then only the main metric, then fewer conditions.
     """
-    template = environment().from_string(_template("report.html.j2"))
-    light, dark = palette.css_blocks()
-    bad = worst_rows(comparison)
-    cases, every, downloads = choose_cases(comparison, bad), tables(comparison), _downloads(comparison)
-    content = {
-        "version": __version__,
-        "title": comparison.root.resolve().name,
+    bad, flights, power = worst_rows(comparison), records(comparison), sheets["power"]
+    cases, downloads, every = choose_cases(comparison, bad), _downloads(comparison), numbers(comparison)
+    about: dict[str, Any] = {
         "answer": answer(comparison),
-        "metric_title": TITLES.get(comparison.metric, comparison.metric),
-        "baseline": comparison.reference,
         "board": scoreboard(comparison),
-        "worlds": worlds(comparison),
-        "alpha": 1 - comparison.confidence,
         "looks": comparison.look,
-        "shapes": {marker: palette.SHAPE_PATHS[name] for marker, name in palette.SHAPES.items()},
-        "learned": LEARNED,
-        "row_notes": comparison.notes,
-        "spoken": spoken,
-        "css_light": light,
-        "css_dark": dark,
-        "style": _safe(_template("style.css")),
-        "page_script": _template("page.js"),
-        "replay_script": _template("replay.js").replace("@@SHAPES@@", json.dumps(palette.SHAPE_PATHS)),
-        **drawn.records(),
-        "most_powered": MAX_FLIGHTS,
-        "flights": len(comparison.rows),
-        "bad": sum(row["outcome"] != "ok" for row in comparison.rows),
-        "rule": RULE,
-        "bad_shown": sum(row["outcome"] != "ok" for row in bad),
-        "many_worlds": len(comparison.worlds) > 1,
-        "origin": origin(comparison),
-        "report_command": command,
+        "shapes": SHAPES,
     }
+    about |= {"row_notes": [*comparison.checked.lines(), *comparison.notes], "version": __version__, "theme": TOKENS}
+    backends = sorted({row["backend"] for row in comparison.rows if row["backend"]})
+    on = ", ".join(filter(None, (" and ".join(backends), "; ".join(machines(flights)))))
+    lead = TIME.format(f" ({on})" if on else "")
+    figures = [
+        worlds(comparison),
+        figure_section("time", "Time", "Error against computing time", lead, sheets["time"]),
+        figure_section("power", "Power", "Battery and rotors", POWER, power[:MAX_GROUPS]),
+        figure_section("learned", "Learned", "Learned models", "", sheets["learned"]),
+    ]
+    player = template_text("replay.js").replace("@@SHAPES@@", json.dumps(SHAPES))
     for extent in EXTENTS:
         packed, kept = pack_replay(comparison, cases, extent.replay) if extent.replay else ([], [])
-        numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
-        carried = downloads if extent.carries_data else []
-        tabs = drawn.swept.tabs[: None if extent.metrics == len(TABLED) else extent.metrics]
-        left_out = _left_out(comparison, drawn, packed, kept, every, numbers, carried)
-        left_out += [f"figures of the {title}" for _, title, _ in drawn.swept.tabs[len(tabs) :]]
-        left_out += [f"battery and rotors of {drawn.power_left} more worlds"] if drawn.power_left else []
-        page = template.render(
-            content,
-            left_out=left_out,
-            sections=_sections(drawn, bool(packed), len(comparison.worlds) > 1),
-            tables=numbers,
-            swept=tabs,
-            replay=bool(packed),
-            winds=any("wind" in track for case in packed for track in case["tracks"]),
-            told=any("estimate" in track for case in packed for track in case["tracks"]),
-            replay_json=script(packed),
-            worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
-            downloads=carried,
-        )
+        shown, carried = _shortened(every, extent), downloads if extent.replay else []
+        tabs = swept_section(swept, None if extent.metrics == len(TABLED) else extent.metrics)
+        left_out = _left_out(comparison, packed, kept, every, shown) + swept.left
+        left_out += [f"figures of the {title}" for _, title, _ in swept.tabs[len(tabs.blocks) :]]
+        more = len(power) - MAX_GROUPS
+        left_out += [f"battery and rotors of {more} more worlds"] if more > 0 else []
+        left_out += [f"{name}, which is in the results folder" for name in CARRIED if name not in dict(carried)]
+        sections = [_replay_section(packed), shown, tabs, *figures]
+        sections.append(worst(comparison, bad, {case: i for i, case in enumerate(kept)}))
+        sections.append(_origin(comparison, flights, command, carried, left_out))
+        there = [section for section in sections if section.blocks]
+        data: dict[str, Any] = {
+            "left_out": left_out,
+            "replay_json": script(packed),
+            "replay_script": player if packed else "",
+        }
+        page = document(f"{comparison.root.resolve().name} – quadexp report", there, **about, **data)
         if len(page.encode()) < LIMIT:
             return page, left_out
-    raise QuadexpError(
-        f"the report would be {len(page.encode()) / 1e6:.1f} MB, more than {LIMIT / 1e6:g}: report on fewer conditions"
+    size = len(page.encode()) / 1e6
+    raise QuadexpError(f"the report would be {size:.1f} MB, more than {LIMIT / 1e6:g}: report on fewer conditions")
+
+
+def _replay_section(packed: Sequence[Mapping[str, Any]]) -> Section:
+    tracks = [track for case in packed for track in case["tracks"]]
+    wind = " Arrow: the wind that blows on the vehicle, longer where stronger."
+    told = " Ring and dotted line: the position that the controller was told."
+    note = (
+        "Drones are drawn larger than in reality; bars on the rotors show thrust as a share of its range; the grid is"
+        f" at the lowest point.{wind if any('wind' in track for track in tracks) else ''}"
+        f"{told if any('estimate' in track for track in tracks) else ''} Keys, with the picture in focus: space plays,"
+        " ← → move by 0.1 s (with shift: turn), + − change the speed, 1 to 9 show and hide, Home and End."
     )
+    lead = "All controllers on the same reference with the same noise. Errors can be magnified."
+    return Section("replay", "Replay", "Replay", lead, [Block(replay=True, notes=[note])] if packed else [])
+
+
+def _origin(
+    comparison: Comparison,
+    flights: Sequence[Mapping[str, Any]],
+    command: str,
+    downloads: Sequence[tuple[str, str]],
+    left_out: Sequence[str],
+) -> Section:
+    varied, common = settings(flights)
+    about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
+    sweep = sweep_command(comparison.grids, portable(comparison.root))
+    blocks = [Block(facts=about, downloads=downloads, code=[*filter(None, (sweep, command))])]
+    titles = {"Settings that differ between the flights": varied, "Settings of all flights": common}
+    for i, (title, rows) in enumerate(titles.items()):
+        table = PageTable.of(Table(["setting", "value"], rows), f"settings-{i}")
+        blocks += [Block(title, tables=[table], folded=True)] if rows else []
+    blocks.append(Block("Statistical methods", lead=METHODS.format(f"{comparison.confidence:.0%}"), folded=True))
+    lead = "Data, versions and commands that make every figure again."
+    return Section("provenance", "Provenance", "Provenance", lead, blocks)
+
+
+def _shortened(every: Section, extent: Extent) -> Section:
+    """The section of numbers with fewer tabs and lines."""
+    blocks = [
+        replace(block, tables=[replace(table, lines=table.lines[: extent.lines]) for table in block.tables])
+        for block in every.blocks[: extent.metrics]
+    ]
+    return replace(every, blocks=blocks)
 
 
 def _left_out(
     comparison: Comparison,
-    drawn: PageFigures,
     packed: Sequence[Mapping[str, Any]],
     replayed: Sequence[Case],
-    every: Sequence[Mapping[str, Any]],
-    numbers: Sequence[Mapping[str, Any]],
-    downloads: Sequence[tuple[str, str]],
+    every: Section,
+    shown: Section,
 ) -> list[str]:
     """What is not on the page for its size, one entry each."""
-    conditions = len({condition_of(row) for row in comparison.rows if row["outcome"] != "infeasible"})
-    shown = len({condition for condition, _ in replayed})
-    left = [f"the replay of {conditions - shown} of {conditions} conditions"] if shown < conditions else []
-    all_lines, lines = len(every[0]["lines"]), len(numbers[0]["lines"])
-    left += [f"{all_lines - lines} of {all_lines} lines of the tables"] if lines < all_lines else []
-    left += [f"the table of the {table['title']}" for table in every[len(numbers) :]]
-    every_case = len({case_of(row) for row in comparison.rows if row["outcome"] != "infeasible"})
-    if shown == conditions and len(replayed) < every_case:
-        left.append(f"the replay of {every_case - len(replayed)} of {every_case} pairs of condition and seed")
+    flown = [row for row in comparison.rows if row["outcome"] != "infeasible"]
+    conditions, cases = len({*map(condition_of, flown)}), len({*map(case_of, flown)})
+    seen = len({condition for condition, _ in replayed})
+    entries = [f"the replay of {conditions - seen} of {conditions} conditions"] if seen < conditions else []
+    all_lines, lines = (len(section.blocks[0].tables[0].lines) for section in (every, shown))
+    entries += [f"{all_lines - lines} of {all_lines} lines of the tables"] if lines < all_lines else []
+    entries += [f"the table of the {block.title}" for block in every.blocks[len(shown.blocks) :]]
+    if seen == conditions and len(replayed) < cases:
+        entries.append(f"the replay of {cases - len(replayed)} of {cases} pairs of condition and seed")
     if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
-        left.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")
-    left += drawn.swept.left
+        entries.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")
     crowd = max((len(case["left_out"]) for case in packed), default=0)
-    left += [f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}"] if crowd else []
-    there = {name for name, _ in downloads}
-    left += [f"{name}, which is in the results folder" for name in CARRIED if name not in there]
-    return left
-
-
-def _template(name: str) -> str:
-    return (TEMPLATES / name).read_text(encoding="utf-8")
-
-
-def _safe(text: str) -> Any:
-    from markupsafe import Markup
-
-    return Markup(text)
-
-
-def _sections(drawn: PageFigures, replay: bool, several_worlds: bool) -> list[tuple[str, str]]:
-    wanted = [
-        ("replay", "Replay", replay),
-        ("tables", "Numbers", True),
-        ("worlds", "Worlds", several_worlds),
-        ("swept", "Swept", bool(drawn.swept.tabs)),
-        ("time", "Time", bool(drawn.sheets["pareto"])),
-        ("power", "Power", bool(drawn.sheets["power"])),
-        ("learned", "Learned", bool(drawn.sheets["fits"] or drawn.sheets["estimates"])),
-        ("worst", "Worst", True),
-        ("provenance", "Provenance", True),
-    ]
-    return [(anchor, name) for anchor, name, there in wanted if there]
+    return entries + (
+        [f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}"] if crowd else []
+    )
 
 
 def _downloads(comparison: Comparison) -> list[tuple[str, str]]:
     """CSV tables as data links, those that are small enough."""
-    made = zip(CARRIED, (statistics_csv(comparison.statistics), to_csv(comparison.rows)), strict=True)
+    texts = zip(CARRIED, (statistics_csv(comparison.statistics), to_csv(comparison.rows)), strict=True)
     return [
         (name, "data:text/csv;base64," + base64.b64encode(text.encode()).decode())
-        for name, text in made
+        for name, text in texts
         if len(text) <= DATA_LIMIT
     ]
 
@@ -264,4 +255,4 @@ def _report_command(comparison: Comparison, out: Path, figures: str | Path | Non
     words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
     words += ["--baseline", baseline] if baseline else []
     words += ["--figures", portable(Path(figures))] if figures else []
-    return " ".join(map(shlex.quote, words))
+    return shlex.join(words)

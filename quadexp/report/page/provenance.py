@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,29 +15,63 @@ from quadexp.report.margin_line import margin_line
 from quadexp.report.page.source import Comparison
 
 LOOKED_AT = 500  # flights whose settings are compared
+MOST_VALUES = 12  # of a setting
+
+Record = Mapping[str, Any]
 
 
-def origin(comparison: Comparison) -> dict[str, Any]:
-    """The last section of the page."""
-    record = comparison.record
-    flights = comparison.sample(LOOKED_AT)
-    made_by = record.get("provenance", {})
-    return {
-        "versions": versions_of(comparison.rows),
-        "provenance": made_by,
-        "commit": ", ".join(sorted({c for f in flights if (c := _commit(f.get("provenance", {})))})),
-        "seeds": _ranges(sorted({int(row["seed"]) for row in comparison.rows})),
-        "digest": comparison.digest,
-        "flights": len(comparison.rows),
-        "backends": sorted({row["backend"] for row in comparison.rows if row["backend"]}),
-        "command": sweep_command(comparison.grids, portable(comparison.root)),
-        "models": sorted({(f.get("model", ""), f.get("model_sha256", "")) for f in flights if f.get("model")}),
-        "margins": _margins(flights),
-        "config": common_config(flights),
-        "varied": varied(flights),
-        "confidence": f"{comparison.confidence:.0%}",
-        "machines": sorted({m for f in flights if (m := _machine(f.get("provenance", {})))}),
-    }
+def records(comparison: Comparison) -> list[Record]:
+    """Metadata of at most LOOKED_AT flights, spread over all of them."""
+    rows = comparison.sampled(LOOKED_AT)
+    return [record for row in rows if (record := comparison.flight_record(row)) is not None]
+
+
+def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, str]]:
+    """(term, text) of the origin; several of one term."""
+    commits = _each(commit_text(flight.get("provenance", {})) for flight in flights)
+    models = _each(f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model"))
+    created = comparison.record.get("provenance", {}).get("created", "")
+    versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
+    entries = [
+        ("Results", f"{len(comparison.rows)} flights, sha256 {comparison.digest}"),
+        ("Files", " ".join(filter(None, (f"{comparison.checked.text()}.", *comparison.checked.lines())))),
+        ("Seeds", ranges(sorted({int(row["seed"]) for row in comparison.rows}))),
+        ("Made", ", commit ".join(filter(None, (created, ", ".join(commits))))),
+        ("Machine", "; ".join(machines(flights))),
+        *(("Loop", line) for line in margins(flights)),
+        *(("Checkpoint", model) for model in models),
+        ("Versions", versions),
+    ]
+    return [(term, text) for term, text in entries if text]
+
+
+def machines(flights: Iterable[Record]) -> list[str]:
+    """Processor and system of each machine."""
+    about = (flight.get("provenance", {}) for flight in flights)
+    return _each(", ".join(str(record[k]) for k in ("cpu", "platform") if record.get(k)) for record in about)
+
+
+def margins(flights: Iterable[Record]) -> list[str]:
+    """Controller and margins of its loop; several lines for one whose settings vary."""
+    lines = ((f.get("controller", ""), margin_line(f.get("margins"))) for f in flights)
+    return list(dict.fromkeys(f"{name}: {line}" for name, line in lines if line))
+
+
+def settings(flights: Sequence[Record]) -> tuple[list[list[str]], list[list[str]]]:
+    """Those that differ between flights, with their values in order of appearance, and those that all share."""
+    values: dict[str, list[str]] = {}
+    for flight in flights:
+        for key, value in flat(flight.get("config", {})).items():
+            values.setdefault(key, []).append(value if isinstance(value, str) else json.dumps(value))
+    varied, common = [], []
+    for key, texts in values.items():
+        different = list(dict.fromkeys(texts))
+        if len(different) == 1 and len(texts) == len(flights):
+            common += [[key, texts[0]]] if texts[0] != "null" else []
+        else:
+            more = ["…"] if len(different) > MOST_VALUES else []
+            varied.append([key, ", ".join(different[:MOST_VALUES] + more)])
+    return varied, common
 
 
 def portable(path: Path) -> str:
@@ -45,48 +79,10 @@ def portable(path: Path) -> str:
     return path.name if path.is_absolute() else path.as_posix()
 
 
-def _machine(provenance: Mapping[str, Any]) -> str:
-    return ", ".join(str(provenance[k]) for k in ("cpu", "platform") if provenance.get(k))
-
-
-def _commit(provenance: Mapping[str, Any]) -> str:
+def commit_text(provenance: Record) -> str:
+    """Such as "0123456789ab with changes"."""
     git = provenance.get("git") or {}
     return f"{git['commit'][:12]}{' with changes' if git.get('dirty') else ''}" if git.get("commit") else ""
-
-
-def _margins(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """(controller, margins of its loop); several lines for one whose settings vary."""
-    lines = [(f.get("controller", ""), margin_line(f.get("margins"))) for f in flights]
-    return list(dict.fromkeys((name, line) for name, line in lines if line))
-
-
-def _flat(flight: Mapping[str, Any]) -> dict[str, str]:
-    """Every setting by its dotted key, as text."""
-    settings = flat(flight.get("config", {}))
-    return {key: value if isinstance(value, str) else json.dumps(value) for key, value in settings.items()}
-
-
-def common_config(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Settings that all flights share: group -> (key, value)."""
-    settings = list(map(_flat, flights))
-    groups: dict[str, list[tuple[str, str]]] = {}
-    for key, value in (settings[0] if settings else {}).items():
-        if value != "null" and all(one.get(key) == value for one in settings):
-            group, _, rest = key.partition(".")
-            groups.setdefault(group if rest else "all", []).append((rest or group, value))
-    return list(groups.items())
-
-
-def varied(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
-    """Settings that differ between flights, with their values in order of appearance."""
-    settings = list(map(_flat, flights))
-    found = []
-    for key in dict.fromkeys(key for one in settings for key in one):
-        values = list(dict.fromkeys(one.get(key) for one in settings))
-        if len(values) > 1:
-            known = [value for value in values if value is not None]
-            found.append((key, known[:12] + ["…"] * (len(known) > 12)))
-    return found
 
 
 def sweep_command(grids: Sequence[Grid], out: str) -> str:
@@ -99,15 +95,15 @@ def sweep_command(grids: Sequence[Grid], out: str) -> str:
     else:
         named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
         words = sorted(named) if len(named) == 1 else []
-    return f"quadexp evaluate --sweep {' '.join(map(shlex.quote, words))} --out {shlex.quote(out)}" if words else ""
+    return f"quadexp evaluate --sweep {shlex.join(words)} --out {shlex.quote(out)}" if words else ""
 
 
 def redo_command(overrides: Sequence[str]) -> str:
     """The command for one flight of a sweep; "" if its overrides are not known."""
-    return f"quadexp simulate {' '.join(map(shlex.quote, overrides))}" if overrides else ""
+    return f"quadexp simulate {shlex.join(overrides)}" if overrides else ""
 
 
-def _ranges(numbers: Sequence[int]) -> str:
+def ranges(numbers: Sequence[int]) -> str:
     """Such as "0–4, 7"."""
     parts: list[list[int]] = []
     for n in numbers:
@@ -116,3 +112,7 @@ def _ranges(numbers: Sequence[int]) -> str:
         else:
             parts.append([n])
     return ", ".join(f"{p[0]}\u2013{p[-1]}" if len(p) > 1 else str(p[0]) for p in parts)
+
+
+def _each(texts: Iterable[str]) -> list[str]:
+    return sorted(set(texts) - {""})

@@ -21,9 +21,9 @@ import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
-from quadexp.report.page.palette import SHAPES
-from quadexp.report.page.source import Comparison, spoken
+from quadexp.report.page.source import Comparison
 from quadexp.report.pairing import condition_of
+from quadexp.report.text import speed_text
 
 BUDGET = 900_000  # characters of packed tracks
 MAX_TRACKS = 12
@@ -53,7 +53,7 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
 
 
 def ordered_cases(comparison: Comparison) -> list[Case]:
-    """Every condition that flew, with the seed that most ended well: those of the main world first, then the fastest,
+    """Every condition that flew, with the seed that most completed: those of the main world first, then the fastest,
     then those with the largest error."""
     seeds: dict[tuple[Any, ...], dict[int, int]] = {}
     largest: dict[tuple[Any, ...], float] = {}
@@ -75,15 +75,16 @@ def ordered_cases(comparison: Comparison) -> list[Case]:
 
 
 def case_title(comparison: Comparison, case: Case) -> str:
+    """Such as "circle, payload 0.1 kg at 8 m/s, seed 3", with plant and vehicle where there are several."""
     (plant, vehicle, trajectory, speed, setting), seed = case
-    rate = "" if speed is None else f" at {speed:g} m/s"
+    rate = "" if speed is None else f" at {speed_text(speed)}"
     return f"{comparison.course_title((plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
 
 
 def by_rank(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Rows of a case: lead, baseline and bounds first, then in the order of the page."""
+    """Rows of a case: least error, baseline and bounds first, then in the order of the page."""
     rank = {label: k for k, label in enumerate(comparison.look)}
-    first = [comparison.lead, comparison.reference, *comparison.bounds]
+    first = [comparison.verdict.least, comparison.reference, *comparison.bounds]
     return sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))
 
 
@@ -134,7 +135,7 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
         "rotors": config.get("rotor_position") or SOME_ROTORS,
         "centre": centre.tolist(),
         **_integers("reference", reference - centre),
-        "left_out": [spoken(comparison.label(row)) for row in ordered[MAX_TRACKS:]],
+        "left_out": [comparison.label(row) for row in ordered[MAX_TRACKS:]],
         "tracks": sorted(tracks, key=lambda track: rank[track["label"]]),
     }
 
@@ -151,9 +152,8 @@ def _track(
     look = comparison.look[label]
     return {
         "label": label,
-        "name": spoken(label),
         "colour": look.token,
-        "shape": SHAPES[look.marker],
+        "shape": look.marker,
         "filled": look.filled,
         "samples": len(t),
         "outcome": flight.outcome,

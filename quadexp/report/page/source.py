@@ -16,12 +16,11 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, read_metadata, read_table
+from quadexp.log.store import read_flight, read_record, read_table
 from quadexp.parts.cells import Combinations, Grid
-from quadexp.report.inference import Ratio
+from quadexp.report.checked import Checked, check_flights
 from quadexp.report.notes import notes
 from quadexp.report.pairing import (
-    Common,
     Condition,
     Contestant,
     Flights,
@@ -38,55 +37,17 @@ from quadexp.report.statistics import CONFIDENCE, Statistic, overall
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
-from quadexp.report.winner import Ranking, rank, ratio_of
+from quadexp.report.winner import Verdict, verdicts
 
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
 Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
 
-NAMES = {
-    "nominal_mpc": "nominal MPC",
-    "linear_drag_mpc": "linear-drag MPC",
-    "gp_mpc": "GP MPC",
-    "perfect_mpc": "perfect MPC",
-    "rls_mpc": "RLS MPC",
-    "rls_feedback": "RLS feedback",
-    "static_feedback": "static feedback",
-    "oracle_feedback": "oracle feedback",
-    "geometric": "geometric control",
-    "pid": "PID",
-    "dfbc": "DFBC",
-    "neural_mpc": "neural MPC",
-}
-KNOWS = {
-    "nominal_mpc": "nothing of the air",
-    "linear_drag_mpc": "rotor drag, linear in velocity",
-    "gp_mpc": "a Gaussian process learned from flights",
-    "perfect_mpc": "the plant's own equations",
-    "rls_mpc": "blade-element coefficients identified in flight",
-    "rls_feedback": "blade-element coefficients identified in flight",
-    "static_feedback": "static thrust and torque only",
-    "oracle_feedback": "the plant's own coefficients",
-}
 AIR = {  # baseline -> controllers that are the same but for what they know of the air
     "nominal_mpc": {"linear_drag_mpc", "gp_mpc", "rls_mpc", "neural_mpc", "sum_mpc", "online_mpc", "streaming_gp_mpc"},
     "static_feedback": {"rls_feedback", "oracle_feedback"},
 }
 BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
-
-
-def spoken(label: str) -> str:
-    """A label in a sentence: "gp_mpc nodes=20" is "GP MPC nodes=20"."""
-    controller, _, rest = label.partition(" ")
-    controller, *remedies = controller.split("+")
-    name = NAMES.get(controller, controller.replace("_mpc", " MPC").replace("_", " "))
-    return f"{' + '.join([name, *remedies])} {rest}".strip()
-
-
-def course_of(condition: Condition) -> Course:
-    """A condition without its speed."""
-    plant, vehicle, trajectory, _, setting = condition
-    return plant, vehicle, trajectory, setting
 
 
 @dataclass(frozen=True)
@@ -170,35 +131,40 @@ class Comparison:
         return Groups(self.main_rows, self.baseline, (self.metric,))
 
     @cached_property
-    def common(self) -> Common:
-        """The compared contestants of the main world and their common flights; see report/pairing.py."""
-        return self.groups.common(self.groups.worlds[self.world])
+    def verdict(self) -> Verdict:
+        """Who has the least error in the main world."""
+        (verdict,) = verdicts(self.main_rows, metric=self.metric, confidence=self.confidence)
+        named = {label: self.labels[contestant] for contestant, label in self.groups.labels.items()} | {"": ""}
+        one: dict[str, Any] = {name: named[getattr(verdict, name)] for name in ("least", "next", "bound")}
+        several: dict[str, Any] = {
+            name: [named[label] for label in getattr(verdict, name)] for name in ("compared", "alike")
+        }
+        return verdict._replace(**one, **several)
 
     def geometric_mean(self, label: str, *, own: bool = False) -> float:
         """Over the conditions, of the mean errors over the common flights, SI; NaN for a label that is not compared.
 
-        own: over all own flights that ended well.
+        own: over all its own completed flights.
         """
         return self._means[label, own]
 
     @cached_property
     def _means(self) -> dict[tuple[str, bool], float]:
-        found: dict[tuple[str, bool], list[float]] = {(x, own): [] for x in self.contestants for own in (False, True)}
+        means: dict[tuple[str, bool], list[float]] = {(x, own): [] for x in self.contestants for own in (False, True)}
+        among = self.groups.common(self.groups.worlds[self.world])
         for (condition, contestant), flights in self.groups.cells.items():
-            ended = {f.seed for f in flights if f.outcome == "ok"}
-            common = (
-                self.common.seeds.get(condition, frozenset()) if contestant in self.common.compared else frozenset()
-            )
-            for own, seeds in ((False, ended & common), (True, ended)):
+            completed = {f.seed for f in flights if f.outcome == "ok"}
+            common = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset()
+            for own, seeds in ((False, completed & common), (True, completed)):
                 values = self.groups.values(condition, contestant, 0, seeds)
                 values = values[np.isfinite(values)]
                 if len(values) and np.mean(values) > 0:
-                    found[self.labels[contestant], own].append(float(np.mean(values)))
-        return {at: float(np.exp(np.mean(np.log(means)))) if means else math.nan for at, means in found.items()}
+                    means[self.labels[contestant], own].append(float(np.mean(values)))
+        return {at: float(np.exp(np.mean(np.log(found)))) if found else math.nan for at, found in means.items()}
 
     @cached_property
     def order(self) -> list[str]:
-        """Labels of the main world, by the share of flights that ended well, then by the error."""
+        """Labels of the main world, by the share of completed flights, then by the error."""
 
         def place(label: str) -> tuple[float, bool, float]:
             share, error = self.success(label).share, self.geometric_mean(label)
@@ -207,84 +173,44 @@ class Comparison:
         return sorted(dict.fromkeys(map(self.label, self.main_rows)), key=place)
 
     @property
-    def compared(self) -> list[str]:
-        """Labels of the main world that have an error over the common flights."""
-        return [label for label in self.order if math.isfinite(self.geometric_mean(label))]
-
-    @property
     def bounds(self) -> list[str]:
         return [label for label in self.order if is_bound(self.controllers[label])]
 
     @cached_property
     def reference(self) -> str | None:
         """Label of the baseline in the main world; None if it is not there once."""
-        found = [label for label in self.order if self.controllers[label] == self.baseline]
-        return found[0] if len(found) == 1 else None
+        there = [label for label in self.order if self.controllers[label] == self.baseline]
+        return there[0] if len(there) == 1 else None
 
     @property
-    def rivals(self) -> list[str]:
-        """Labels that are neither bound nor baseline."""
-        return [label for label in self.order if label not in self.bounds and label != self.reference]
-
-    @cached_property
-    def ranking(self) -> Ranking:
-        """Of the rivals."""
-        return rank(self.groups, self.common, [self.contestants[x] for x in self.rivals], 0, self.confidence)
-
-    @property
-    def lead(self) -> str | None:
-        """The rival with the least error over the common flights, significant or not."""
-        return None if self.ranking.least is None else self.labels[self.ranking.least]
+    def rival(self) -> str:
+        """Whom the answer compares with the baseline: the least error, or where that is its own, the nearest one."""
+        return self.verdict.next if self.verdict.least == self.reference else self.verdict.least
 
     @property
     def of_the_air(self) -> bool:
-        """Whether the lead differs from the baseline by what it knows of the air, and by nothing else."""
-        if self.lead is None or self.reference is None:
-            return False
-        return self.controllers[self.lead] in AIR.get(self.controllers[self.reference], ())
-
-    @property
-    def alike(self) -> list[str]:
-        """Rivals that are not distinguishable from the lead."""
-        return [self.labels[one] for one in self.ranking.alike(self.confidence)]
-
-    @property
-    def flew_more(self) -> list[str]:
-        """Labels with a larger share of flights that ended well than the lead."""
-        return [x for x in self.order if self.lead and self.success(x).share > self.success(self.lead).share]
-
-    @property
-    def best(self) -> str | None:
-        """The lead, if all other rivals differ significantly from it and no contestant flew more; else None."""
-        return self.lead if not self.alike and not self.flew_more else None
-
-    def to_bound(self, bound: str) -> Ratio:
-        """Error of the lead over that of a bound: their ratio over the common flights, with its interval."""
-        assert self.ranking.least is not None
-        return ratio_of(self.groups, self.common, self.ranking.least, self.contestants[bound], self.confidence)
-
-    @cached_property
-    def to_base(self) -> tuple[Ratio, float]:
-        """Error of the lead over the baseline's, and the p of no difference that every table shows: paired permutation
-        test, corrected by Holm for all contestants, so for the choice of the lead too; NaN where so few seeds cannot
-        show significance."""
-        assert self.reference is not None and self.lead is not None
-        one = self.overall[self.lead]
-        return self.to_bound(self.reference), one.p_holm if one.testable else math.nan
+        """Whether the rival differs from the baseline by what it knows of the air, and by nothing else."""
+        known = AIR.get(self.controllers[self.reference], ()) if self.reference and self.rival else ()
+        return bool(known) and self.controllers[self.rival] in known
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:
         return self.groups.flights(self.groups.worlds[self.world])
 
     def success(self, label: str) -> Flights:
-        """How many of its trials in the main world ended well; see report/pairing.py."""
+        """How many of its trials in the main world it completed; see report/pairing.py."""
         return self._flown.get(self.contestants[label], Flights(0, 0))
 
     @cached_property
     def look(self) -> dict[str, Look]:
         """Label -> look, in the order of the page; the look does not depend on that order."""
-        found = looks(list(self.labels.values()))
-        return {label: found[label] for label in dict.fromkeys((*self.order, *found))}
+        of_label = looks(list(self.labels.values()))
+        return {label: of_label[label] for label in dict.fromkeys((*self.order, *of_label))}
+
+    @cached_property
+    def checked(self) -> Checked:
+        """Whether the files of the flights hold what the rows say."""
+        return check_flights(self.root, self.rows)
 
     @cached_property
     def grids(self) -> list[Grid]:
@@ -304,10 +230,6 @@ class Comparison:
         """At most so many rows, evenly chosen."""
         return self.rows[:: max(1, -(-len(self.rows) // most))]
 
-    def sample(self, most: int) -> list[dict[str, Any]]:
-        """Metadata of at most so many flights, spread over all of them."""
-        return [record for row in self.sampled(most) if (record := self.flight_record(row)) is not None]
-
     def select(self, metric: str) -> list[Statistic]:
         return [s for s in self.statistics if s.metric == metric and not s.is_overall]
 
@@ -324,14 +246,16 @@ class Comparison:
         return 1 / rate if rate else math.nan
 
     def flight_record(self, row: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Metadata of a row's flight; None if its file is missing."""
+        """Metadata of a row's flight; None if its file is missing, or was changed since it was written."""
         try:
-            return read_metadata(CellStore(self.root).path(row["key"]), "flight")
+            return read_record(CellStore(self.root).path(row["key"]), "flight")
         except (UsageError, DataError):
             return None
 
     def flight(self, row: Mapping[str, Any]) -> Flight | None:
-        """The flight of a row; None if its file is missing or holds no samples."""
+        """The flight of a row; None if its file is missing, was changed, or holds no samples."""
+        if self.flight_record(row) is None:  # Arrow can end the process over bytes that were changed
+            return None
         try:
             flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
         except (UsageError, DataError):

@@ -203,7 +203,7 @@ function drawScene() { // one picture, or two beside each other with the same ca
     g.translate(n * half, 0);
     drawView(g, half, h, [track]);
     g.font = "600 14px system-ui,sans-serif"; g.textAlign = "center"; g.fillStyle = colourOf(track);
-    g.fillText(track.name, half / 2, h - 58);
+    g.fillText(track.label, half / 2, h - 58);
     g.restore();
   });
   stroke(g, [[half, 0], [half, h]], colours.rule, 2);
@@ -333,17 +333,17 @@ function open(index) {
     button.type = "button"; button.className = "pilot"; button.setAttribute("aria-pressed", String(track.shown));
     const name = document.createElement("span"), bars = document.createElement("span"), now = document.createElement("span");
     name.innerHTML = `<svg class="mark${track.filled ? "" : " hollow"}" viewBox="-5 -5 10 10" aria-hidden="true" style="--own:var(--series-${track.colour})"><path d="${SHAPES[track.shape]}"/></svg>`;
-    name.append(track.name);
+    name.append(track.label);
     bars.className = "thrust"; bars.style.color = `var(--series-${track.colour})`; bars.setAttribute("aria-hidden", "true");
     track.bars = flown.rotors.map(() => bars.appendChild(document.createElement("i")));
     now.className = "now"; track.now = now;
     button.append(name, bars, now);
-    button.title = track.cause || `show or hide ${track.name} (key ${n + 1})`;
+    button.title = track.cause || `show or hide ${track.label} (key ${n + 1})`;
     button.onclick = () => { track.shown = !track.shown; button.setAttribute("aria-pressed", String(track.shown)); draw(); };
     return button;
   }));
   for (const [select, first] of [[left, 0], [right, Math.min(1, flown.tracks.length - 1)]]) {
-    select.replaceChildren(...flown.tracks.map((t, n) => new Option(t.name, n)));
+    select.replaceChildren(...flown.tracks.map((t, n) => new Option(t.label, n)));
     select.value = first;
   }
   both.hidden = flown.tracks.length < 2;

@@ -45,6 +45,32 @@ const sized = new ResizeObserver(measure);
 for (const box of boxes) sized.observe(box);
 measure();
 
+for (const table of document.querySelectorAll("table.sorts")) { // by a click on a heading; numbers as numbers, gaps last
+  const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
+  const key = (row, i) => { const text = row.cells[i].textContent.trim().replace("\u2212", "-"); return text && !isNaN(text) ? +text : text; };
+  const compare = (x, y) => typeof x === typeof y ? (x < y ? -1 : x > y ? 1 : 0) : typeof x === "number" ? -1 : 1;
+  heads.forEach((head, i) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.append(...head.childNodes);
+    head.append(button);
+    button.onclick = () => {
+      const down = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
+      for (const other of heads) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", down === 1 ? "ascending" : "descending");
+      const rows = [...body.rows].map(row => [row, key(row, i)]);
+      rows.sort(([, x], [, y]) => (x === "") - (y === "") || compare(x, y) * down);
+      body.append(...rows.map(([row]) => row));
+    };
+  });
+  const box = document.querySelector("input[type=search]"), found = document.querySelector(".found");
+  box.oninput = () => {
+    const words = box.value.toLowerCase().split(/\s+/).filter(Boolean);
+    for (const row of body.rows) row.hidden = !words.every(word => row.textContent.toLowerCase().includes(word));
+    found.textContent = `${[...body.rows].filter(row => !row.hidden).length} of ${body.rows.length} rows`;
+  };
+}
+
 for (const button of document.querySelectorAll("[data-copy]")) {
   button.onclick = async () => {
     const text = button.dataset.copy, said = button.textContent;
