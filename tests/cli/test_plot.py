@@ -74,7 +74,7 @@ class TestPlot:
             assert code == 0 and "were not completed" in err and abs(imread("a.png").shape[1] - 150 * inches) <= 1
         assert run(*asked, "--out", "a.html")[0] == 0
         page = Path("a.html").read_text()
-        assert "<h1>&lt;i&gt;$Fig$</h1>" in page and "<b>" not in page
+        assert "&lt;i&gt;$Fig$</h2>" in page and "<b>" not in page
         for wrong, said in (("gp_mpc=GP", "--label gp_mpc: no key or value of this figure"), ("seed", "give KEY=TEXT")):
             code, _, err = run("plot", "r", "--label", wrong)
             assert code == 2 and said in err

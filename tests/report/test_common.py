@@ -174,11 +174,17 @@ def test_compare_says_not_distinguishable(tmp_path):
     assert lines["gp_mpc"].endswith("not distinguishable") and lines["rls_mpc"].endswith("smaller")
 
 
-def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(tmp_path):
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
     """Real flights: at 10 m/s nominal MPC strays further than 0.4 m and is lost, perfect MPC is not."""
-    root = tmp_path / "real"
+    root = tmp_path_factory.mktemp("real")
     asked = ["controller=nominal_mpc,perfect_mpc", "controller.nodes=8,12", "trajectory=circle", "seed=range(2)"]
     result = run_sweep(expand([*asked, "trajectory.speed=4,10", "trajectory.lost_distance=0.4"]), root, isolate=False)
+    return root, result
+
+
+def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(real, tmp_path):
+    root, result = real
     assert {(r["controller"], r["speed"]) for r in result.rows if r["outcome"] == "lost"} == {("nominal_mpc", 10.0)}
     assert {name: one.text() for name, one in result.table.flown.items()} == {
         "nominal_mpc": "4 of 8",
