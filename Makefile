@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
+.PHONY: all setup quick test test-fast test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
 
 all: quick
 
@@ -30,6 +30,11 @@ quick: $(STAMP)
 TEST_PROCESSES ?= $(shell echo $$(($$(nproc 2>/dev/null || echo 2) + 1)))
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests examples
+
+# Physics, properties, and a flight through every seam: a tenth of `test`.
+test-fast: $(STAMP)
+	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests/physics tests/properties \
+		tests/experiment/test_compiled_flight.py tests/models/test_contract.py tests/parts/test_parts.py tests/test_walk.py
 
 # Dynamics, air, control step and worlds as on a machine without a compiler; what compiled code alone shows is skipped.
 test-interpreted: $(STAMP)
