@@ -74,7 +74,7 @@ def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., Any]
 
     run.__name__, run.__doc__, run.__module__ = function.__name__, function.__doc__, function.__module__
     started = guarded(run)
-    started.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    started.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
     started.__annotations__ = {one.name: one.annotation for one in parameters}
     return started
 
@@ -91,7 +91,7 @@ def _of_annotation(name: str, annotation: Any, default: Any) -> inspect.Paramete
 def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:
     """An option, or an argument where there is no default. kind: of its value; a tuple is a repeatable option."""
     if get_origin(kind) is tuple:
-        kind, default = list[get_args(kind)[0]] | None, None  # type: ignore[misc]
+        kind, default = list[get_args(kind)[0]] | None, None  # type: ignore[misc]  # made at run time
     metavar = ask.metavar or ("FILE" if "Path" in str(kind) else None)
     given: dict[str, Any] = {"help": ask.help, "metavar": metavar}
     if ask.complete:

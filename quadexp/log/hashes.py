@@ -70,7 +70,7 @@ def write_sealed(table: Any, file: BinaryIO, **options: Any) -> None:
         writer.write_table(table)
         writer.add_key_value_metadata({FILE_KEY: _NONE_YET})
     file.seek(0)
-    digest = hashlib.file_digest(file, "sha256").hexdigest().encode()  # type: ignore[arg-type]
+    digest = hashlib.file_digest(file, "sha256").hexdigest().encode()  # type: ignore[arg-type]  # reads as a file does
     footer = _read_footer(file)
     (found,) = _SEAL.finditer(footer)
     file.seek(-len(footer) + found.start(1), 2)
