@@ -187,10 +187,7 @@ def order() -> Record:
     cells = expand([*SHORT, "controller=perfect_mpc", f"plant.payload={masses}", "seed=range(4)"])
     jobs = list(plan_cells(cells).values())
     found = {}
-    for name, chosen in (
-        ("as planned", flying_order(jobs)),
-        ("shuffled", random.Random(0).sample(jobs, len(jobs))),
-    ):
+    for name, chosen in (("as planned", flying_order(jobs)), ("shuffled", random.Random(0).sample(jobs, len(jobs)))):
         run = fly(LocalEngine(2), chosen)
         found[name] = {key: run[key] for key in ("cells", "builds", "build_own_ms", "wall", "resident")}
     return found

@@ -6,13 +6,12 @@ As CasADi expressions it is used in the MPC's prediction and in the reference's 
 """
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import casadi as ca
 
 from quadexp.control.mpc.part import MPC
 from quadexp.models.residual import feature_names, symbolic_residual
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +19,7 @@ class CubicDragMPC(MPC):
     """The MPC with this residual in its prediction."""
 
     # A key of controller=cubic_drag_mpc, besides those of every MPC; swept as controller.coefficient=0.003,0.006.
-    coefficient: Annotated[float, Setting("c", "[0, 1]", "s/m^2")] = 0.006
+    coefficient: float = key(0.006, "c", "[0, 1]", "s/m^2")
 
     def model(self, given):
         return cubic_drag(given.vehicle, coefficient=self.coefficient)

@@ -6,7 +6,6 @@ tau = J (-k_R e_R - k_w (w - w_ref)) + w x J w,   e_R = 1/2 vee(R_d' R - R' R_d)
 
 import time
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 
@@ -23,11 +22,11 @@ class Geometric(ControllerPart):
     """Tracking on SE(3) without an MPC."""
 
     # The keys of controller=geometric; swept as controller.position=4,6,8.
-    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 200.0
-    position: Annotated[float, Setting("k_p", "[0, 1000]", "1/s^2")] = 6.0
-    velocity: Annotated[float, Setting("k_v", "[0, 1000]", "1/s")] = 4.0
-    attitude: Annotated[float, Setting("k_R", "[0, 1e5]", "1/s^2")] = 120.0
-    angular: Annotated[float, Setting("k_w", "[0, 1e4]", "1/s")] = 16.0
+    rate: float = key(200.0, "control rate", "[1, 1000]", "Hz")
+    position: float = key(6.0, "k_p", "[0, 1000]", "1/s^2")
+    velocity: float = key(4.0, "k_v", "[0, 1000]", "1/s")
+    attitude: float = key(120.0, "k_R", "[0, 1e5]", "1/s^2")
+    angular: float = key(16.0, "k_w", "[0, 1e4]", "1/s")
 
     def build(self, given):
         return GeometricController(given.vehicle, self)

@@ -7,12 +7,11 @@ acceleration, jerk and snap are continuous, as differential flatness needs.
 """
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.reference.base import RADIUS, SPEED, FlatOutput, TrajectoryPart, flat_output_held, hold_outside
 from quadexp.reference.phasor import phasor
 
@@ -24,11 +23,11 @@ class HelixTrajectory(TrajectoryPart):
     """A circle that climbs, from rest to rest."""
 
     # The keys of trajectory=helix, each with its meaning, range and unit; swept as trajectory.radius=2,3,4.
-    speed: Annotated[float, SPEED] = 6.0
-    radius: Annotated[float, RADIUS] = 3.0
-    pitch: Annotated[float, Setting("climb per turn", "[-100, 100]", "m")] = 1.0
-    turns: Annotated[float, Setting("how many turns", "(0, 100]")] = 3.0
-    height: Annotated[float, Setting("height of the start, world", "[-1000, 1000]", "m")] = 1.0
+    speed: float = key(6.0, SPEED)
+    radius: float = key(3.0, RADIUS)
+    pitch: float = key(1.0, "climb per turn", "[-100, 100]", "m")
+    turns: float = key(3.0, "how many turns", "(0, 100]")
+    height: float = key(1.0, "height of the start, world", "[-1000, 1000]", "m")
 
     @property
     def duration(self) -> float:

@@ -6,12 +6,11 @@ The rotors' thrusts are inner states of the plant, integrated with the 13 states
 """
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import casadi as ca
 
 from quadexp.models.linear_drag import linear_drag_residual
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
@@ -24,8 +23,8 @@ class MotorLag(PlantPart):
     """Rotors with a lag, and linear drag."""
 
     # The keys of plant=motor_lag, besides those of every plant (`step`); swept as plant.time_constant=0.02,0.04.
-    time_constant: Annotated[float, Setting("tau of the rotors' thrusts", "[0.001, 1]", "s")] = 0.03
-    drag: Annotated[Triple, Setting("D, body axes", "[0, 100]", "1/s")] = (0.3, 0.3, 0.1)
+    time_constant: float = key(0.03, "tau of the rotors' thrusts", "[0.001, 1]", "s")
+    drag: Triple = key((0.3, 0.3, 0.1), "D, body axes", "[0, 100]", "1/s")
 
     def build(self, given):
         return MotorLagPlant(given.vehicle, step=self.step, time_constant=self.time_constant, drag=self.drag)

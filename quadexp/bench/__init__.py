@@ -2,22 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from quadexp.parts.settings import Setting, Settings
+from quadexp.parts.settings import Settings, key
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Settings):
     """What `quadexp bench` and `qx.bench` are asked."""
 
-    size: Annotated[
-        Literal["quick", "standard", "full"],
-        Setting("quick: minutes; standard: an hour; full: a night, on two cores."),
-    ] = "quick"
-    controllers: Annotated[tuple[str, ...], Setting("Takes part too, as 'NAME observer=...'; repeatable.")] = ()
-    only: Annotated[bool, Setting("Without the field of this program.")] = False
-    add: Annotated[tuple[Path, ...], Setting("Rank rows of another leaderboard with these.")] = ()
-    seeds: Annotated[int, Setting("Only the first seeds of the size; 0: all. A later run flies more.", "[0, inf)")] = 0
-    markdown: Annotated[Path | None, Setting("Write the tables between the marks of this file.")] = None
-    page: Annotated[Path | None, Setting("Where to write the page.")] = None
+    size: Literal["quick", "standard", "full"] = key(
+        "quick", "quick: minutes; standard: an hour; full: a night, on two cores."
+    )
+    controllers: tuple[str, ...] = key((), "Takes part too, as 'NAME observer=...'; repeatable.")
+    only: bool = key(False, "Without the field of this program.")
+    add: tuple[Path, ...] = key((), "Rank rows of another leaderboard with these.")
+    seeds: int = key(0, "Only the first seeds of the size; 0: all. A later run flies more.", "[0, inf)")
+    markdown: Path | None = key(None, "Write the tables between the marks of this file.")
+    page: Path | None = key(None, "Where to write the page.")

@@ -58,7 +58,7 @@ def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., Any]
         if isinstance(hints[name], type) and issubclass(hints[name], Settings):
             records[name] = hints[name]
             for key, one in declared(hints[name]).items():
-                kind = get_args(get_type_hints(hints[name], include_extras=True)[key])[0]
+                kind = get_type_hints(hints[name])[key]
                 parameters.append(_parameter(key, kind, asked.get(key, Ask(one.setting.meaning)), one.default))
         else:
             parameters.append(_of_annotation(name, hints[name], parameter.default))

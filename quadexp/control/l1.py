@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.parts.settings import Setting, Settings, part
+from quadexp.parts.settings import Settings, key, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix
@@ -57,46 +57,28 @@ class L1Keys(Settings):
 
     prefix: ClassVar[str] = "adaptive."
 
-    velocity_pole: Annotated[
-        float,
-        Setting(
-            "a_v: rate at which the error of the predicted velocity decays", "(0, 1000]", "1/s", tuned=("0.3..30:log",)
-        ),
-    ] = 1.0
-    rate_pole: Annotated[
-        float,
-        Setting(
-            "a_w: rate at which the error of the predicted body rate decays", "(0, 1000]", "1/s", tuned=("0.3..30:log",)
-        ),
-    ] = 1.0
-    bandwidth: Annotated[
-        float,
-        Setting(
-            "w_co: cutoff of the low pass between estimate and command. With motors that lag by tau a third to a fifth"
-            " of 1/tau; far above it the loop is unstable",
-            "(0, 1000]",
-            "rad/s",
-            tuned=("1..60:log",),
-        ),
-    ] = 10.0
-    force_limit: Annotated[float, Setting("largest thrust that is added or taken away", "[0, 10]", "of the weight")] = (
-        1.0
+    velocity_pole: float = key(
+        1.0, "a_v: decay of the predicted velocity's error", "(0, 1000]", "1/s", tuned="0.3..30:log"
     )
-    torque_limit: Annotated[
-        float, Setting("largest angular acceleration that is added about each body axis", "[0, 1e4]", "rad/s^2")
-    ] = 50.0
-    motor_lag: Annotated[
-        float | None,
-        Setting("time constant of the rotors in the predictor; null: what the controller knows", "[0, 0.5]", "s"),
-    ] = None
-    dead_time: Annotated[
-        float | None,
-        Setting("delay of the commands in the predictor; null: what the controller knows", "[0, 0.5]", "s"),
-    ] = None
-    unmatched: Annotated[
-        bool,
-        Setting("tell the controller the lateral force, which rotors cannot cancel, through the same low pass"),
-    ] = False
+    rate_pole: float = key(
+        1.0, "a_w: decay of the predicted body rate's error", "(0, 1000]", "1/s", tuned="0.3..30:log"
+    )
+    bandwidth: float = key(
+        10.0, "w_co; with motors that lag by tau at most a third of 1/tau", "(0, 1000]", "rad/s", tuned="1..60:log"
+    )
+    force_limit: float = key(1.0, "largest thrust that is added or taken away", "[0, 10]", "of the weight")
+    torque_limit: float = key(
+        50.0, "largest angular acceleration that is added about each body axis", "[0, 1e4]", "rad/s^2"
+    )
+    motor_lag: float | None = key(
+        None, "time constant of the rotors in the predictor; null: what the controller knows", "[0, 0.5]", "s"
+    )
+    dead_time: float | None = key(
+        None, "delay of the commands in the predictor; null: what the controller knows", "[0, 0.5]", "s"
+    )
+    unmatched: bool = key(
+        False, "tell the controller the lateral force, which rotors cannot cancel, through the same low pass"
+    )
 
 
 class L1Controller(WrappedController):

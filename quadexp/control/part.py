@@ -6,11 +6,11 @@ A remedy is put around a controller against errors of its model, delays and dist
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given, Part
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import Setting, key
 
 RESIDUAL = Setting("model that is added to the rigid body in the prediction", words=("none", *MAKERS, "plant"))
 
@@ -21,9 +21,7 @@ class ControllerPart(Part):
 
     prefix: ClassVar[str] = "controller."
 
-    models: Annotated[
-        tuple[str, ...], Setting("checkpoint folders that are tried, in this order, when `model` is not given")
-    ] = ()
+    models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,44 +18,27 @@ class CollectConfig(Part):
 
     prefix: ClassVar[str] = "collect."
 
-    mode: Annotated[Literal["random", "setpoints"], Setting("smooth random paths, or jumps between random points")] = (
-        "random"
+    mode: Literal["random", "setpoints"] = key("random", "smooth random paths, or jumps between random points")
+    duration: float = key(300.0, "total flight time", "(0, 86400]", "s")
+    flight_duration: float = key(20.0, "length of one flight", "[2, 3600]", "s")
+    speed_min: float = key(5.0, "peak speed of the slowest path; the others are spread evenly", "(0, 60]", "m/s")
+    speed_max: float = key(20.0, "peak speed of the fastest path", "(0, 60]", "m/s")
+    extent: float = key(6.0, "edge of the cube that the paths stay in", "(0, 1000]", "m")
+    clearance: float = key(1.0, "height of the lowest point, world", "[-1000, 1000]", "m")
+    frame: Literal["midpoint", "start"] = key(
+        "midpoint",
+        "instant of a transition's features: its middle (second order), or its start as published (first order)",
     )
-    duration: Annotated[float, Setting("total flight time", "(0, 86400]", "s")] = 300.0
-    flight_duration: Annotated[float, Setting("length of one flight", "[2, 3600]", "s")] = 20.0
-    speed_min: Annotated[
-        float, Setting("peak speed of the slowest path; the others are spread evenly", "(0, 60]", "m/s")
-    ] = 5.0
-    speed_max: Annotated[float, Setting("peak speed of the fastest path", "(0, 60]", "m/s")] = 20.0
-    extent: Annotated[float, Setting("edge of the cube that the paths stay in", "(0, 1000]", "m")] = 6.0
-    clearance: Annotated[float, Setting("height of the lowest point, world", "[-1000, 1000]", "m")] = 1.0
-    frame: Annotated[
-        Literal["midpoint", "start"],
-        Setting(
-            "instant of the features of a transition: its middle (second order), or its start as in the paper (first"
-            " order)"
-        ),
-    ] = "midpoint"
-    thrust: Annotated[
-        Literal["delivered", "commanded"],
-        Setting(
-            "thrust between two samples of a simulated flight: what the rotors delivered, by their logged speeds or by"
-            " a motor lag and a delay fitted to the flights, or what was commanded"
-        ),
-    ] = "delivered"
-    state: Annotated[
-        Literal["estimate", "truth"],
-        Setting("of a simulated flight with an estimator: the estimate that the controller was told, or the truth"),
-    ] = "estimate"
-    target: Annotated[
-        Literal["auto", "specific_force", "velocity"],
-        Setting(
-            "target of recorded flights: specific force of the accelerometer (auto), or derivative of the velocity"
-        ),
-    ] = "auto"
-    identified: Annotated[
-        str | None, Setting("folder written by `quadexp identify`, whose thrust curve recorded flights need")
-    ] = None
+    thrust: Literal["delivered", "commanded"] = key(
+        "delivered", "delivered: by logged rotor speeds or a fitted lag and delay; commanded: as commanded"
+    )
+    state: Literal["estimate", "truth"] = key(
+        "estimate", "of a simulated flight with an estimator: the estimate that the controller was told, or the truth"
+    )
+    target: Literal["auto", "specific_force", "velocity"] = key(
+        "auto", "target of recorded flights: specific force of the accelerometer (auto), or derivative of the velocity"
+    )
+    identified: str | None = key(None, "folder written by `quadexp identify`, whose thrust curve recorded flights need")
 
     def __post_init__(self) -> None:
         super().__post_init__()

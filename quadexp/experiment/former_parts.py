@@ -11,14 +11,14 @@ docs/guide.md.
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.parts.part import Given, imported
-from quadexp.parts.settings import Setting, Settings
+from quadexp.parts.settings import REQUIRED, Settings, key
 from quadexp.reference.base import SPEED, TrajectoryPart
 from quadexp.world.base import PlantPart
 
@@ -27,8 +27,8 @@ from quadexp.world.base import PlantPart
 class FormerKeys(Settings):
     """What is called, and with what."""
 
-    _target_: Annotated[str, Setting("MODULE.NAME of your class or function, called with the arguments above")]
-    options: Annotated[dict[str, Any], Setting("its keyword arguments")] = field(default_factory=dict)
+    _target_: str = key(REQUIRED, "MODULE.NAME of your class or function, called with the arguments above")
+    options: dict[str, Any] = key({}, "its keyword arguments")
 
     def called(self, group: str, *arguments: Any, **given: Any) -> Any:
         """What the class or function returns; UsageError where the name, its options or what it makes are wrong."""
@@ -68,7 +68,7 @@ class FormerTrajectory(FormerKeys, TrajectoryPart):
     """Your trajectory: _target_(**options) -> Trajectory; called with speed too, where it is set."""
 
     former_kind = "custom"
-    speed: Annotated[float | None, SPEED] = None
+    speed: float | None = key(None, SPEED)
 
     def build(self, vehicle: Any) -> Any:
         """See TrajectoryPart."""
@@ -91,7 +91,7 @@ class FormerResidualMPC(FormerKeys, PredictivePart):
     """The MPC with your residual: _target_(vehicle, **options) -> Residual."""
 
     former_kind = "custom"
-    residual: Annotated[Literal["custom"], RESIDUAL] = "custom"
+    residual: Literal["custom"] = key("custom", RESIDUAL)
 
     def model(self, given: Given) -> Any:
         """See PredictivePart."""

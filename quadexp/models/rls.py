@@ -34,14 +34,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting, Settings, part
+from quadexp.parts.settings import Settings, key, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, safe_newton
@@ -129,33 +129,23 @@ class RLSSettings(Settings):
 
     prefix: ClassVar[str] = "controller.rls."
 
-    covariance: Annotated[
-        float, Setting("initial covariance P_0 as a multiple of the identity, where relative_std is null", "(0, 1e9]")
-    ] = 50.0
-    relative_std: Annotated[
-        float | None,
-        Setting(
-            "standard deviation of the initial values, which gives P_0; null: see covariance",
-            "(0, 100]",
-            "of the initial values",
-        ),
-    ] = None
-    noise: Annotated[float, Setting("assumed standard deviation of the accelerometer", "(0, 100]", "m/s^2")] = 1.0
-    forgetting: Annotated[float, Setting("forgetting factor; 1 forgets nothing", "[0.5, 1]")] = 1.0
-    lift_weight: Annotated[
-        float, Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]")
-    ] = 1.0
-    gauss_newton: Annotated[bool, Setting("include the induced velocity in the derivative of the z equation")] = False
-    rotor_range: Annotated[
-        tuple[float, float],
-        Setting("bounds of the estimates of C_d0 and C_la where they are used", "(0, 100]", "of the initial values"),
-    ] = (0.5, 4.0)
-    drag_range: Annotated[
-        tuple[float, float], Setting("bounds of the estimate of C_D where it is used", "[0, 100]")
-    ] = (0.0, 0.2)
-    clip: Annotated[
-        bool, Setting("clip the estimates to their bounds where they are used; clipped samples are counted")
-    ] = True
+    covariance: float = key(
+        50.0, "initial covariance P_0 as a multiple of the identity, where relative_std is null", "(0, 1e9]"
+    )
+    relative_std: float | None = key(
+        None, "standard deviation that gives P_0; null: see covariance", "(0, 100]", "of the initial values"
+    )
+    noise: float = key(1.0, "assumed standard deviation of the accelerometer", "(0, 100]", "m/s^2")
+    forgetting: float = key(1.0, "forgetting factor; 1 forgets nothing", "[0.5, 1]")
+    lift_weight: float = key(
+        1.0, "weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]"
+    )
+    gauss_newton: bool = key(False, "include the induced velocity in the derivative of the z equation")
+    rotor_range: tuple[float, float] = key(
+        (0.5, 4.0), "bounds of the estimates of C_d0 and C_la where they are used", "(0, 100]", "of the initial values"
+    )
+    drag_range: tuple[float, float] = key((0.0, 0.2), "bounds of the estimate of C_D where it is used", "[0, 100]")
+    clip: bool = key(True, "clip the estimates to their bounds where they are used; clipped samples are counted")
 
     @classmethod
     def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others: Any) -> RLSSettings:
@@ -169,13 +159,9 @@ class Identification(RLSSettings, BladeKeys):
     relative_std: if given, P_0 is the square of relative_std times the first values, else covariance times identity.
     change_threshold: mean square prediction error, over that of the noise, at which P goes back to P_0."""
 
-    change_threshold: Annotated[
-        float | None,
-        Setting(
-            "ratio of the mean square prediction error to the noise variance at which P is reset to P_0; null: never",
-            "(1, 1e9]",
-        ),
-    ] = None
+    change_threshold: float | None = key(
+        None, "mean square error over noise variance at which P is reset; null: never", "(1, 1e9]"
+    )
 
     def build(self, vehicle: Vehicle, backend: str) -> BladeElementRLS:
         """The estimators, before a flight."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, Setting, Settings, declared
+from quadexp.parts.settings import SEEDS, Setting, Settings, declared, key
 
 _FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
 # Models that a controller flies with, and the command that makes their checkpoint; `residual` names them.
@@ -30,12 +30,12 @@ class GPFeatures(Settings):
 
     prefix: ClassVar[str] = "gp.features."
 
-    a_x: Annotated[tuple[str, ...], _features("a_x")] = ()
-    a_y: Annotated[tuple[str, ...], _features("a_y")] = ()
-    a_z: Annotated[tuple[str, ...], _features("a_z")] = ()
-    tau_x: Annotated[tuple[str, ...], _features("tau_x")] = ()
-    tau_y: Annotated[tuple[str, ...], _features("tau_y")] = ()
-    tau_z: Annotated[tuple[str, ...], _features("tau_z")] = ()
+    a_x: tuple[str, ...] = key((), _features("a_x"))
+    a_y: tuple[str, ...] = key((), _features("a_y"))
+    a_z: tuple[str, ...] = key((), _features("a_z"))
+    tau_x: tuple[str, ...] = key((), _features("tau_x"))
+    tau_y: tuple[str, ...] = key((), _features("tau_y"))
+    tau_z: tuple[str, ...] = key((), _features("tau_z"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,33 +55,30 @@ class GPKeys(Settings):
 
     prefix: ClassVar[str] = "gp."
 
-    inducing: Annotated[int, Setting("inducing points of an output", "[2, 1000]", "points")] = 20
-    method: Annotated[
-        Literal["sgpr", "subset", "exact"],
-        Setting("variational bound of Titsias 2009, exact GP on a subset as in the paper, or exact GP on all rows"),
-    ] = "sgpr"
-    mean: Annotated[
-        Literal["zero", "constant", "linear_drag", "quadratic", "blade_element"],
-        Setting("mean function under the GP"),
-    ] = "zero"
-    seed: Annotated[int, Setting("seed of the choice of held-out flights and initial inducing points", SEEDS)] = 0
-    max_rows: Annotated[
-        int | None,
-        Setting("largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"),
-    ] = None
-    max_exact_rows: Annotated[int, Setting("largest number of rows for gp.method=exact", "[10, 100000]", "rows")] = 1000
-    holdout: Annotated[float, HOLDOUT] = 0.2
-    refit: Annotated[bool, Setting("after the report, fit again to all flights")] = True
-    alternatives: Annotated[bool, Setting("where a fit is no better than drag, report what other features give")] = True
-    max_iterations: Annotated[int, Setting("largest number of L-BFGS iterations", "[1, 10000]")] = 60
-    jitter: Annotated[float, Setting("added to K_ZZ, relative to the signal variance", "(0, 1e-6]")] = 1e-8
+    inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
+    method: Literal["sgpr", "subset", "exact"] = key(
+        "sgpr", "variational bound of Titsias 2009, exact GP on a subset as in the paper, or exact GP on all rows"
+    )
+    mean: Literal["zero", "constant", "linear_drag", "quadratic", "blade_element"] = key(
+        "zero", "mean function under the GP"
+    )
+    seed: int = key(0, "seed of the choice of held-out flights and initial inducing points", SEEDS)
+    max_rows: int | None = key(
+        None, "largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"
+    )
+    max_exact_rows: int = key(1000, "largest number of rows for gp.method=exact", "[10, 100000]", "rows")
+    holdout: float = key(0.2, HOLDOUT)
+    refit: bool = key(True, "after the report, fit again to all flights")
+    alternatives: bool = key(True, "where a fit is no better than drag, report what other features give")
+    max_iterations: int = key(60, "largest number of L-BFGS iterations", "[1, 10000]")
+    jitter: float = key(1e-8, "added to K_ZZ, relative to the signal variance", "(0, 1e-6]")
 
 
 @dataclass(frozen=True, kw_only=True)
 class GPConfig(GPKeys, Part):
     """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
 
-    features: Annotated[GPFeatures, Setting("features of every output")] = field(default_factory=GPFeatures)
+    features: GPFeatures = key(GPFeatures(), "features of every output")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,31 +87,20 @@ class NNKeys(Settings):
 
     prefix: ClassVar[str] = "nn."
 
-    features: Annotated[tuple[str, ...], Setting("features of all outputs")] = (
-        "v_x",
-        "v_y",
-        "v_z",
-        "thrust",
+    features: tuple[str, ...] = key(("v_x", "v_y", "v_z", "thrust"), "features of all outputs")
+    outputs: tuple[str, ...] = key(("a_x", "a_y", "a_z"), "outputs; the others are not corrected")
+    hidden: tuple[int, ...] = key((16, 16), "units of every hidden layer", "[1, 1000]", "units")
+    spectral: float | None = key(
+        None, "largest slope of the scaled network, by spectral normalisation; null: no limit", "(0, 1000]"
     )
-    outputs: Annotated[tuple[str, ...], Setting("outputs; the others are not corrected")] = ("a_x", "a_y", "a_z")
-    hidden: Annotated[tuple[int, ...], Setting("units of every hidden layer", "[1, 1000]", "units")] = (16, 16)
-    spectral: Annotated[
-        float | None,
-        Setting(
-            "largest slope of the scaled network, kept by spectral normalisation of every layer; null: no limit",
-            "(0, 1000]",
-        ),
-    ] = None
-    max_iterations: Annotated[int, Setting("largest number of L-BFGS iterations", "[1, 100000]")] = 400
-    penalty: Annotated[
-        float, Setting("penalty on every layer's mean square weight, relative to the outputs' mean square", "[0, 1]")
-    ] = 1e-6
-    seed: Annotated[int, Setting("seed of held-out flights, first weights", SEEDS)] = 0
-    device: Annotated[
-        Literal["auto", "cpu", "cuda"], Setting("where torch trains; auto: a CUDA device where there is one")
-    ] = "cpu"
-    holdout: Annotated[float, HOLDOUT] = 0.2
-    refit: Annotated[bool, Setting("after the report, fit again to all flights")] = True
+    max_iterations: int = key(400, "largest number of L-BFGS iterations", "[1, 100000]")
+    penalty: float = key(
+        1e-6, "penalty on every layer's mean square weight, relative to the outputs' mean square", "[0, 1]"
+    )
+    seed: int = key(0, "seed of held-out flights, first weights", SEEDS)
+    device: Literal["auto", "cpu", "cuda"] = key("cpu", "where torch trains; auto: a CUDA device where there is one")
+    holdout: float = key(0.2, HOLDOUT)
+    refit: bool = key(True, "after the report, fit again to all flights")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -133,11 +119,10 @@ class DragConfig(Part):
 
     prefix: ClassVar[str] = "drag."
 
-    intercept: Annotated[bool, Setting("fit a constant acceleration in addition to the drag")] = True
-    thrust: Annotated[bool, Setting("fit an error of the collective thrust, as a share, on the z axis")] = True
-    loss: Annotated[
-        Literal["huber", "squares"],
-        Setting("Huber's, which the few fastest rows do not bend, or least squares as published"),
-    ] = "huber"
-    holdout: Annotated[float, HOLDOUT] = 0.2
-    seed: Annotated[int, Setting("draws the held-out flights", SEEDS)] = 0
+    intercept: bool = key(True, "fit a constant acceleration in addition to the drag")
+    thrust: bool = key(True, "fit an error of the collective thrust, as a share, on the z axis")
+    loss: Literal["huber", "squares"] = key(
+        "huber", "Huber's, which the few fastest rows do not bend, or least squares as published"
+    )
+    holdout: float = key(0.2, HOLDOUT)
+    seed: int = key(0, "draws the held-out flights", SEEDS)

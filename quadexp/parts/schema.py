@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, Setting, Settings
+from quadexp.parts.settings import SEEDS, Settings, key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,30 +19,22 @@ class EvaluateConfig(Settings):
 
     prefix: ClassVar[str] = "evaluate."
 
-    metric: Annotated[
-        Literal["mean_error", "rmse", "max_error"],
-        Setting("error in the table: mean, root mean square, or largest distance from the reference"),
-    ] = "mean_error"
-    figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation", "ladder", "sun"],
-        Setting("figures drawn in addition to the standard ones"),
-    ] = "standard"
-    baseline: Annotated[str, Setting("controller with which the others are compared, seed by seed")] = "nominal_mpc"
-    confidence: Annotated[float, Setting("confidence level of every interval", "[0.5, 0.9999]")] = 0.95
-    workers: Annotated[int, Setting("parallel processes; 0: one per core", "[0, 1024]", "processes")] = 0
-    timeout: Annotated[
-        float, Setting("time limit of a flight (wall time), after which it is tried once more", "(0, 86400]", "s")
-    ] = 600.0
-    memory: Annotated[float, Setting("memory limit of the process of a flight; 0: no limit", "[0, 4096]", "GB")] = 4.0
-    log_period: Annotated[
-        float,
-        Setting(
-            "time between the samples of a flight that are stored; 0: every control instant. Figures of the table are"
-            " computed before",
-            "[0, 3600]",
-            "s",
-        ),
-    ] = 0.0
+    metric: Literal["mean_error", "rmse", "max_error"] = key(
+        "mean_error", "error in the table: mean, root mean square, or largest distance from the reference"
+    )
+    figures: Literal["standard", "lei_li", "families", "adaptation", "ladder", "sun"] = key(
+        "standard", "figures drawn in addition to the standard ones"
+    )
+    baseline: str = key("nominal_mpc", "controller with which the others are compared, seed by seed")
+    confidence: float = key(0.95, "confidence level of every interval", "[0.5, 0.9999]")
+    workers: int = key(0, "parallel processes; 0: one per core", "[0, 1024]", "processes")
+    timeout: float = key(
+        600.0, "time limit of a flight (wall time), after which it is tried once more", "(0, 86400]", "s"
+    )
+    memory: float = key(4.0, "memory limit of the process of a flight; 0: no limit", "[0, 4096]", "GB")
+    log_period: float = key(
+        0.0, "between the stored samples of a flight; 0: every control instant; the table uses all", "[0, 3600]", "s"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,18 +66,9 @@ class Config(Settings):
     drag: Any
     nn: Any
     engine: Any
-    evaluate: Annotated[EvaluateConfig, Setting("how a comparison is run and shown")] = field(
-        default_factory=EvaluateConfig
-    )
-    model: Annotated[
-        str | None,
-        Setting(
-            "checkpoint folder for a controller that needs one; null: the first folder of controller.models that exists"
-        ),
-    ] = None
-    seed: Annotated[
-        int, Setting("seed of the noise and of the path of trajectory=random; the same for every controller", SEEDS)
-    ] = 0
+    evaluate: EvaluateConfig = key(EvaluateConfig(), "how a comparison is run and shown")
+    model: str | None = key(None, "checkpoint folder of a controller; null: the first of controller.models that exists")
+    seed: int = key(0, "seed of the noise and of the path of trajectory=random; the same for every controller", SEEDS)
     world: str = ""
     sweep: Any = None
 

@@ -1,6 +1,6 @@
 """A setting is declared once: its type, range, unit and meaning beside its name, its default behind it.
 
-    horizon: Annotated[float, Setting("length of the prediction", "(0, 10]", "s")] = 1.0
+    horizon: float = key(1.0, "length of the prediction", "(0, 10]", "s")
 
 The keys of the configuration, their checks, the completion and `quadexp options` are made from these declarations,
 and the object that is configured inherits them: `class MPCSettings(MPCKeys)`. So a value is checked by the same rule
@@ -17,7 +17,7 @@ import functools
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -43,7 +43,7 @@ class Setting:
     trajectory that came after the first flights were stored says no. words: of a text, the only ones allowed.
 
     tuned: what `quadexp tune` varies of it unless told otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
-    entries of a list or of a key below."""
+    entries of a list or of a key below; several are separated by blanks."""
 
     meaning: str
     interval: str = ""
@@ -51,7 +51,16 @@ class Setting:
     names: bool = False
     noise: bool = True
     words: tuple[str, ...] = ()
-    tuned: tuple[str, ...] = ()
+    tuned: str = ""
+
+
+def key(default: Any, meaning: str | Setting, *about: Any, **more: Any) -> Any:
+    """A field of a class of settings: its default, REQUIRED for none, and what Setting says of it, or a Setting."""
+    setting = meaning if isinstance(meaning, Setting) else Setting(meaning, *about, **more)
+    given = {} if default is REQUIRED else {"default": default}
+    if isinstance(default, dict):
+        given = {"default_factory": default.copy}
+    return field(metadata={"setting": setting}, **given)
 
 
 # Settings that several parts have.
@@ -120,10 +129,10 @@ def _declared(node: type) -> dict[str, Declared]:
     hints = get_type_hints(node, include_extras=True)
     found = {}
     for f in fields(node):
-        extras = [extra for extra in get_args(hints[f.name])[1:] if isinstance(extra, Setting)]
-        if get_origin(hints[f.name]) is not Annotated or not extras:
+        kinds, *extras = get_args(hints[f.name]) if get_origin(hints[f.name]) is Annotated else (hints[f.name],)
+        setting = f.metadata.get("setting") or next((extra for extra in extras if isinstance(extra, Setting)), None)
+        if setting is None:
             continue
-        kinds = get_args(hints[f.name])[0]
         optional = NoneType in get_args(kinds)
         kind = next(k for k in get_args(kinds) if k is not NoneType) if optional else kinds
         arguments = get_args(kind)
@@ -131,9 +140,9 @@ def _declared(node: type) -> dict[str, Declared]:
         found[f.name] = Declared(
             f.name,
             kind,
-            extras[0],
+            setting,
             optional,
-            arguments if get_origin(kind) is Literal else extras[0].words,
+            arguments if get_origin(kind) is Literal else setting.words,
             0 if not listed or arguments[-1] is Ellipsis else len(arguments),
             f,
         )

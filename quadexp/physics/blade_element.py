@@ -174,8 +174,6 @@ def aerodynamic_wrench(
     if rate is not None:
         hub_x, hub_y = -hub * flow.x, -hub * flow.y
         moment += ca.vertcat(
-            -ca.dot(ca.DM(pz), hub_y),
-            ca.dot(ca.DM(pz), hub_x),
-            ca.dot(ca.DM(px), hub_y) - ca.dot(ca.DM(py), hub_x),
+            -ca.dot(ca.DM(pz), hub_y), ca.dot(ca.DM(pz), hub_x), ca.dot(ca.DM(px), hub_y) - ca.dot(ca.DM(py), hub_x)
         )
     return force, moment

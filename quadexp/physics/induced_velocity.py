@@ -21,13 +21,7 @@ from functools import cache
 from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.blade_element import (
-    ADOPTED,
-    TINY_SPEED,
-    CrossTerms,
-    thrust_loss_per_flow,
-    unloaded_thrust,
-)
+from quadexp.physics.blade_element import ADOPTED, TINY_SPEED, CrossTerms, thrust_loss_per_flow, unloaded_thrust
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotor import STANDING, RotorGeometry
 

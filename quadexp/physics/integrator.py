@@ -17,10 +17,7 @@ def rk4_step(f: Callable[[Expression], Expression], x: Expression, dt: Expressio
 
 
 def rk4_step_with_input(
-    f: Callable[[Expression, Expression], Expression],
-    x: Expression,
-    inputs: Sequence[Expression],
-    dt: Expression,
+    f: Callable[[Expression, Expression], Expression], x: Expression, inputs: Sequence[Expression], dt: Expression
 ) -> Expression:
     """One classical Runge-Kutta step of x' = f(x, u(t)); inputs: u at the start, the middle and the end of the step."""
     start, middle, end = inputs

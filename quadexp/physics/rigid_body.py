@@ -47,10 +47,7 @@ def state_derivative(
     )
     gravity = ca.vertcat(0, 0, -vehicle.gravity)
     return ca.vertcat(
-        v,
-        quaternion_rate(q, w),
-        ca.mtimes(rotation_matrix(q), acceleration) + gravity,
-        angular_acceleration,
+        v, quaternion_rate(q, w), ca.mtimes(rotation_matrix(q), acceleration) + gravity, angular_acceleration
     )
 
 

@@ -78,10 +78,7 @@ def left_matrix(q: Expression) -> Expression:
     """L(q), (4, 4), of the Hamilton product: L(q) p = q o p. Orthogonal where q is a unit quaternion."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return ca.vertcat(
-        ca.horzcat(w, -x, -y, -z),
-        ca.horzcat(x, w, -z, y),
-        ca.horzcat(y, z, w, -x),
-        ca.horzcat(z, -y, x, w),
+        ca.horzcat(w, -x, -y, -z), ca.horzcat(x, w, -z, y), ca.horzcat(y, z, w, -x), ca.horzcat(z, -y, x, w)
     )
 
 
@@ -89,10 +86,7 @@ def right_matrix(q: Expression) -> Expression:
     """M(q), (4, 4), of the Hamilton product: M(q) p = p o q. Orthogonal where q is a unit quaternion."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return ca.vertcat(
-        ca.horzcat(w, -x, -y, -z),
-        ca.horzcat(x, w, z, -y),
-        ca.horzcat(y, -z, w, x),
-        ca.horzcat(z, y, -x, w),
+        ca.horzcat(w, -x, -y, -z), ca.horzcat(x, w, z, -y), ca.horzcat(y, -z, w, x), ca.horzcat(z, y, -x, w)
     )
 
 

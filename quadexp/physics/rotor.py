@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from quadexp.parts.settings import Setting, Settings, Triple
+from quadexp.parts.settings import REQUIRED, Settings, Triple, key
 
 THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients in a vector
 C_D0, C_LA, C_DX, C_DY, C_DZ = range(5)
@@ -25,12 +25,12 @@ class RotorGeometry(Settings):
 
     prefix: ClassVar[str] = "vehicle.rotor."
 
-    radius: Annotated[float, Setting("radius of the rotor disc", "[0.001, 10]", "m")]
-    chord: Annotated[float, Setting("chord of a blade", "(0, 1]", "m")]
-    twist: Annotated[float, Setting("pitch angle of a blade, constant over the radius", "(0, 1.57]", "rad")]
-    air_density: Annotated[float, Setting("density of the air", "(0, 10]", "kg/m^3")]
-    reference_area: Annotated[float, Setting("area that the airframe's drag coefficients refer to", "(0, 100]", "m^2")]
-    blades: Annotated[int, Setting("blades of a rotor", "[1, 20]")] = 2
+    radius: float = key(REQUIRED, "radius of the rotor disc", "[0.001, 10]", "m")
+    chord: float = key(REQUIRED, "chord of a blade", "(0, 1]", "m")
+    twist: float = key(REQUIRED, "pitch angle of a blade, constant over the radius", "(0, 1.57]", "rad")
+    air_density: float = key(REQUIRED, "density of the air", "(0, 10]", "kg/m^3")
+    reference_area: float = key(REQUIRED, "area that the airframe's drag coefficients refer to", "(0, 100]", "m^2")
+    blades: int = key(2, "blades of a rotor", "[1, 20]")
 
     @property
     def blade_density(self) -> float:
@@ -47,15 +47,15 @@ class RotorGeometry(Settings):
 class BladeKeys(Settings):
     """Aerodynamic coefficients of rotors and airframe; see quadexp/physics/rotor.py."""
 
-    lift_slope: Annotated[
-        float, Setting("lift slope C_la of the blades; in controller.rls the initial value", "(0, 20]", "1/rad")
-    ]
-    profile_drag: Annotated[
-        float, Setting("profile drag C_d0 of the blades; in controller.rls the initial value", "(0, 10]")
-    ]
-    body_drag: Annotated[
-        Triple, Setting("drag coefficients C_D of the airframe; in controller.rls the initial values", "[0, 10]")
-    ]
+    lift_slope: float = key(
+        REQUIRED, "lift slope C_la of the blades; in controller.rls the initial value", "(0, 20]", "1/rad"
+    )
+    profile_drag: float = key(
+        REQUIRED, "profile drag C_d0 of the blades; in controller.rls the initial value", "(0, 10]"
+    )
+    body_drag: Triple = key(
+        REQUIRED, "drag coefficients C_D of the airframe; in controller.rls the initial values", "[0, 10]"
+    )
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import REQUIRED, Triple, key
 from quadexp.physics.plausible import plausible
 from quadexp.physics.rotor import RotorGeometry
 
@@ -40,34 +40,25 @@ class Vehicle(Part):
 
     prefix: ClassVar[str] = "vehicle."
 
-    mass: Annotated[float, Setting("mass, without a payload", "(0, 100]", "kg")]
-    inertia: Annotated[tuple[Triple, Triple, Triple], Setting("inertia matrix, rows, kg m^2")]
-    rotor_position: Annotated[
-        tuple[Triple, ...],
-        Setting("position of every rotor in the body frame, m, in the order of the inputs u_0, u_1, ..."),
-    ]
-    rotor_spin: Annotated[
-        tuple[float, ...],
-        Setting(
-            "sign of each rotor's reaction torque about +z_body; -1 for a rotor that turns counter-clockwise seen from"
-            " above",
-            "[-1, 1]",
-        ),
-    ]
-    torque_coefficient: Annotated[float, Setting("reaction torque of a rotor divided by its thrust", "[0, 1]", "m")]
-    thrust_min: Annotated[float, Setting("least thrust that can be commanded", "[0, 1000]", "N per rotor")]
-    thrust_max: Annotated[float, Setting("largest thrust that can be commanded", "(0, 1000]", "N per rotor")]
-    rate_max: Annotated[float, Setting("largest body rate that a reference may ask for", "(0, 100]", "rad/s")]
-    gravity: Annotated[float, Setting("gravitational acceleration", "(0, 100]", "m/s^2")] = GRAVITY
-    rotor: Annotated[RotorGeometry | None, Setting("shape of the rotors, for blade-element models")] = None
-    thrust_coefficient: Annotated[
-        float | None,
-        Setting(
-            "k of the static thrust curve u = k w^2 (w: rotor speed); null where no model needs it",
-            "(0, 1]",
-            "N s^2",
-        ),
-    ] = None
+    mass: float = key(REQUIRED, "mass, without a payload", "(0, 100]", "kg")
+    inertia: tuple[Triple, Triple, Triple] = key(REQUIRED, "inertia matrix, rows, kg m^2")
+    rotor_position: tuple[Triple, ...] = key(
+        REQUIRED, "position of every rotor in the body frame, m, in the order of the inputs u_0, u_1, ..."
+    )
+    rotor_spin: tuple[float, ...] = key(
+        REQUIRED,
+        "sign of each rotor's reaction torque about +z_body; -1: it turns counter-clockwise from above",
+        "[-1, 1]",
+    )
+    torque_coefficient: float = key(REQUIRED, "reaction torque of a rotor divided by its thrust", "[0, 1]", "m")
+    thrust_min: float = key(REQUIRED, "least thrust that can be commanded", "[0, 1000]", "N per rotor")
+    thrust_max: float = key(REQUIRED, "largest thrust that can be commanded", "(0, 1000]", "N per rotor")
+    rate_max: float = key(REQUIRED, "largest body rate that a reference may ask for", "(0, 100]", "rad/s")
+    gravity: float = key(GRAVITY, "gravitational acceleration", "(0, 100]", "m/s^2")
+    rotor: RotorGeometry | None = key(None, "shape of the rotors, for blade-element models")
+    thrust_coefficient: float | None = key(
+        None, "k of the static thrust curve u = k w^2 (w: rotor speed); null where no model needs it", "(0, 1]", "N s^2"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -7,13 +7,13 @@ held, with all derivatives zero. One that goes on for the horizon of a controlle
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import Setting, key
 from quadexp.physics.vehicle import Vehicle
 
 SPEED = Setting(
@@ -75,33 +75,15 @@ class TrajectoryPart(Part):
 
     prefix: ClassVar[str] = "trajectory."
 
-    allow_infeasible: Annotated[
-        bool,
-        Setting(
-            "also fly a reference that needs more collective thrust than the vehicle has; trajectory=random: at the"
-            " asked speed, without regard to the vehicle's limits",
-            noise=False,
-        ),
-    ] = False
-    lost_distance: Annotated[
-        float,
-        Setting(
-            "a flight ends as lost when the vehicle is further than this from the reference",
-            "(0, 1e6]",
-            "m",
-            noise=False,
-        ),
-    ] = 10.0
-    lost_box: Annotated[
-        float | None,
-        Setting(
-            "a flight also ends as lost when the vehicle leaves the box around the whole reference, widened by this on"
-            " every side; null: no box",
-            "(0, 1e6]",
-            "m",
-            noise=False,
-        ),
-    ] = None
+    allow_infeasible: bool = key(
+        False, "also fly what needs more thrust than there is; random: at the asked speed", noise=False
+    )
+    lost_distance: float = key(
+        10.0, "from the reference, beyond which a flight ends as lost", "(0, 1e6]", "m", noise=False
+    )
+    lost_box: float | None = key(
+        None, "margin of the reference's box, beyond which a flight is lost; null: no box", "(0, 1e6]", "m", noise=False
+    )
     follows_limits: ClassVar[bool] = False
 
     def build(self, vehicle: Vehicle | None) -> Any:
@@ -156,13 +138,13 @@ def sampled_peak_speed(trajectory: Trajectory, step: float = 2e-3) -> float:
 
 def check_positive(**values: float) -> None:
     """Raise UsageError for a value that is not finite and above zero; keywords are configuration keys."""
-    for key, value in values.items():
+    for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
-            raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be finite and above 0")
+            raise UsageError(f"trajectory.{name}: {value!r} is not allowed, it must be finite and above 0")
 
 
 def check_finite(**values: float | None) -> None:
     """Raise UsageError for a value that is neither finite nor None; keywords are configuration keys."""
-    for key, value in values.items():
+    for name, value in values.items():
         if value is not None and not np.isfinite(value):
-            raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be a finite number")
+            raise UsageError(f"trajectory.{name}: {value!r} is not allowed, it must be a finite number")

@@ -10,12 +10,12 @@ World ENU (m). V: speed at t = 0, the end of the minor axis; a: centripetal acce
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart, flat_output_held
 
 LONGEST_HORIZON = 10.0  # s, for which the ellipse goes on behind the flight
@@ -31,21 +31,15 @@ class Ellipse(TrajectoryPart):
 
     former_kind = "ellipse"
 
-    speed: Annotated[float, Setting("V: speed at the ends of the minor axis, where it begins", "(0, 60]", "m/s")] = 10.0
-    acceleration: Annotated[
-        float, Setting("a: centripetal acceleration at the ends of the major axis", "(0, 1000]", "m/s^2")
-    ] = 20.0
-    ratio: Annotated[float, Setting("n: major axis divided by the minor one", "[1, 100]")] = 1.0
-    plane: Annotated[Literal["horizontal", "vertical"], Setting("plane of the ellipse")] = "horizontal"
-    heading: Annotated[
-        Literal["auto", "centre", "constant"],
-        Setting(
-            "towards the centre, or along x; auto: towards the centre in the horizontal plane, constant in the vertical"
-            " one, where y_body stays across the plane through inverted flight"
-        ),
-    ] = "auto"
-    height: Annotated[float, Setting("height of the centre, world", "[-1000, 1000]", "m")] = 5.0
-    duration: Annotated[float, DURATION] = 20.0
+    speed: float = key(10.0, "V: speed at the ends of the minor axis, where it begins", "(0, 60]", "m/s")
+    acceleration: float = key(20.0, "a: centripetal acceleration at the ends of the major axis", "(0, 1000]", "m/s^2")
+    ratio: float = key(1.0, "n: major axis divided by the minor one", "[1, 100]")
+    plane: Literal["horizontal", "vertical"] = key("horizontal", "plane of the ellipse")
+    heading: Literal["auto", "centre", "constant"] = key(
+        "auto", "towards the centre, or along x; auto: constant in the vertical plane, else to the centre"
+    )
+    height: float = key(5.0, "height of the centre, world", "[-1000, 1000]", "m")
+    duration: float = key(20.0, DURATION)
 
     clipped = True
     counts_heading = True

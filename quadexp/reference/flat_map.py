@@ -77,9 +77,7 @@ class Tilt:
         upright = 1 - 2 * (x * x + y * y)
         around, up = 2 * (x * a + y * b), 2 * w * c
         return stacked(
-            a * upright + x * around - y * up,
-            b * upright + y * around + x * up,
-            c * upright + 2 * w * (y * a - x * b),
+            a * upright + x * around - y * up, b * upright + y * around + x * up, c * upright + 2 * w * (y * a - x * b)
         )
 
     def solve(self, p_x: np.ndarray | float, p_y: np.ndarray | float) -> np.ndarray:

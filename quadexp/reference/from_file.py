@@ -15,13 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import REQUIRED, key
 from quadexp.reference.base import (
     MARGIN,
     N_DERIVATIVES,
@@ -52,16 +51,11 @@ class FileTrajectory(LimitedTrajectory):
 
     former_kind = "file"
 
-    path: Annotated[
-        str,
-        Setting(
-            "sampled track: CSV with the columns t, p_x, p_y, p_z, optionally yaw, or TUM; waypoints: CSV with the"
-            " columns x, y, z, optionally t and yaw",
-            noise=False,
-        ),
-    ]
-    speed: Annotated[float | None, SPEED] = None
-    margin: Annotated[float, MARGIN] = 0.25
+    path: str = key(
+        REQUIRED, "track: CSV with t, p_x, p_y, p_z (yaw), or TUM; waypoints: CSV with x, y, z (t, yaw)", noise=False
+    )
+    speed: float | None = key(None, SPEED)
+    margin: float = key(0.25, MARGIN)
 
     @property
     def duration(self) -> float:

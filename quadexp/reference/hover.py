@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart
 
 
@@ -17,9 +16,9 @@ class Hover(TrajectoryPart):
 
     former_kind = "hover"
 
-    position: Annotated[Triple, Setting("position to hold, world", "[-1e6, 1e6]", "m")] = (0.0, 0.0, 1.0)
-    yaw: Annotated[float, Setting("heading", "[-7, 7]", "rad")] = 0.0
-    duration: Annotated[float, DURATION] = 5.0
+    position: Triple = key((0.0, 0.0, 1.0), "position to hold, world", "[-1e6, 1e6]", "m")
+    yaw: float = key(0.0, "heading", "[-7, 7]", "rad")
+    duration: float = key(5.0, DURATION)
 
     @property
     def peak_speed(self) -> float:

@@ -8,11 +8,10 @@ The acceleration is that of the path.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.reference.base import (
     DURATION,
     N_DERIVATIVES,
@@ -39,10 +38,10 @@ class LeiLiCircle(TrajectoryPart):
 
     former_kind = "lei_li_circle"
 
-    radius: Annotated[float, RADIUS] = 28.0
-    slow_half: Annotated[float, Setting("duration of the slow half of a lap", "(0, 3600]", "s")] = 20.0
-    duration: Annotated[float, DURATION] = 60.0
-    height: Annotated[float, HEIGHT] = 5.0
+    radius: float = key(28.0, RADIUS)
+    slow_half: float = key(20.0, "duration of the slow half of a lap", "(0, 3600]", "s")
+    duration: float = key(60.0, DURATION)
+    height: float = key(5.0, HEIGHT)
     start: Start = "printed"
 
     @property

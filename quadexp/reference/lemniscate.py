@@ -13,13 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.reference.base import (
-    N_DERIVATIVES,
-    FlatOutput,
-    flat_output_held,
-    hold_outside,
-    sampled_peak_speed,
-)
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside, sampled_peak_speed
 from quadexp.reference.phasor import phasor
 from quadexp.reference.profile import ProfiledPath
 

@@ -17,12 +17,11 @@ Every section has the form th'' = c_0 + c_1 cos(k tau), which integrates and dif
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import REQUIRED, key
 from quadexp.reference.base import N_DERIVATIVES, RADIUS, SPEED, TrajectoryPart, check_finite, check_positive
 
 RAMP = 2.0  # s, from rest to full acceleration
@@ -107,12 +106,12 @@ class ProfiledPath(TrajectoryPart):
      Raises UsageError where the numbers are out of range or speed / acceleration is below 2 s.
     """
 
-    speed: Annotated[float, SPEED]
-    acceleration: Annotated[
-        float, Setting("acceleration from rest to the nominal speed, and deceleration at the end", "(0, 50]", "m/s^2")
-    ] = 1.0
-    radius: Annotated[float, RADIUS] = 5.0
-    height: Annotated[float, Setting("height of the path, world", "[-1000, 1000]", "m")] = 1.0
+    speed: float = key(REQUIRED, SPEED)
+    acceleration: float = key(
+        1.0, "acceleration from rest to the nominal speed, and deceleration at the end", "(0, 50]", "m/s^2"
+    )
+    radius: float = key(5.0, RADIUS)
+    height: float = key(1.0, "height of the path, world", "[-1000, 1000]", "m")
 
     yaw: float | None = None
 

@@ -23,12 +23,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import SEEDS, Setting
+from quadexp.parts.settings import REQUIRED, SEEDS, key
 from quadexp.reference.base import MARGIN, SPEED, FlatOutput, LimitedTrajectory, check_finite
 
 if TYPE_CHECKING:
@@ -56,14 +56,12 @@ class RandomPolynomial(LimitedTrajectory):
 
     former_kind = "random"
 
-    speed: Annotated[float, SPEED]
-    margin: Annotated[float, MARGIN] = 0.25
-    seed: Annotated[int, Setting("seed of the random path", SEEDS)] = 0
-    keypoints: Annotated[int, Setting("number of random points that the path passes through", "[4, 200]", "points")] = (
-        10
-    )
-    extent: Annotated[float, Setting("edge of the cube that the keypoints are drawn in", "(0, 1000]", "m")] = 6.0
-    clearance: Annotated[float, Setting("height of the lowest keypoint, world", "[-1000, 1000]", "m")] = 1.0
+    speed: float = key(REQUIRED, SPEED)
+    margin: float = key(0.25, MARGIN)
+    seed: int = key(0, "seed of the random path", SEEDS)
+    keypoints: int = key(10, "number of random points that the path passes through", "[4, 200]", "points")
+    extent: float = key(6.0, "edge of the cube that the keypoints are drawn in", "(0, 1000]", "m")
+    clearance: float = key(1.0, "height of the lowest keypoint, world", "[-1000, 1000]", "m")
 
     yaw: float | None = None
 

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import Setting, key
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION
 from quadexp.reference.base import (
     DURATION,
@@ -25,8 +25,7 @@ from quadexp.reference.base import (
 
 HEIGHT = Setting("height of the path, world", "(0, 1000]", "m")
 Start = Annotated[
-    Literal["printed", "reference"],
-    Setting("where the flight starts: as printed in the paper, or on the reference"),
+    Literal["printed", "reference"], Setting("where the flight starts: as printed in the paper, or on the reference")
 ]
 
 NORTH = np.pi / 2  # yaw, rad
@@ -45,9 +44,9 @@ class Rectangle(TrajectoryPart):
 
     former_kind = "rectangle"
 
-    speed: Annotated[float, SPEED] = 5.0
-    duration: Annotated[float, DURATION] = 60.0
-    height: Annotated[float, HEIGHT] = 5.0
+    speed: float = key(5.0, SPEED)
+    duration: float = key(60.0, DURATION)
+    height: float = key(5.0, HEIGHT)
     start: Start = "printed"
 
     @property

@@ -6,12 +6,11 @@ The jump cannot be flown; it tests a controller far from its reference.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart
 
 
@@ -24,12 +23,12 @@ class Step(TrajectoryPart):
 
     former_kind = "step"
 
-    start: Annotated[
-        Triple, Setting("set-point before the step, where the flight starts, world", "[-1e6, 1e6]", "m")
-    ] = (0.0, 0.0, 1.0)
-    target: Annotated[Triple, Setting("set-point after the step, world", "[-1e6, 1e6]", "m")] = (1.0, 0.0, 1.0)
-    step_time: Annotated[float, Setting("time of the step", "[0, 3600]", "s")] = 1.0
-    duration: Annotated[float, DURATION] = 5.0
+    start: Triple = key(
+        (0.0, 0.0, 1.0), "set-point before the step, where the flight starts, world", "[-1e6, 1e6]", "m"
+    )
+    target: Triple = key((1.0, 0.0, 1.0), "set-point after the step, world", "[-1e6, 1e6]", "m")
+    step_time: float = key(1.0, "time of the step", "[0, 3600]", "s")
+    duration: float = key(5.0, DURATION)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -315,10 +315,7 @@ def models_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
             marks = [mark("text", 1.5, 0, "one flight: nothing left out", ha="center", va="bottom")]
         panels.append(Panel(marks, {**places, "title": title}, math=True))
     panels[0] = Panel(
-        panels[0].marks,
-        {**panels[0].axes, "ylabel": "RMSE of the specific force (m/s²)"},
-        {"fontsize": 8},
-        math=True,
+        panels[0].marks, {**panels[0].axes, "ylabel": "RMSE of the specific force (m/s²)"}, {"fontsize": 8}, math=True
     )
     return panel_figure([panels], (9.0, 3.4), sharey=True)
 

@@ -20,14 +20,7 @@ from quadexp.errors import QuadexpError
 from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.report.pairing import Row
-from quadexp.report.statistics import (
-    BASELINE,
-    COMPARED,
-    CONFIDENCE,
-    Statistic,
-    compute_statistics,
-    overall,
-)
+from quadexp.report.statistics import BASELINE, COMPARED, CONFIDENCE, Statistic, compute_statistics, overall
 from quadexp.report.table import csv_text
 from quadexp.report.tables import ErrorTable, comparison_table, error_table
 

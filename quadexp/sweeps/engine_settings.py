@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import Setting, key
 
 CERTIFICATES = ("tls_ca", "tls_cert", "tls_key")
 Wait = Annotated[float, Setting("time without any worker after which the sweep stops", "(0, 604800]", "s")]
@@ -28,13 +28,12 @@ class DaskConfig(EngineConfig):
     given."""
 
     kind = "dask"
-    address: Annotated[
-        str | None,
-        Setting("address of a running scheduler, such as tls://head:8786; null: start a cluster on this machine"),
-    ] = None
-    tls_ca: Annotated[str | None, Setting("file of the certificate authority of that scheduler")] = None
-    tls_cert: Annotated[str | None, Setting("file of the certificate")] = None
-    tls_key: Annotated[str | None, Setting("file of the certificate's key")] = None
+    address: str | None = key(
+        None, "address of a running scheduler, such as tls://head:8786; null: start a cluster on this machine"
+    )
+    tls_ca: str | None = key(None, "file of the certificate authority of that scheduler")
+    tls_cert: str | None = key(None, "file of the certificate")
+    tls_key: str | None = key(None, "file of the certificate's key")
     wait: Wait = 60.0
 
     def __post_init__(self) -> None:
@@ -61,8 +60,6 @@ class JobsConfig(EngineConfig):
     """
 
     kind = "jobs"
-    system: Annotated[Literal["slurm", "pbs", "lsf", "sge"], Setting("queueing system")] = "slurm"
-    options: Annotated[dict[str, Any], Setting("what dask-jobqueue is given, such as {queue: short, memory: 3GB}")] = (
-        field(default_factory=dict)
-    )
+    system: Literal["slurm", "pbs", "lsf", "sge"] = key("slurm", "queueing system")
+    options: dict[str, Any] = key({}, "what dask-jobqueue is given, such as {queue: short, memory: 3GB}")
     wait: Wait = 3600.0

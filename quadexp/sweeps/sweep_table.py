@@ -23,12 +23,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table, read_text, write_table
 from quadexp.report.metrics import errors_none
 from quadexp.report.result_rows import INTEGER_COLUMNS, ROW_COLUMNS, TEXT_COLUMNS, from_columns, to_columns, to_csv
-from quadexp.report.statistics_file import (
-    Statistics,
-    comparison_texts,
-    results_statistics,
-    write_comparison,
-)
+from quadexp.report.statistics_file import Statistics, comparison_texts, results_statistics, write_comparison
 from quadexp.report.tables import ErrorTable
 
 RESULTS = "results.parquet"

@@ -96,7 +96,7 @@ def default_space(config: Config) -> list[str]:
     space: list[str] = []
     for group, node in {"controller": config.controller, **remedies(config)}.items():
         rules = [f"{group}.{key}{rule if rule.startswith('.') else f'={rule}'}"
-                 for key, one in declared(type(node)).items() for rule in one.setting.tuned]  # fmt: skip
+                 for key, one in declared(type(node)).items() for rule in one.setting.tuned.split()]  # fmt: skip
         if not rules and group == "controller":
             raise UsageError(f"{node.name}: its keys say no ranges to tune it in: give --vary KEY=LOW..HIGH")
         for text in rules:

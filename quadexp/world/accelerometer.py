@@ -8,13 +8,12 @@ F / m is the specific force, what an accelerometer at the centre of mass feels: 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,14 +22,10 @@ class AccelerometerPart(Part):
 
     prefix = "sensor."
 
-    accelerometer_bias: Annotated[Triple, Setting("constant error of the specific force", "[-100, 100]", "m/s^2")] = (
-        0.0,
-        0.0,
-        0.0,
+    accelerometer_bias: Triple = key((0.0, 0.0, 0.0), "constant error of the specific force", "[-100, 100]", "m/s^2")
+    accelerometer_noise: Triple = key(
+        (0.0, 0.0, 0.0), "standard deviation of the white noise on the specific force", "[0, 100]", "m/s^2"
     )
-    accelerometer_noise: Annotated[
-        Triple, Setting("standard deviation of the white noise on the specific force", "[0, 100]", "m/s^2")
-    ] = (0.0, 0.0, 0.0)
 
     @property
     def idle(self) -> bool:

@@ -29,13 +29,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed, time_constant_towards
 from quadexp.physics.rotation import rotation_matrix
@@ -56,34 +56,26 @@ class Actuator(Effect):
 
     prefix: ClassVar[str] = "actuator."
 
-    time_constant_up: Annotated[float, Setting(LAG.format("faster"), "[0, 1]", "s")] = 0.0
-    time_constant_down: Annotated[float, Setting(LAG.format("slower"), "[0, 1]", "s")] = 0.0
-    lag_of: Annotated[
-        Literal["rotor_speed", "thrust"],
-        Setting("what follows its command with the lag; controller.motor_lag is that of the thrust"),
-    ] = "rotor_speed"
-    rotor_speed_min: Annotated[
-        float | None,
-        Setting("least speed of the rotors; null: none; needs vehicle.thrust_coefficient", "[0, 1e5]", "rad/s"),
-    ] = None
-    rotor_speed_max: Annotated[
-        float | None,
-        Setting("largest speed of the rotors; null: none; needs vehicle.thrust_coefficient", "(0, 1e5]", "rad/s"),
-    ] = None
-    rotor_scale_std: Annotated[
-        float,
-        Setting("relative standard deviation of each rotor's thrust at its speed, drawn once a flight", "[0, 0.5]"),
-    ] = 0.0
-    flight_scale_std: Annotated[
-        float,
-        Setting("relative standard deviation of all rotors' thrust at their speeds, drawn once a flight", "[0, 0.5]"),
-    ] = 0.0
-    rotor_inertia: Annotated[
-        float,
-        Setting(
-            "of a rotor and its motor's bell about their axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
-        ),
-    ] = 0.0
+    time_constant_up: float = key(0.0, LAG.format("faster"), "[0, 1]", "s")
+    time_constant_down: float = key(0.0, LAG.format("slower"), "[0, 1]", "s")
+    lag_of: Literal["rotor_speed", "thrust"] = key(
+        "rotor_speed", "what follows its command with the lag; controller.motor_lag is that of the thrust"
+    )
+    rotor_speed_min: float | None = key(
+        None, "least speed of the rotors; null: none; needs vehicle.thrust_coefficient", "[0, 1e5]", "rad/s"
+    )
+    rotor_speed_max: float | None = key(
+        None, "largest speed of the rotors; null: none; needs vehicle.thrust_coefficient", "(0, 1e5]", "rad/s"
+    )
+    rotor_scale_std: float = key(
+        0.0, "relative standard deviation of each rotor's thrust at its speed, drawn once a flight", "[0, 0.5]"
+    )
+    flight_scale_std: float = key(
+        0.0, "relative standard deviation of all rotors' thrust at their speeds, drawn once a flight", "[0, 0.5]"
+    )
+    rotor_inertia: float = key(
+        0.0, "of a rotor and its motor's bell about their axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -108,10 +100,10 @@ class Actuator(Effect):
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes. Raises UsageError for what needs speeds where the vehicle has no thrust coefficient."""
         asked = {key: getattr(self, key) for key in ("rotor_speed_min", "rotor_speed_max")}
-        for key, value in (asked | {"rotor_inertia": self.rotor_inertia or None}).items():
+        for name, value in (asked | {"rotor_inertia": self.rotor_inertia or None}).items():
             if value is not None and vehicle.thrust_coefficient is None:
                 raise UsageError(
-                    f"actuator.{key}={value:g}: needs vehicle.thrust_coefficient, which"
+                    f"actuator.{name}={value:g}: needs vehicle.thrust_coefficient, which"
                     f" vehicle={vehicle.name} does not state"
                 )
         return Sizes(inner=2 * vehicle.n_rotors, parameters=N_FIXED)

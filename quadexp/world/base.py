@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given, Part
-from quadexp.parts.settings import Backend, Setting
+from quadexp.parts.settings import Backend, Setting, key
 from quadexp.physics.vehicle import Vehicle
 
 PAYLOAD_MASS = Setting(
@@ -48,9 +48,7 @@ class PlantPart(Part):
 
     prefix: ClassVar[str] = "plant."
 
-    step: Annotated[
-        float, Setting("largest integration step; a control period is divided evenly", "[1e-5, 0.02]", "s")
-    ] = 1e-3
+    step: float = key(1e-3, "largest integration step; a control period is divided evenly", "[1e-5, 0.02]", "s")
     backend: Backend = "auto"
 
     def build(self, given: Given) -> Any:

@@ -14,13 +14,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.battery import (
     OperatingPoint,
     charge_after,
@@ -54,31 +54,22 @@ class Battery(Effect):
 
     prefix: ClassVar[str] = "battery."
 
-    cells: Annotated[int, Setting("cells in series", "[1, 24]", "cells")] = 4
-    capacity: Annotated[float, Setting("charge of the full battery", "(0, 1000]", "Ah")] = 1.5
-    state_of_charge: Annotated[float, Setting("when a flight begins; 1: full", "(0, 1]")] = 1.0
-    resistance: Annotated[float, Setting("in series, of the whole battery", "[0, 10]", "Ohm")] = 0.02
-    rc_resistance: Annotated[float, Setting("of the RC pair", "[0, 10]", "Ohm")] = 0.012
-    rc_time_constant: Annotated[float, Setting("of the RC pair", "(0, 1e4]", "s")] = 20.0
-    hover_power: Annotated[
-        float, Setting("electrical power of all rotors in hover; goes with thrust^(3/2)", "[0, 1e4]", "W per kg")
-    ] = 150.0
-    electronics: Annotated[float, Setting("power of everything else", "[0, 1e4]", "W")] = 5.0
-    thrust_exponent: Annotated[
-        float, Setting("k of thrust ~ (V / reference_voltage)^k at a fixed throttle", "[0, 4]")
-    ] = 2.0
-    reference_voltage: Annotated[
-        float | None,
-        Setting(
-            "at which thrusts are as commanded; null: the voltage in hover when the flight begins", "(0, 200]", "V"
-        ),
-    ] = None
-    compensation: Annotated[
-        bool, Setting("the flight stack gives more throttle as the voltage falls, up to the full one")
-    ] = False
-    cutoff_voltage: Annotated[
-        float, Setting("below this the electronics stop and the flight is over", "[0, 4]", "V per cell")
-    ] = 2.5
+    cells: int = key(4, "cells in series", "[1, 24]", "cells")
+    capacity: float = key(1.5, "charge of the full battery", "(0, 1000]", "Ah")
+    state_of_charge: float = key(1.0, "when a flight begins; 1: full", "(0, 1]")
+    resistance: float = key(0.02, "in series, of the whole battery", "[0, 10]", "Ohm")
+    rc_resistance: float = key(0.012, "of the RC pair", "[0, 10]", "Ohm")
+    rc_time_constant: float = key(20.0, "of the RC pair", "(0, 1e4]", "s")
+    hover_power: float = key(
+        150.0, "electrical power of all rotors in hover; goes with thrust^(3/2)", "[0, 1e4]", "W per kg"
+    )
+    electronics: float = key(5.0, "power of everything else", "[0, 1e4]", "W")
+    thrust_exponent: float = key(2.0, "k of thrust ~ (V / reference_voltage)^k at a fixed throttle", "[0, 4]")
+    reference_voltage: float | None = key(
+        None, "at which thrusts are as commanded; null: the voltage in hover when the flight begins", "(0, 200]", "V"
+    )
+    compensation: bool = key(False, "the flight stack gives more throttle as the voltage falls, up to the full one")
+    cutoff_voltage: float = key(2.5, "below this the electronics stop and the flight is over", "[0, 4]", "V per cell")
 
     stage = "battery"
 

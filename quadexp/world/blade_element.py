@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.models.blade_element import blade_element_correction
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting, part
+from quadexp.parts.settings import REQUIRED, key, part
 from quadexp.physics.induced_velocity import REASONS, Defined
 from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients, BladeKeys
 from quadexp.physics.rotor_coefficients import static_coefficients
@@ -62,15 +62,12 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
     lift_scale: [one factor a rotor], profile_drag_scale: factor}, all but t optional."""
 
     former_kind = "blade_element"
-    method: Annotated[
-        Literal["euler", "rk4"], Setting("explicit Euler as in Lei & Li 2017, or Runge-Kutta of fourth order")
-    ]
-    schedule: Annotated[
-        tuple[Any, ...],
-        Setting(
-            "changes in flight, each {t: s, payload: kg, lift_scale: [a factor per rotor], profile_drag_scale: factor}"
-        ),
-    ] = ()
+    method: Literal["euler", "rk4"] = key(
+        REQUIRED, "explicit Euler as in Lei & Li 2017, or Runge-Kutta of fourth order"
+    )
+    schedule: tuple[Any, ...] = key(
+        (), "changes in flight, each {t: s, payload: kg, lift_scale: [a factor per rotor], profile_drag_scale: factor}"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, reduce
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Setting, Settings
+from quadexp.parts.settings import Settings, key
 from quadexp.physics.blade_element import ADOPTED, PRINTED, CrossTerms, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import Balance, balance, newton, solution_function, starting_point
@@ -39,26 +39,22 @@ class BladeElementEffects(Settings):
 
     prefix: ClassVar[str] = "plant."
 
-    printed_coefficients: Annotated[
-        bool, Setting("use the cross terms of equations (14) and (15) with their misprints, for comparison only")
-    ] = False
-    rotor_local_velocity: Annotated[
-        bool, Setting("the air velocity at each rotor includes the body rates: v + w x r in place of v")
-    ] = False
-    motor_lag: Annotated[float, Setting("time constant of the rotor speeds; 0: no lag", "[0, 1]", "s")] = 0.0
-    rotor_speed_min: Annotated[
-        float,
-        Setting(
-            "idle speed of the rotors; with 0 they may stop, which the model can describe in still air only",
-            "[0, 1000]",
-            "rad/s",
-        ),
-    ] = IDLE_SPEED
-    rotor_speed_max: Annotated[
-        float | None, Setting("largest speed of the rotors; null: no limit", "(0, 1e5]", "rad/s")
-    ] = None
-    thrust_limits: Annotated[bool, Setting("clip commands to the vehicle's thrust limits (the paper does not)")] = False
-    payload: Annotated[float, PAYLOAD_MASS] = 0.0
+    printed_coefficients: bool = key(
+        False, "use the cross terms of equations (14) and (15) with their misprints, for comparison only"
+    )
+    rotor_local_velocity: bool = key(
+        False, "the air velocity at each rotor includes the body rates: v + w x r in place of v"
+    )
+    motor_lag: float = key(0.0, "time constant of the rotor speeds; 0: no lag", "[0, 1]", "s")
+    rotor_speed_min: float = key(
+        IDLE_SPEED,
+        "idle speed; with 0 rotors may stop, which the model describes in still air only",
+        "[0, 1000]",
+        "rad/s",
+    )
+    rotor_speed_max: float | None = key(None, "largest speed of the rotors; null: no limit", "(0, 1e5]", "rad/s")
+    thrust_limits: bool = key(False, "clip commands to the vehicle's thrust limits (the paper does not)")
+    payload: float = key(0.0, PAYLOAD_MASS)
 
 
 @dataclass(frozen=True)

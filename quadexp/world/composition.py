@@ -325,15 +325,7 @@ class _Parts:
         return doubt
 
     def measured(
-        self,
-        states: Any,
-        own: Any,
-        parameters: Any,
-        draws: Any,
-        t: Any,
-        step: Any,
-        clock: Clock,
-        told: Told,
+        self, states: Any, own: Any, parameters: Any, draws: Any, t: Any, step: Any, clock: Clock, told: Told
     ) -> tuple[Any, Told]:
         """own after the period, and what the controller is told."""
         found = []

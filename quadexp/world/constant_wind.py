@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -20,7 +20,7 @@ class MeanWind(Effect):
     stage = "wind"
     prefix = "wind."
 
-    velocity: Annotated[Triple, Setting("velocity of the air, world", "[-50, 50]", "m/s")] = (0.0, 0.0, 0.0)
+    velocity: Triple = key((0.0, 0.0, 0.0), "velocity of the air, world", "[-50, 50]", "m/s")
 
 
 @dataclass(frozen=True, kw_only=True)

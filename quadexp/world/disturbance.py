@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -37,10 +37,10 @@ class Disturbance(Effect):
 
     prefix: ClassVar[str] = "external."
 
-    force: Annotated[Triple, Setting("force at the centre of mass, world", "[-1000, 1000]", "N")] = ZERO
-    torque: Annotated[Triple, Setting("torque, body", "[-1000, 1000]", "N m")] = ZERO
-    onset: Annotated[float, Setting("when they begin to act", "[0, 14400]", "s")] = 0.0
-    duration: Annotated[float | None, Setting("how long they act; null: to the end", "(0, 14400]", "s")] = None
+    force: Triple = key(ZERO, "force at the centre of mass, world", "[-1000, 1000]", "N")
+    torque: Triple = key(ZERO, "torque, body", "[-1000, 1000]", "N m")
+    onset: float = key(0.0, "when they begin to act", "[0, 14400]", "s")
+    duration: float | None = key(None, "how long they act; null: to the end", "(0, 14400]", "s")
 
     stage = "external"
 

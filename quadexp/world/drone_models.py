@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting, Settings, Triple, part
+from quadexp.parts.settings import Settings, Triple, key, part
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features, state_derivative
@@ -55,31 +55,22 @@ class DroneModelsKeys(Settings):
 
     prefix: ClassVar[str] = "plant."
 
-    thrust_curve: Annotated[
-        Triple, Setting("rpm2thrust: thrust of a rotor as a polynomial of its rpm, N, N/rpm, N/rpm^2", "[-1, 1]")
-    ] = (0.0, -5.382196214637237e-7, 2.4582929831265485e-10)
-    torque_curve: Annotated[
-        Triple,
-        Setting("rpm2torque: reaction torque as a polynomial of the rpm, N m, N m/rpm, N m/rpm^2", "[-1, 1]"),
-    ] = (0.0, 1.410454111996297e-9, 1.4592584373980652e-12)
-    spin_up: Annotated[
-        Pair,
-        Setting(
-            "rotor_dyn_coef: rpm' per command minus rpm, and per difference of squares, 1/s, 1/(rpm s)", "[0, 1e4]"
-        ),
-    ] = (7.355623702172756, 0.0)
-    spin_down: Annotated[Pair, Setting("the same where the command is below the speed, 1/s, 1/(rpm s)", "[0, 1e4]")] = (
-        0.0,
-        0.00024443862952110715,
+    thrust_curve: Triple = key(
+        (0.0, -5.382196214637237e-7, 2.4582929831265485e-10), "rpm2thrust: N, N/rpm, N/rpm^2", "[-1, 1]"
     )
-    linear_drag: Annotated[Triple, Setting("drag force per velocity, body axes (drag_matrix)", "[0, 100]", "N s/m")] = (
-        0.01471782,
-        0.01471782,
-        0.01277641,
+    torque_curve: Triple = key(
+        (0.0, 1.410454111996297e-9, 1.4592584373980652e-12), "rpm2torque: N m, N m/rpm, N m/rpm^2", "[-1, 1]"
     )
-    propeller_inertia: Annotated[
-        float, Setting("of one propeller about its axis (prop_inertia)", "[0, 1]", "kg m^2")
-    ] = 34.52e-9
+    spin_up: Pair = key(
+        (7.355623702172756, 0.0), "rotor_dyn_coef: rpm' per rpm and per rpm^2 missing, 1/s, 1/(rpm s)", "[0, 1e4]"
+    )
+    spin_down: Pair = key(
+        (0.0, 0.00024443862952110715), "the same where the command is below the speed, 1/s, 1/(rpm s)", "[0, 1e4]"
+    )
+    linear_drag: Triple = key(
+        (0.01471782, 0.01471782, 0.01277641), "drag force per velocity, body axes (drag_matrix)", "[0, 100]", "N s/m"
+    )
+    propeller_inertia: float = key(34.52e-9, "of one propeller about its axis (prop_inertia)", "[0, 1]", "kg m^2")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,13 +36,13 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -118,40 +118,24 @@ class Dryden(MeanWind):
     least and largest airspeed at which the turbulence passes (m/s); how long a wind is held (s).
     """
 
-    intensity: Annotated[
-        Triple | None,
-        Setting(
-            "standard deviations along the mean wind, across and vertical; null: by altitude and wind_at_6m",
-            "[0, 50]",
-            "m/s",
-        ),
-    ] = None
-    wind_at_6m: Annotated[
-        float | None,
-        Setting(
-            "wind speed 6 m over the ground that sets the intensity; null: that of the mean wind", "[0, 50]", "m/s"
-        ),
-    ] = None
-    altitude: Annotated[
-        float,
-        Setting("height over the ground that sets scale lengths, and intensities by wind_at_6m", "[3.048, 304.8]", "m"),
-    ] = 6.096
-    length: Annotated[
-        Triple | None,
-        Setting("scale lengths along, across and vertical; null: by altitude", "[0.01, 10000]", "m"),
-    ] = None
-    airspeed: Annotated[
-        float | None,
-        Setting(
-            "speed at which the turbulence passes; null: the vehicle's own through the mean wind, by control period",
-            "[0.01, 100]",
-            "m/s",
-        ),
-    ] = None
-    airspeed_min: Annotated[
-        float,
-        Setting("least of the vehicle's own airspeed that counts: air does not stand frozen", "[0.01, 100]", "m/s"),
-    ] = 1.0
+    intensity: Triple | None = key(
+        None, "standard deviations along the wind, across, vertical; null: by altitude and wind_at_6m", "[0, 50]", "m/s"
+    )
+    wind_at_6m: float | None = key(
+        None, "wind speed 6 m over the ground that sets the intensity; null: that of the mean wind", "[0, 50]", "m/s"
+    )
+    altitude: float = key(
+        6.096, "height over the ground that sets scale lengths, and intensities by wind_at_6m", "[3.048, 304.8]", "m"
+    )
+    length: Triple | None = key(
+        None, "scale lengths along, across and vertical; null: by altitude", "[0.01, 10000]", "m"
+    )
+    airspeed: float | None = key(
+        None, "at which turbulence passes; null: the vehicle's own through the mean wind", "[0.01, 100]", "m/s"
+    )
+    airspeed_min: float = key(
+        1.0, "least of the vehicle's own airspeed that counts: air does not stand frozen", "[0.01, 100]", "m/s"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

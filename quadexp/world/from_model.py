@@ -12,14 +12,14 @@ density, held for 0.5 ms whatever the integration step (see Held in streams.py).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import REQUIRED, key
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -32,16 +32,12 @@ class FromModel(PlantPart):
     """A model identified from flights as the truth; see quadexp/world/from_model.py. model: its checkpoint folder."""
 
     former_kind = "from_model"
-    model: Annotated[str, Setting("checkpoint folder of the model that is taken as the truth")]
-    residual: Annotated[
-        Literal["best", "linear", "quadratic", "blade_element", "gaussian_process"],
-        Setting(
-            "which model of an identified vehicle; best: the one that identification chose; not used where the"
-            " checkpoint is a Gaussian process"
-        ),
-    ] = "best"
-    force_noise_density: Annotated[float, FORCE_DENSITY] = 0.0
-    torque_noise_density: Annotated[float, TORQUE_DENSITY] = 0.0
+    model: str = key(REQUIRED, "checkpoint folder of the model that is taken as the truth")
+    residual: Literal["best", "linear", "quadratic", "blade_element", "gaussian_process"] = key(
+        "best", "which model of an identified vehicle; best: the one that identification chose"
+    )
+    force_noise_density: float = key(0.0, FORCE_DENSITY)
+    torque_noise_density: float = key(0.0, TORQUE_DENSITY)
 
     def build(self, given: Given) -> FromModelPlant:
         """See PlantPart; the model was fitted to given.believed."""

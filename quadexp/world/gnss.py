@@ -8,13 +8,13 @@ A receiver's errors are not white in truth: those of position wander over minute
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import POSITION, VELOCITY
 from quadexp.world.aid import OUTAGE, RATE, SHARE, Aid, Innovation
@@ -29,16 +29,16 @@ class GnssKeys(Part):
 
     prefix: ClassVar[str] = "sensor."
 
-    gnss_rate: Annotated[float, Setting("fixes a second, at most imu_rate", RATE, "Hz")] = 10.0
-    gnss_delay: Annotated[float, Setting("between the fix's time and the fix at hand", "[0, 2]", "s")] = 0.1
-    gnss_position_noise: Annotated[
-        Triple, Setting("standard deviation of the position, east, north, up; white", "(0, 100]", "m")
-    ] = (0.0085, 0.0085, 0.015)
-    gnss_velocity_noise: Annotated[
-        Triple, Setting("standard deviation of the velocity, east, north, up; white", "(0, 100]", "m/s")
-    ] = (0.05, 0.05, 0.05)
-    gnss_dropout: Annotated[float, SHARE] = 0.01
-    gnss_outage: Annotated[float, OUTAGE] = 0.5
+    gnss_rate: float = key(10.0, "fixes a second, at most imu_rate", RATE, "Hz")
+    gnss_delay: float = key(0.1, "between the fix's time and the fix at hand", "[0, 2]", "s")
+    gnss_position_noise: Triple = key(
+        (0.0085, 0.0085, 0.015), "standard deviation of the position, east, north, up; white", "(0, 100]", "m"
+    )
+    gnss_velocity_noise: Triple = key(
+        (0.05, 0.05, 0.05), "standard deviation of the velocity, east, north, up; white", "(0, 100]", "m/s"
+    )
+    gnss_dropout: float = key(0.01, SHARE)
+    gnss_outage: float = key(0.5, OUTAGE)
 
 
 def gnss(keys: GnssKeys) -> Aid:

@@ -10,13 +10,13 @@ for, acts along z_body at the rotor; its speed does not change.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION
@@ -57,13 +57,11 @@ class GroundEffect(Effect):
 
     prefix: ClassVar[str] = "ground."
 
-    height: Annotated[float, Setting("height of the ground, world", "[-1000, 1000]", "m")] = 0.0
-    height_max: Annotated[
-        float, Setting("height of a rotor over the ground above which the ground has no effect", "(0, 1000]", "m")
-    ] = 2.0
-    rotor_radius: Annotated[
-        float | None, Setting("radius of a rotor; null: vehicle.rotor.radius", "[0.001, 10]", "m")
-    ] = None
+    height: float = key(0.0, "height of the ground, world", "[-1000, 1000]", "m")
+    height_max: float = key(
+        2.0, "height of a rotor over the ground above which the ground has no effect", "(0, 1000]", "m"
+    )
+    rotor_radius: float | None = key(None, "radius of a rotor; null: vehicle.rotor.radius", "[0.001, 10]", "m")
 
     stage = "ground"
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
@@ -37,15 +37,9 @@ class Gust(MeanWind):
     Parameters: mean wind (3,) and amplitude (3,), world (m/s), onset and duration (s).
     """
 
-    amplitude: Annotated[Triple, Setting("velocity that the gust adds at its peak, world", "[-50, 50]", "m/s")] = (
-        5.0,
-        0.0,
-        0.0,
-    )
-    onset: Annotated[float, Setting("when the gust begins", "[0, 14400]", "s")] = 2.0
-    duration: Annotated[
-        float, Setting("how long it lasts: its length over the airspeed it is met at", "[0.01, 14400]", "s")
-    ] = 2.0
+    amplitude: Triple = key((5.0, 0.0, 0.0), "velocity that the gust adds at its peak, world", "[-50, 50]", "m/s")
+    onset: float = key(2.0, "when the gust begins", "[0, 14400]", "s")
+    duration: float = key(2.0, "how long it lasts: its length over the airspeed it is met at", "[0.01, 14400]", "s")
 
     stage = "wind"
 

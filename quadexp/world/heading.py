@@ -10,13 +10,13 @@ world axes: its east component tells the error of heading at every attitude, and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE
@@ -30,9 +30,9 @@ class HeadingKeys(Part):
 
     prefix: ClassVar[str] = "sensor."
 
-    heading_rate: Annotated[float, Setting("readings a second, at most imu_rate", RATE, "Hz")] = 50.0
-    heading_delay: Annotated[float, Setting("between the reading's time and the reading at hand", "[0, 1]", "s")] = 0.0
-    heading_noise: Annotated[float, Setting("standard deviation of the heading; white", "(0, 3]", "rad")] = 0.035
+    heading_rate: float = key(50.0, "readings a second, at most imu_rate", RATE, "Hz")
+    heading_delay: float = key(0.0, "between the reading's time and the reading at hand", "[0, 1]", "s")
+    heading_noise: float = key(0.035, "standard deviation of the heading; white", "(0, 3]", "rad")
 
 
 def heading(keys: HeadingKeys) -> Aid:

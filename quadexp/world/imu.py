@@ -13,13 +13,13 @@ has the standard deviation s / sqrt(h) in a mean over h. The model of noise is t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, VELOCITY
@@ -38,23 +38,17 @@ class ImuKeys(Part):
 
     prefix: ClassVar[str] = "sensor."
 
-    imu_rate: Annotated[
-        float, Setting("readings a second; the next whole number of them in a control period", RATE, "Hz")
-    ] = 200.0
-    accelerometer_noise_density: Annotated[
-        float, Setting("white noise of the specific force", "[0, 10]", "m/s^2/sqrt(Hz)")
-    ] = 2e-3
-    gyroscope_noise_density: Annotated[float, Setting("white noise of the rates", "[0, 10]", "rad/s/sqrt(Hz)")] = (
-        1.6968e-4
+    imu_rate: float = key(200.0, "readings a second; the next whole number of them in a control period", RATE, "Hz")
+    accelerometer_noise_density: float = key(2e-3, "white noise of the specific force", "[0, 10]", "m/s^2/sqrt(Hz)")
+    gyroscope_noise_density: float = key(1.6968e-4, "white noise of the rates", "[0, 10]", "rad/s/sqrt(Hz)")
+    accelerometer_bias_std: float = key(
+        0.05, "standard deviation of the bias that is drawn for a flight, each axis", "[0, 10]", "m/s^2"
     )
-    accelerometer_bias_std: Annotated[
-        float, Setting("standard deviation of the bias that is drawn for a flight, each axis", "[0, 10]", "m/s^2")
-    ] = 0.05
-    gyroscope_bias_std: Annotated[
-        float, Setting("standard deviation of the bias that is drawn for a flight, each axis", "[0, 1]", "rad/s")
-    ] = 0.005
-    accelerometer_bias_walk: Annotated[float, Setting("random walk of the bias", "[0, 10]", "m/s^3/sqrt(Hz)")] = 3e-3
-    gyroscope_bias_walk: Annotated[float, Setting("random walk of the bias", "[0, 1]", "rad/s^2/sqrt(Hz)")] = 1.9393e-5
+    gyroscope_bias_std: float = key(
+        0.005, "standard deviation of the bias that is drawn for a flight, each axis", "[0, 1]", "rad/s"
+    )
+    accelerometer_bias_walk: float = key(3e-3, "random walk of the bias", "[0, 10]", "m/s^3/sqrt(Hz)")
+    gyroscope_bias_walk: float = key(1.9393e-5, "random walk of the bias", "[0, 1]", "rad/s^2/sqrt(Hz)")
 
 
 def densities(keys: ImuKeys) -> np.ndarray:

@@ -111,12 +111,7 @@ class SimulatedPlant:
         self.time, self.inner = 0.0, self.initial(np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
 
     def begin(
-        self,
-        x: np.ndarray,
-        period: float,
-        duration: float,
-        rng: np.random.Generator,
-        thrust: np.ndarray | None = None,
+        self, x: np.ndarray, period: float, duration: float, rng: np.random.Generator, thrust: np.ndarray | None = None
     ) -> Streams:
         """Begin a flight in the state x, (13,), with control periods of `period` (s), of a duration (s).
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -33,11 +33,9 @@ class Latency(Effect):
 
     prefix: ClassVar[str] = "link."
 
-    latency: Annotated[float, Setting("least time between a command and its thrust", "[0, 0.5]", "s")] = 0.0
-    jitter: Annotated[
-        float, Setting("what a command may take longer, uniform from command to command", "[0, 0.5]", "s")
-    ] = 0.0
-    drop: Annotated[float, Setting("probability that a command is lost; the last one holds", "[0, 1)")] = 0.0
+    latency: float = key(0.0, "least time between a command and its thrust", "[0, 0.5]", "s")
+    jitter: float = key(0.0, "what a command may take longer, uniform from command to command", "[0, 0.5]", "s")
+    drop: float = key(0.0, "probability that a command is lost; the last one holds", "[0, 1)")
 
     stage = "link"
 

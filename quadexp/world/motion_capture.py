@@ -9,13 +9,13 @@ A filter compares p_m - p and Log(q* o q_m), which to first order are the errors
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product
 from quadexp.physics.state import ATTITUDE, POSITION
@@ -29,16 +29,12 @@ class MotionCaptureKeys(Part):
 
     prefix: ClassVar[str] = "sensor."
 
-    pose_rate: Annotated[float, Setting("poses a second, at most imu_rate", RATE, "Hz")] = 100.0
-    pose_delay: Annotated[float, Setting("between the exposure and the pose at hand", "[0, 1]", "s")] = 0.01
-    pose_position_noise: Annotated[float, Setting("standard deviation of the position, each axis", "(0, 10]", "m")] = (
-        1e-3
-    )
-    pose_attitude_noise: Annotated[
-        float, Setting("standard deviation of the attitude, about each body axis", "(0, 1]", "rad")
-    ] = 5e-3
-    pose_dropout: Annotated[float, SHARE] = 0.01
-    pose_outage: Annotated[float, OUTAGE] = 0.05
+    pose_rate: float = key(100.0, "poses a second, at most imu_rate", RATE, "Hz")
+    pose_delay: float = key(0.01, "between the exposure and the pose at hand", "[0, 1]", "s")
+    pose_position_noise: float = key(1e-3, "standard deviation of the position, each axis", "(0, 10]", "m")
+    pose_attitude_noise: float = key(5e-3, "standard deviation of the attitude, about each body axis", "(0, 1]", "rad")
+    pose_dropout: float = key(0.01, SHARE)
+    pose_outage: float = key(0.05, OUTAGE)
 
 
 def motion_capture(keys: MotionCaptureKeys) -> Aid:

@@ -19,14 +19,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import eskf, imu
@@ -52,15 +52,15 @@ class Navigation(Effect):
 
     prefix: ClassVar[str] = "estimator."
 
-    process_factor: Annotated[
-        float, Setting("factor on the standard deviations of the IMU's noise that the filter believes", "(0, 1000]")
-    ] = 1.0
-    measurement_factor: Annotated[
-        float, Setting("factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]")
-    ] = 1.0
-    warm_up: Annotated[
-        float, Setting("how long the vehicle has stood, with the filter running, when a flight begins", "[0, 600]", "s")
-    ] = 10.0
+    process_factor: float = key(
+        1.0, "factor on the standard deviations of the IMU's noise that the filter believes", "(0, 1000]"
+    )
+    measurement_factor: float = key(
+        1.0, "factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]"
+    )
+    warm_up: float = key(
+        10.0, "how long the vehicle has stood, with the filter running, when a flight begins", "[0, 600]", "s"
+    )
 
     stage = "estimator"
 

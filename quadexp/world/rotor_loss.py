@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -31,10 +31,9 @@ class RotorLoss(Effect):
 
     prefix: ClassVar[str] = "health."
 
-    losses: Annotated[
-        tuple[Any, ...],
-        Setting("{rotor: number from 0, t: s, factor: share of its thrust that it has from then on} each"),
-    ] = ()
+    losses: tuple[Any, ...] = key(
+        (), "{rotor: number from 0, t: s, factor: share of its thrust that it has from then on} each"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

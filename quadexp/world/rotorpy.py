@@ -20,7 +20,7 @@ with Aerodynamics for Education and Research", arXiv 2306.04485.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting, Settings, Triple, part
+from quadexp.parts.settings import Settings, Triple, key, part
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_rk4_step
@@ -51,27 +51,21 @@ class RotorPyKeys(Settings):
 
     prefix: ClassVar[str] = "plant."
 
-    aero: Annotated[
-        bool, Setting("forces and torques of the air; false: thrust and reaction torque of the rotors alone")
-    ] = True
-    parasitic_drag: Annotated[
-        Triple, Setting("drag of the airframe per |v| v, body axes (c_Dx, c_Dy, c_Dz)", "[0, 100]", "N s^2/m^2")
-    ] = (0.5e-2, 0.5e-2, 1e-2)
-    rotor_drag: Annotated[
-        float, Setting("in-plane drag of a rotor per speed of rotor and air (k_d)", "[0, 1]", "kg/rad")
-    ] = 1.19e-4
-    inflow_drag: Annotated[
-        float, Setting("thrust lost to the flow along the rotor's axis, per speed of both (k_z)", "[0, 1]", "kg/rad")
-    ] = 2.32e-4
-    translational_lift: Annotated[
-        float, Setting("thrust gained by a rotor per square of the flow in its plane (k_h)", "[0, 1]", "kg/m")
-    ] = 3.39e-3
-    flapping: Annotated[
-        float, Setting("flapping moment of a rotor per speed of rotor and air (k_flap)", "[0, 1]", "kg m/rad")
-    ] = 0.0
-    motor_lag: Annotated[float, Setting("time constant of the rotor speeds (tau_m); 0: none", "[0, 1]", "s")] = 0.005
-    rotor_speed_min: Annotated[float, Setting("least rotor speed", "[0, 1e5]", "rad/s")] = 0.0
-    rotor_speed_max: Annotated[float, Setting("largest rotor speed", "(0, 1e5]", "rad/s")] = 1500.0
+    aero: bool = key(True, "forces and torques of the air; false: thrust and reaction torque of the rotors alone")
+    parasitic_drag: Triple = key(
+        (0.5e-2, 0.5e-2, 1e-2), "drag of the airframe per |v| v, body axes (c_Dx, c_Dy, c_Dz)", "[0, 100]", "N s^2/m^2"
+    )
+    rotor_drag: float = key(1.19e-4, "in-plane drag of a rotor per speed of rotor and air (k_d)", "[0, 1]", "kg/rad")
+    inflow_drag: float = key(
+        2.32e-4, "thrust lost to the flow along the rotor's axis, per speed of both (k_z)", "[0, 1]", "kg/rad"
+    )
+    translational_lift: float = key(
+        3.39e-3, "thrust gained by a rotor per square of the flow in its plane (k_h)", "[0, 1]", "kg/m"
+    )
+    flapping: float = key(0.0, "flapping moment of a rotor per speed of rotor and air (k_flap)", "[0, 1]", "kg m/rad")
+    motor_lag: float = key(0.005, "time constant of the rotor speeds (tau_m); 0: none", "[0, 1]", "s")
+    rotor_speed_min: float = key(0.0, "least rotor speed", "[0, 1e5]", "rad/s")
+    rotor_speed_max: float = key(1500.0, "largest rotor speed", "(0, 1e5]", "rad/s")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,14 +15,14 @@ that of Sun et al. 2022, zero by default.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting, Settings, Triple, part
+from quadexp.parts.settings import Settings, Triple, key, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import thrust_loss
@@ -41,44 +41,23 @@ class PlantEffects(Settings):
 
     prefix: ClassVar[str] = "plant."
 
-    linear_drag: Annotated[Triple, Setting("linear drag coefficients, body axes", "[0, 100]", "N s/m")] = (
-        0.3,
-        0.3,
-        0.0,
+    linear_drag: Triple = key((0.3, 0.3, 0.0), "linear drag coefficients, body axes", "[0, 100]", "N s/m")
+    quadratic_drag: Triple = key((0.08, 0.08, 0.08), "quadratic drag coefficients, body axes", "[0, 100]", "N s^2/m^2")
+    motor_loss: float = key(
+        0.1 / 1.3**2, "share of the full thrust that motors lose; grows with thrust squared", "[0, 1)"
     )
-    quadratic_drag: Annotated[Triple, Setting("quadratic drag coefficients, body axes", "[0, 100]", "N s^2/m^2")] = (
-        0.08,
-        0.08,
-        0.08,
+    motor_noise_density: float = key(
+        4.47213595499958e-4,
+        "of normalised thrust's white noise at full thrust; grows with its root",
+        "[0, 1]",
+        "1/sqrt(Hz)",
     )
-    motor_loss: Annotated[
-        float,
-        Setting(
-            "thrust lost by the motors at full thrust, as a share; the loss is proportional to the thrust squared",
-            "[0, 1)",
-        ),
-    ] = 0.1 / 1.3**2
-    motor_noise_density: Annotated[
-        float,
-        Setting(
-            "spectral density of the white noise on the normalised thrust, at full thrust; proportional to the root of"
-            " the thrust",
-            "[0, 1]",
-            "1/sqrt(Hz)",
-        ),
-    ] = 4.47213595499958e-4
-    force_noise_density: Annotated[float, FORCE_DENSITY] = 1.118033988749895e-4
-    torque_noise_density: Annotated[float, TORQUE_DENSITY] = 1.118033988749895e-4
-    payload: Annotated[float, PAYLOAD_MASS] = 0.0
-    lift: Annotated[
-        float,
-        Setting(
-            "k of the force k (v_x^2 + v_y^2) along z_body, v the velocity in body axes",
-            "[0, 100]",
-            "N s^2/m^2",
-            noise=False,
-        ),
-    ] = 0.0
+    force_noise_density: float = key(1.118033988749895e-4, FORCE_DENSITY)
+    torque_noise_density: float = key(1.118033988749895e-4, TORQUE_DENSITY)
+    payload: float = key(0.0, PAYLOAD_MASS)
+    lift: float = key(
+        0.0, "k of the force k (v_x^2 + v_y^2) along z_body, v in body axes", "[0, 100]", "N s^2/m^2", noise=False
+    )
 
     @classmethod
     def none(cls) -> PlantEffects:

@@ -17,13 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -117,12 +117,10 @@ class SlungLoad(Payload):
     long for the cable.
     """
 
-    length: Annotated[float, Setting("length of the cable, unstretched", "[0.05, 100]", "m")] = 1.0
-    stretch: Annotated[
-        float, Setting("share of its length that the payload at rest stretches the cable", "[1e-5, 0.5]")
-    ] = 0.002
-    damping: Annotated[float, Setting("damping ratio of the oscillation along the cable", "[0, 2]")] = 0.1
-    drag: Annotated[float, Setting("drag of the payload per velocity squared", "[0, 100]", "N s^2/m^2")] = 0.0
+    length: float = key(1.0, "length of the cable, unstretched", "[0.05, 100]", "m")
+    stretch: float = key(0.002, "share of its length that the payload at rest stretches the cable", "[1e-5, 0.5]")
+    damping: float = key(0.1, "damping ratio of the oscillation along the cable", "[0, 2]")
+    drag: float = key(0.0, "drag of the payload per velocity squared", "[0, 100]", "N s^2/m^2")
 
     stage = "external"
 

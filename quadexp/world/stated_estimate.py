@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -37,15 +37,14 @@ class StatedEstimate(Effect):
 
     prefix: ClassVar[str] = "estimator."
 
-    position_noise: Annotated[float, Setting("standard deviation of the position, per axis", "[0, 10]", "m")] = 0.0
-    velocity_noise: Annotated[float, Setting("standard deviation of the velocity, per axis", "[0, 10]", "m/s")] = 0.0
-    attitude_noise: Annotated[float, Setting("standard deviation of the attitude, per axis", "[0, 1]", "rad")] = 0.0
-    rate_noise: Annotated[float, Setting("standard deviation of the body rate, per axis", "[0, 10]", "rad/s")] = 0.0
-    delay: Annotated[float, Setting("age of the state that is told", "[0, 0.5]", "s")] = 0.0
-    gyro: Annotated[
-        Literal["late", "fresh"],
-        Setting("body rate that is told: as old as the rest of the state, or that of now, as a gyroscope's is"),
-    ] = "late"
+    position_noise: float = key(0.0, "standard deviation of the position, per axis", "[0, 10]", "m")
+    velocity_noise: float = key(0.0, "standard deviation of the velocity, per axis", "[0, 10]", "m/s")
+    attitude_noise: float = key(0.0, "standard deviation of the attitude, per axis", "[0, 1]", "rad")
+    rate_noise: float = key(0.0, "standard deviation of the body rate, per axis", "[0, 10]", "rad/s")
+    delay: float = key(0.0, "age of the state that is told", "[0, 0.5]", "s")
+    gyro: Literal["late", "fresh"] = key(
+        "late", "body rate that is told: as old as the rest of the state, or that of now, as a gyroscope's is"
+    )
 
     stage = "estimator"
 

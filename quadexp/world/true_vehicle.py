@@ -17,13 +17,13 @@ plant itself, experiment/build_world.py):
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE
@@ -57,11 +57,7 @@ def with_payload(vehicle: Vehicle, payload: float, point: np.ndarray) -> Vehicle
     total = vehicle.mass + payload
     shift = payload / total * np.asarray(point, float)
     inertia = vehicle.inertia_matrix + vehicle.mass * _steiner(shift) + payload * _steiner(point - shift)
-    changed = {
-        "mass": total,
-        "inertia": tuple(map(tuple, inertia)),
-        "rotor_position": _moved(vehicle, shift),
-    }
+    changed = {"mass": total, "inertia": tuple(map(tuple, inertia)), "rotor_position": _moved(vehicle, shift)}
     return _made(vehicle, "payload", changed)
 
 
@@ -83,17 +79,16 @@ class TrueVehicle(Effect):
 
     prefix: ClassVar[str] = "truth."
 
-    mass: Annotated[float, Setting("factor on the mass", FACTOR)] = 1.0
-    inertia: Annotated[Triple, Setting("factors on the moments of inertia about x, y, z", FACTOR)] = (1.0, 1.0, 1.0)
-    center_of_mass: Annotated[
-        Triple, Setting("where the true centre of mass lies from the believed one, body; rotors stay", "[-1, 1]", "m")
-    ] = ZERO
-    thrust_coefficient: Annotated[float, Setting("factor on the thrust that a rotor gives at a command", FACTOR)] = 1.0
-    torque_coefficient: Annotated[float, Setting("factor on the reaction torque per thrust", "[0, 10]")] = 1.0
-    drag: Annotated[
-        float,
-        Setting("factor on the plant's drag coefficients and lift; for plant=simplified and its presets", "[0, 10]"),
-    ] = 1.0
+    mass: float = key(1.0, "factor on the mass", FACTOR)
+    inertia: Triple = key((1.0, 1.0, 1.0), "factors on the moments of inertia about x, y, z", FACTOR)
+    center_of_mass: Triple = key(
+        ZERO, "where the true centre of mass lies from the believed one, body; rotors stay", "[-1, 1]", "m"
+    )
+    thrust_coefficient: float = key(1.0, "factor on the thrust that a rotor gives at a command", FACTOR)
+    torque_coefficient: float = key(1.0, "factor on the reaction torque per thrust", "[0, 10]")
+    drag: float = key(
+        1.0, "factor on the plant's drag coefficients and lift; for plant=simplified and its presets", "[0, 10]"
+    )
 
     stage = "truth"
 
@@ -128,10 +123,10 @@ class Payload(Effect):
 
     prefix: ClassVar[str] = "payload."
 
-    mass: Annotated[float, Setting("mass of the payload", "[0.001, 100]", "kg")] = 0.2
-    point: Annotated[
-        Triple, Setting("where it is fixed, or its cable, from the true vehicle's centre of mass, body", POINT, "m")
-    ] = ZERO
+    mass: float = key(0.2, "mass of the payload", "[0.001, 100]", "kg")
+    point: Triple = key(
+        ZERO, "where it is fixed, or its cable, from the true vehicle's centre of mass, body", POINT, "m"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

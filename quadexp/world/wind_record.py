@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import REQUIRED, key
 from quadexp.physics.expression import Expression
 from quadexp.world.effect import Effect, Moment
 
@@ -52,9 +52,9 @@ class WindFromFile(Effect):
 
     prefix: ClassVar[str] = "wind."
 
-    path: Annotated[
-        str, Setting("CSV or Parquet file with the columns t (s), wind_x, wind_y, wind_z (m/s, world); a flight is one")
-    ]
+    path: str = key(
+        REQUIRED, "CSV or Parquet file with the columns t (s), wind_x, wind_y, wind_z (m/s, world); a flight is one"
+    )
 
     stage = "wind"
     symbols = "MX"

@@ -65,12 +65,7 @@ class World(SimulatedPlant):
         self.time, self.inner = 0.0, np.empty(0)
 
     def begin(
-        self,
-        x: np.ndarray,
-        period: float,
-        duration: float,
-        rng: np.random.Generator,
-        thrust: np.ndarray | None = None,
+        self, x: np.ndarray, period: float, duration: float, rng: np.random.Generator, thrust: np.ndarray | None = None
     ) -> Streams:
         """Begin a flight in the state x, (13,), with control periods of `period` (s), of a duration (s).
 

@@ -49,10 +49,7 @@ def test_places_by_mean_rank():
 def test_lost_flights_come_first_where_they_tell_apart(seeds, lost, order):
     """`good` loses the step at some seeds: at all six of them p is 2 / 64, five cannot tell."""
     rows = board(
-        {
-            "good": lambda task, seed: 0.1 if task != "step" or seed >= lost else None,
-            "poor": lambda task, seed: 0.5,
-        },
+        {"good": lambda task, seed: 0.1 if task != "step" or seed >= lost else None, "poor": lambda task, seed: 0.5},
         seeds=range(seeds),
         tasks=("circle", "square", "step"),
     )

@@ -421,23 +421,9 @@ class TestWhatItCovers:
             def rotor_speed(self):
                 return 100.0 + self.inner
 
-        assert covers(
-            MotorLagPlant(vehicle, **LAGGING),
-            mpc(vehicle),
-            np.random.default_rng(0),
-        )
-        assert not covers(
-            Named(vehicle, **LAGGING),
-            mpc(vehicle),
-            np.random.default_rng(0),
-            logged=4,
-        )
-        flown = both(
-            monkeypatch,
-            MotorLagPlant(vehicle, **LAGGING),
-            mpc(vehicle),
-            Circle(speed=4.0),
-        )
+        assert covers(MotorLagPlant(vehicle, **LAGGING), mpc(vehicle), np.random.default_rng(0))
+        assert not covers(Named(vehicle, **LAGGING), mpc(vehicle), np.random.default_rng(0), logged=4)
+        flown = both(monkeypatch, MotorLagPlant(vehicle, **LAGGING), mpc(vehicle), Circle(speed=4.0))
         assert flown.periods_in_c > 100 and "rotor_speed_0" not in flown.flight.columns
 
     def test_parts_from_outside_fly_as_before(self, vehicle):

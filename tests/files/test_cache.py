@@ -139,10 +139,7 @@ print(toolchain())
 
 @pytest.mark.parametrize(
     ("command", "code", "says"),
-    [
-        ("gcc'", 2, "CC=gcc': is no command (No closing quotation)"),
-        ("/bin/true", 1, "/bin/true made no library of"),
-    ],
+    [("gcc'", 2, "CC=gcc': is no command (No closing quotation)"), ("/bin/true", 1, "/bin/true made no library of")],
 )
 def test_a_compiler_that_is_none(tmp_path, command, code, says):
     words = ("trajectory=hover", "trajectory.duration=0.4", "controller=nominal_mpc", "plant=ideal")

@@ -29,11 +29,7 @@ def test_a_flight_comes_back_to_the_last_bit(tmp_path):
 def test_unit_and_frame_travel_with_every_column(tmp_path):
     path = write_flight(tmp_path / "a.parquet", straight_flight())
     schema = pq.read_schema(path)
-    assert schema.field("w_x").metadata == {
-        b"unit": b"rad/s",
-        b"frame": b"body",
-        b"description": b"angular velocity",
-    }
+    assert schema.field("w_x").metadata == {b"unit": b"rad/s", b"frame": b"body", b"description": b"angular velocity"}
     assert schema.field("v_x").metadata[b"frame"] == b"world"
     for name in schema.names:
         assert schema.field(name).metadata[b"unit"], name

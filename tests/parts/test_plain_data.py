@@ -72,11 +72,7 @@ def test_references_to_keys_are_read(folder):
 def test_references_end(folder, text):
     (folder / "trajectory" / "mine.yaml").write_text(BASE.replace("name: mine\n", text))
     refused(["trajectory=mine"], folder)
-    chain = [
-        f"model={'x' * 900}",
-        "evaluate.baseline=${model}${model}",
-        "vehicle.name=${evaluate.baseline}",
-    ]
+    chain = [f"model={'x' * 900}", "evaluate.baseline=${model}${model}", "vehicle.name=${evaluate.baseline}"]
     assert "too long to be referred to" in refused(chain, folder)
 
 

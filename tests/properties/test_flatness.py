@@ -16,14 +16,7 @@ from quadexp.reference.flat_map import tilt
 from quadexp.reference.flatness import flat_reference
 from tests.properties.paths import Transformed, Wander
 from tests.properties.strategies import generators, make_residual, vehicles
-from tests.properties.test_symmetry import (
-    MIRROR,
-    mirrored,
-    mirrored_residual,
-    mirrored_vehicle,
-    turned_world,
-    z_turn,
-)
+from tests.properties.test_symmetry import MIRROR, mirrored, mirrored_residual, mirrored_vehicle, turned_world, z_turn
 
 turns = st.floats(-np.pi, np.pi)
 STEP = 0.01  # s

@@ -31,11 +31,7 @@ from tests.states import random_state
 ROOT = Path(__file__).parent.parent.parent
 RPM = np.pi / 30  # rad/s
 SAME = 1e-9
-PAIRS = {
-    "rotorpy": "hummingbird",
-    "drone_models": "cf2x_L250",
-    "drone_models_brushless": "cf21B_500",
-}
+PAIRS = {"rotorpy": "hummingbird", "drone_models": "cf2x_L250", "drone_models_brushless": "cf21B_500"}
 needs_rotorpy = pytest.mark.skipif(
     importlib.util.find_spec("rotorpy") is None, reason="RotorPy is not installed: pip install 'quadexp[rotorpy]'"
 )

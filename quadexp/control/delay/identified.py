@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, layers
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 
 LARGEST = 0.08  # s, of an age and of a dead time that are made good
 LARGEST_LAG = 0.1  # s
@@ -231,16 +231,10 @@ class IdentifiedPart(Remedy):
     prefix = "delay."
     finds_delays = True
 
-    after: Annotated[
-        float,
-        Setting(
-            "time of the flight in which delays are looked for at first; then again until all are known, and once more"
-            " each time that the flight is half as long again, until they are known well",
-            "[2, 60]",
-            "s",
-        ),
-    ] = 3.0
-    assumed: Annotated[float, Setting("dead time that is predicted until they are known", "[0, 0.1]", "s")] = 0.03
+    after: float = key(
+        3.0, "time after which delays are looked for, and again as the flight gets longer", "[2, 60]", "s"
+    )
+    assumed: float = key(0.03, "dead time that is predicted until they are known", "[0, 0.1]", "s")
 
     def around(self, controller: Any) -> Identified:
         """See Remedy. Raises UsageError where the controller is no MPC of this program, or is told of delays itself."""

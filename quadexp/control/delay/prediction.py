@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from quadexp.control.instant import Instant, Told, call, copy, instant_of
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
@@ -188,18 +188,12 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
 class PredictionPart(KnownDelay):
     """A late state is brought to now by the controller's model."""
 
-    dead_time: Annotated[
-        float | None,
-        Setting(
-            "dead time of commands; null: what the controller predicts itself; one that is no MPC is told the state and"
-            " the reference after it",
-            "[0, 0.5]",
-            "s",
-        ),
-    ] = None
-    motor_lag: Annotated[
-        float | None, Setting("time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s")
-    ] = None
+    dead_time: float | None = key(
+        None, "dead time of commands; null: what the controller knows itself", "[0, 0.5]", "s"
+    )
+    motor_lag: float | None = key(
+        None, "time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s"
+    )
 
     def around(self, controller: Any) -> Prediction:
         """See Remedy: the controller behind a prediction of its measurements by its own model."""

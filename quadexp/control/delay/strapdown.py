@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from quadexp.control.instant import Instant, Told, call, copy, instant_of, move
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.rotation import exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
@@ -40,7 +40,7 @@ class KnownDelay(Remedy):
 
     prefix: ClassVar[str] = "delay."
 
-    time: Annotated[float, Setting("age of the measured state that is made good", "[0, 0.5]", "s")] = 0.01
+    time: float = key(0.01, "age of the measured state that is made good", "[0, 0.5]", "s")
 
 
 class Strapdown(WrappedController):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, part
+from quadexp.parts.settings import Backend, key, part
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -108,7 +108,7 @@ class FlatnessBased(DFBCKeys, ControllerPart):
 
     former_kind = "dfbc"
     backend: Backend = "auto"
-    residual: Annotated[str, RESIDUAL] = "none"
+    residual: str = key("none", RESIDUAL)
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""

@@ -27,13 +27,13 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
 from quadexp.control.belief import N_BELIEF
 from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.parts.settings import Setting, Settings, Triple
+from quadexp.parts.settings import Setting, Settings, Triple, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -58,36 +58,29 @@ class DFBCKeys(Settings):
 
     prefix: ClassVar[str] = "controller."
 
-    rate: Annotated[float, Setting("control rate", "[1, 2000]", "Hz")] = 300.0
-    position_gain: Annotated[
-        Triple, Setting("acceleration per position error, world axes", "[0, 1e4]", "1/s^2", tuned=("1..50:log",))
-    ] = (10.0, 10.0, 10.0)
-    velocity_gain: Annotated[
-        Triple, Setting("acceleration per velocity error, world axes", "[0, 1e4]", "1/s", tuned=("1..30:log",))
-    ] = (6.0, 6.0, 6.0)
-    tilt_gain: Annotated[
-        float, Setting("angular acceleration per tilt error", "[0, 1e5]", "1/s^2", tuned=("30..1000:log",))
-    ] = 150.0
-    yaw_gain: Annotated[float, Setting("angular acceleration per yaw error", "[0, 1e5]", "1/s^2")] = 3.0
-    rate_gain: Annotated[
-        Triple, Setting("angular acceleration per body rate error", "[0, 1e4]", "1/s", tuned=("5..100:log",))
-    ] = (20.0, 20.0, 8.0)
-    wrench_weight: Annotated[Wrench, WRENCH_WEIGHT] = TILT_FIRST
-    allocation: Annotated[
-        Literal["exact", "clip"],
-        Setting("exact: thrusts of the least weighted error within the limits; clip: each clipped by itself"),
-    ] = "exact"
-    inverted: Annotated[
-        Literal["continuous", "printed"],
-        Setting(
-            "upside down, continuous: the side of y_body that is nearer to the present one; printed: turned by 180"
-            " degrees where the rotors' axis passes the horizon"
-        ),
-    ] = "continuous"
-    least_thrust: Annotated[
-        float,
-        Setting("thrust, as a share of the weight, below which body rates are fed forward as at this one", "(0, 1]"),
-    ] = 0.07
+    rate: float = key(300.0, "control rate", "[1, 2000]", "Hz")
+    position_gain: Triple = key(
+        (10.0, 10.0, 10.0), "acceleration per position error, world axes", "[0, 1e4]", "1/s^2", tuned="1..50:log"
+    )
+    velocity_gain: Triple = key(
+        (6.0, 6.0, 6.0), "acceleration per velocity error, world axes", "[0, 1e4]", "1/s", tuned="1..30:log"
+    )
+    tilt_gain: float = key(150.0, "angular acceleration per tilt error", "[0, 1e5]", "1/s^2", tuned="30..1000:log")
+    yaw_gain: float = key(3.0, "angular acceleration per yaw error", "[0, 1e5]", "1/s^2")
+    rate_gain: Triple = key(
+        (20.0, 20.0, 8.0), "angular acceleration per body rate error", "[0, 1e4]", "1/s", tuned="5..100:log"
+    )
+    wrench_weight: Wrench = key(TILT_FIRST, WRENCH_WEIGHT)
+    allocation: Literal["exact", "clip"] = key(
+        "exact", "exact: thrusts of the least weighted error within the limits; clip: each clipped by itself"
+    )
+    inverted: Literal["continuous", "printed"] = key(
+        "continuous",
+        "upside down, continuous: y_body stays on its side; printed: turned by 180 degrees past the horizon",
+    )
+    least_thrust: float = key(
+        0.07, "thrust, as a share of the weight, below which body rates are fed forward as at this one", "(0, 1]"
+    )
 
 
 def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compiled: bool) -> ca.Function:

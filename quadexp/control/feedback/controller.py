@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.rls import Identification
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Setting, part
+from quadexp.parts.settings import REQUIRED, Backend, key, part
 from quadexp.physics.rotor import THETA
 from quadexp.physics.vehicle import Vehicle
 
@@ -151,12 +151,11 @@ class Feedback(FeedbackSettings, ControllerPart):
     """Compensated feedback. variant: what is compensated, and from where."""
 
     former_kind = "feedback"
-    variant: Annotated[
-        Literal["rls", "static", "literal", "nocomp_statid", "oracle", "oracle_impl", "rls_noH", "static_H"],
-        Setting("what is compensated, and the source of the coefficients; see docs/lei_li.md"),
-    ]
+    variant: Literal["rls", "static", "literal", "nocomp_statid", "oracle", "oracle_impl", "rls_noH", "static_H"] = key(
+        REQUIRED, "what is compensated, and the source of the coefficients; see docs/lei_li.md"
+    )
     backend: Backend = "auto"
-    rls: Annotated[Identification, Setting("recursive least squares in flight")]
+    rls: Identification = key(REQUIRED, "recursive least squares in flight")
 
     @property
     def knows_plant(self) -> bool:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
-from quadexp.parts.settings import Setting, Settings, Triple
+from quadexp.parts.settings import Settings, Triple, key
 
 
 @dataclass(frozen=True)
@@ -19,39 +19,29 @@ class FeedbackSettings(Settings):
 
     prefix: ClassVar[str] = "controller."
 
-    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 100.0
-    position_proportional: Annotated[
-        Triple, Setting("gain on the position error", "[0, 1000]", "1/s^2", tuned=("0.1..10:log",))
-    ] = (0.3, 0.3, 0.3)
-    position_derivative: Annotated[
-        Triple, Setting("gain on the velocity error", "[0, 1000]", "1/s", tuned=("0.3..10:log",))
-    ] = (0.9, 0.9, 0.9)
-    attitude_proportional: Annotated[
-        Triple, Setting("gain on the error of the Euler angles", "[0, 1000]", "1/s^2", tuned=("0.3..100:log",))
-    ] = (0.8, 0.8, 0.8)
-    attitude_derivative: Annotated[
-        Triple, Setting("gain on the error of the Euler rates", "[0, 1000]", "1/s", tuned=("0.5..50:log",))
-    ] = (2.4, 2.4, 2.4)
-    observer_bandwidth: Annotated[
-        float,
-        Setting(
-            "bandwidth of the high-gain observer (36), which differentiates the desired angles",
-            "(0, 1000]",
-            "rad/s",
-            tuned=("2..60:log",),
-        ),
-    ] = 6.0
-    cone: Annotated[bool, Setting("limit the desired thrust by thrust_share_min and tilt_max (the paper does not)")] = (
-        True
+    rate: float = key(100.0, "control rate", "[1, 1000]", "Hz")
+    position_proportional: Triple = key(
+        (0.3, 0.3, 0.3), "gain on the position error", "[0, 1000]", "1/s^2", tuned="0.1..10:log"
     )
-    thrust_share_min: Annotated[
-        float, Setting("least upward component of the desired thrust", "(0, 1]", "of the weight")
-    ] = 0.3
-    tilt_max: Annotated[float, Setting("largest tilt of the desired thrust", "(0, 1.57]", "rad")] = math.radians(60.0)
-    rotor_speed_min: Annotated[float, Setting("least rotor speed that is commanded", "[0, 1000]", "rad/s")] = 50.0
-    inner_iterations: Annotated[
-        int, Setting("iterations of the fixed point, in variants that do not use the last sample's values", "[1, 1000]")
-    ] = 50
+    position_derivative: Triple = key(
+        (0.9, 0.9, 0.9), "gain on the velocity error", "[0, 1000]", "1/s", tuned="0.3..10:log"
+    )
+    attitude_proportional: Triple = key(
+        (0.8, 0.8, 0.8), "gain on the error of the Euler angles", "[0, 1000]", "1/s^2", tuned="0.3..100:log"
+    )
+    attitude_derivative: Triple = key(
+        (2.4, 2.4, 2.4), "gain on the error of the Euler rates", "[0, 1000]", "1/s", tuned="0.5..50:log"
+    )
+    observer_bandwidth: float = key(
+        6.0, "of the high-gain observer (36) of desired angles", "(0, 1000]", "rad/s", tuned="2..60:log"
+    )
+    cone: bool = key(True, "limit the desired thrust by thrust_share_min and tilt_max (the paper does not)")
+    thrust_share_min: float = key(0.3, "least upward component of the desired thrust", "(0, 1]", "of the weight")
+    tilt_max: float = key(math.radians(60.0), "largest tilt of the desired thrust", "(0, 1.57]", "rad")
+    rotor_speed_min: float = key(50.0, "least rotor speed that is commanded", "[0, 1000]", "rad/s")
+    inner_iterations: int = key(
+        50, "iterations of the fixed point, in variants that do not use the last sample's values", "[1, 1000]"
+    )
 
     @property
     def control_period(self) -> float:

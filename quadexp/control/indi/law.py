@@ -20,7 +20,7 @@ so that a constant d_tau and a wrong J leave no steady error of alpha, as long a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
 from quadexp.control.dfbc.law import TILT_FIRST, WRENCH_WEIGHT, Wrench
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting, Settings
+from quadexp.parts.settings import Settings, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
@@ -41,47 +41,20 @@ class INDIKeys(Settings):
 
     prefix: ClassVar[str] = "inner."
 
-    rate: Annotated[
-        float, Setting("rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
-    ] = 300.0
-    cutoff: Annotated[
-        float,
-        Setting(
-            "cut-off of the Butterworth filter of body rates and rotor speeds, below half the rate",
-            "(0, 5000]",
-            "Hz",
-            tuned=("4..100:log",),
-        ),
-    ] = 12.0
-    allocation: Annotated[
-        Literal["clip", "exact"],
-        Setting("clip: each thrust clipped by itself; exact: the least weighted error within the limits"),
-    ] = "clip"
-    wrench_weight: Annotated[Wrench, WRENCH_WEIGHT] = TILT_FIRST
-    rotor_inertia: Annotated[
-        float,
-        Setting(
-            "of a rotor and motor about its axis, whose acceleration turns the vehicle; 0: neglected; needs"
-            " vehicle.thrust_coefficient",
-            "[0, 1]",
-            "kg m^2",
-        ),
-    ] = 0.0
-    spin_up_time: Annotated[
-        float,
-        Setting(
-            "time in which a rotor is thought to reach its command, for rotor_inertia: its time constant (Tal and"
-            " Karaman 2021); 0: one period of the loop, as Sun et al. 2022 print it",
-            "[0, 1]",
-            "s",
-        ),
-    ] = 0.03
-    motor_lag: Annotated[
-        float, Setting("time constant of the thrusts, where rotor speeds are not measured", "[0, 1]", "s")
-    ] = 0.0
-    dead_time: Annotated[
-        float, Setting("delay of the commands, where rotor speeds are not measured", "[0, 0.5]", "s")
-    ] = 0.0
+    rate: float = key(300.0, "rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
+    cutoff: float = key(12.0, "of the Butterworth filter, below half the rate", "(0, 5000]", "Hz", tuned="4..100:log")
+    allocation: Literal["clip", "exact"] = key(
+        "clip", "clip: each thrust clipped by itself; exact: the least weighted error within the limits"
+    )
+    wrench_weight: Wrench = key(TILT_FIRST, WRENCH_WEIGHT)
+    rotor_inertia: float = key(
+        0.0, "of a rotor about its axis, against its spin-up; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
+    )
+    spin_up_time: float = key(
+        0.03, "of a rotor, for rotor_inertia: its time constant; 0: one period, as printed", "[0, 1]", "s"
+    )
+    motor_lag: float = key(0.0, "time constant of the thrusts, where rotor speeds are not measured", "[0, 1]", "s")
+    dead_time: float = key(0.0, "delay of the commands, where rotor speeds are not measured", "[0, 0.5]", "s")
 
 
 def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:

@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from quadexp.control.laws.desaturation import held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Setting, Settings, Triple, part
+from quadexp.parts.settings import Backend, Settings, Triple, key, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -64,62 +64,47 @@ class CascadeKeys(Settings):
     prefix: ClassVar[str] = "controller."
 
     rate: Rate = 200.0
-    position_proportional: Annotated[
-        Triple, Setting("wanted velocity per position error", "[0, 100]", "1/s", tuned=("0.3..6:log",))
-    ] = (0.95, 0.95, 1.0)
-    velocity_proportional: Annotated[
-        Triple, Setting("acceleration per velocity error", "[0, 100]", "1/s", tuned=(".xy=0.5..15:log", ".z=1..20:log"))
-    ] = (1.8, 1.8, 4.0)
-    velocity_integral: Annotated[
-        Triple, Setting("rate of the integral per velocity error", "[0, 100]", "1/s^2", tuned=("0.05..10:log",))
-    ] = (0.4, 0.4, 2.0)
-    velocity_derivative: Annotated[Triple, Setting("acceleration per filtered acceleration", "[0, 10]")] = (
-        0.2,
-        0.2,
-        0.0,
+    position_proportional: Triple = key(
+        (0.95, 0.95, 1.0), "wanted velocity per position error", "[0, 100]", "1/s", tuned="0.3..6:log"
     )
-    attitude_proportional: Annotated[
-        Triple, Setting("wanted rate per attitude error: roll, pitch, yaw", "[0, 100]", "1/s", tuned=("2..30:log",))
-    ] = (6.5, 6.5, 2.8)
-    yaw_weight: Annotated[float, Setting("weight of yaw against tilt in the attitude error", "[0, 1]")] = 0.4
-    rate_proportional: Annotated[
-        Triple,
-        Setting("angular acceleration per rate error: roll, pitch, yaw", "[0, 1000]", "1/s", tuned=("5..100:log",)),
-    ] = (20.0, 20.0, 8.0)
-    rate_integral: Annotated[
-        Triple, Setting("rate of the integral per rate error: roll, pitch, yaw", "[0, 10000]", "1/s^2")
-    ] = (27.0, 27.0, 4.0)
-    rate_derivative: Annotated[Triple, Setting("angular acceleration per filtered angular acceleration", "[0, 10]")] = (
-        0.4,
-        0.4,
-        0.0,
+    velocity_proportional: Triple = key(
+        (1.8, 1.8, 4.0), "acceleration per velocity error", "[0, 100]", "1/s", tuned=".xy=0.5..15:log .z=1..20:log"
     )
-    velocity_cutoff: Annotated[float, Setting("cutoff of the filter on the acceleration", "(0, 1000]", "Hz")] = 5.0
-    rate_cutoff: Annotated[float, Setting("cutoff of the filter on the angular acceleration", "(0, 1000]", "Hz")] = 30.0
-    velocity_limit: Annotated[Triple, Setting("largest wanted velocity: horizontal, up, down", "(0, 100]", "m/s")] = (
-        20.0,
-        10.0,
-        10.0,
+    velocity_integral: Triple = key(
+        (0.4, 0.4, 2.0), "rate of the integral per velocity error", "[0, 100]", "1/s^2", tuned="0.05..10:log"
     )
-    tilt_limit: Annotated[float, Setting("largest wanted tilt", "(0, 1.57]", "rad")] = 1.4
-    rate_limit: Annotated[Triple, Setting("largest wanted body rates", "(0, 100]", "rad/s")] = (10.0, 10.0, 5.0)
-    thrust_least: Annotated[float, Setting("least wanted collective thrust", "(0, 1]", "of the weight")] = 0.2
-    horizontal_margin: Annotated[
-        float, Setting("thrust kept for the horizontal where the vertical needs all", "[0, 1]", "of the largest thrust")
-    ] = 0.3
-    decoupled: Annotated[
-        bool, Setting("the tilt assumes a vertical specific force of g, so that the vertical does not change it")
-    ] = True
-    rate_integral_limit: Annotated[
-        Triple, Setting("largest integral of the rate loop, angular acceleration", "[0, 1e4]", "rad/s^2")
-    ] = (40.0, 40.0, 40.0)
-    airmode: Annotated[bool, Setting("thrust may be raised where roll and pitch need it")] = False
-    yaw_margin: Annotated[
-        float, Setting("thrust that yaw may take away at the upper limit", "[0, 1]", "of the range")
-    ] = 0.15
-    rate_feedforward: Annotated[
-        bool, Setting("add the reference's body rates to the wanted ones; flight stacks take none but the yaw rate")
-    ] = False
+    velocity_derivative: Triple = key((0.2, 0.2, 0.0), "acceleration per filtered acceleration", "[0, 10]")
+    attitude_proportional: Triple = key(
+        (6.5, 6.5, 2.8), "wanted rate per attitude error: roll, pitch, yaw", "[0, 100]", "1/s", tuned="2..30:log"
+    )
+    yaw_weight: float = key(0.4, "weight of yaw against tilt in the attitude error", "[0, 1]")
+    rate_proportional: Triple = key(
+        (20.0, 20.0, 8.0), "angular acceleration per rate error", "[0, 1000]", "1/s", tuned="5..100:log"
+    )
+    rate_integral: Triple = key(
+        (27.0, 27.0, 4.0), "rate of the integral per rate error: roll, pitch, yaw", "[0, 10000]", "1/s^2"
+    )
+    rate_derivative: Triple = key((0.4, 0.4, 0.0), "angular acceleration per filtered angular acceleration", "[0, 10]")
+    velocity_cutoff: float = key(5.0, "cutoff of the filter on the acceleration", "(0, 1000]", "Hz")
+    rate_cutoff: float = key(30.0, "cutoff of the filter on the angular acceleration", "(0, 1000]", "Hz")
+    velocity_limit: Triple = key((20.0, 10.0, 10.0), "largest wanted velocity: horizontal, up, down", "(0, 100]", "m/s")
+    tilt_limit: float = key(1.4, "largest wanted tilt", "(0, 1.57]", "rad")
+    rate_limit: Triple = key((10.0, 10.0, 5.0), "largest wanted body rates", "(0, 100]", "rad/s")
+    thrust_least: float = key(0.2, "least wanted collective thrust", "(0, 1]", "of the weight")
+    horizontal_margin: float = key(
+        0.3, "thrust kept for the horizontal where the vertical needs all", "[0, 1]", "of the largest thrust"
+    )
+    decoupled: bool = key(
+        True, "the tilt assumes a vertical specific force of g, so that the vertical does not change it"
+    )
+    rate_integral_limit: Triple = key(
+        (40.0, 40.0, 40.0), "largest integral of the rate loop, angular acceleration", "[0, 1e4]", "rad/s^2"
+    )
+    airmode: bool = key(False, "thrust may be raised where roll and pitch need it")
+    yaw_margin: float = key(0.15, "thrust that yaw may take away at the upper limit", "[0, 1]", "of the range")
+    rate_feedforward: bool = key(
+        False, "add the reference's body rates to the wanted ones; flight stacks take none but the yaw rate"
+    )
 
 
 class CascadeController(ExplicitController):
@@ -245,11 +230,7 @@ def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression
     mixed = ca.mtimes(rotation_matrix(reduced).T, ca.mtimes(R.T, R_d))  # about z by the rest of the yaw
     angle = weight * ca.atan2(mixed[1, 0] - mixed[0, 1], mixed[0, 0] + mixed[1, 1])
     c, s = ca.cos(angle / 2), ca.sin(angle / 2)
-    error = ca.vertcat(
-        reduced[1] * c + reduced[2] * s,
-        reduced[2] * c - reduced[1] * s,
-        reduced[0] * s,
-    )
+    error = ca.vertcat(reduced[1] * c + reduced[2] * s, reduced[2] * c - reduced[1] * s, reduced[0] * s)
     sign = ca.if_else(reduced[0] * c < 0, -1, 1)
     proportional = np.array(keys.attitude_proportional) / [1, 1, weight if weight > 1e-4 else 1]
     return 2 * sign * ca.DM(proportional) * error

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -46,7 +46,7 @@ from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Setting, Settings, Triple, part
+from quadexp.parts.settings import Backend, Settings, Triple, key, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -64,58 +64,31 @@ class GeometricKeys(Settings):
     prefix: ClassVar[str] = "controller."
 
     rate: Rate = 100.0
-    position_bandwidth: Annotated[
-        Triple,
-        Setting(
-            "w of the position loop, world axes: k_x = m w^2, k_v = 2 m damping w",
-            "[0, 100]",
-            "rad/s",
-            tuned=("1..20:log",),
-        ),
-    ] = (4.0, 4.0, 4.0)
-    position_damping: Annotated[
-        float, Setting("damping ratio of the position loop", "[0, 10]", tuned=("0.3..3:log",))
-    ] = 0.9
-    attitude_bandwidth: Annotated[
-        Triple,
-        Setting(
-            "w of roll, pitch and yaw: k_R = J w^2, k_w = 2 J damping w", "[0, 1000]", "rad/s", tuned=("5..60:log",)
-        ),
-    ] = (14.0, 14.0, 6.0)
-    attitude_damping: Annotated[
-        float, Setting("damping ratio of the attitude loop", "[0, 10]", tuned=("0.3..3:log",))
-    ] = 0.9
-    rates: Annotated[
-        Literal["exact", "reference", "none"],
-        Setting(
-            "desired body rate and its derivative: exact: of the desired attitude, as Lee et al. have it; reference:"
-            " those of the reference, without what feedback adds; none: zero"
-        ),
-    ] = "reference"
-    priority: Annotated[
-        Literal["tilt", "equal"],
-        Setting("where rotors reach their limits: tilt before thrust before yaw, or each rotor clipped by itself"),
-    ] = "tilt"
-    force_adaptation: Annotated[
-        float,
-        Setting(
-            "gain of the estimate of a constant acceleration (Goodarzi et al. 2015); 0: none", "[0, 1000]", "1/s^2"
-        ),
-    ] = 0.0
-    torque_adaptation: Annotated[
-        float,
-        Setting("gain of the estimate of a constant angular acceleration; 0: none", "[0, 1e5]", "1/s^2"),
-    ] = 0.0
-    position_share: Annotated[
-        float, Setting("c_1: share of the position error in the adaptation", "[0, 100]", "1/s")
-    ] = 2.0
-    attitude_share: Annotated[
-        float, Setting("c_2: share of the attitude error in the adaptation", "[0, 1000]", "1/s")
-    ] = 7.0
-    force_limit: Annotated[float, Setting("largest acceleration that is adapted", "[0, 100]", "m/s^2")] = 5.0
-    torque_limit: Annotated[float, Setting("largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")] = (
-        50.0
+    position_bandwidth: Triple = key(
+        (4.0, 4.0, 4.0), "w: k_x = m w^2, k_v = 2 m damping w", "[0, 100]", "rad/s", tuned="1..20:log"
     )
+    position_damping: float = key(0.9, "damping ratio of the position loop", "[0, 10]", tuned="0.3..3:log")
+    attitude_bandwidth: Triple = key(
+        (14.0, 14.0, 6.0), "w: k_R = J w^2, k_w = 2 J damping w", "[0, 1000]", "rad/s", tuned="5..60:log"
+    )
+    attitude_damping: float = key(0.9, "damping ratio of the attitude loop", "[0, 10]", tuned="0.3..3:log")
+    rates: Literal["exact", "reference", "none"] = key(
+        "reference",
+        "desired body rate: exact: of the desired attitude (Lee et al.); reference: without feedback; none: zero",
+    )
+    priority: Literal["tilt", "equal"] = key(
+        "tilt", "where rotors reach their limits: tilt before thrust before yaw, or each rotor clipped by itself"
+    )
+    force_adaptation: float = key(
+        0.0, "gain of the estimate of a constant acceleration (Goodarzi et al. 2015); 0: none", "[0, 1000]", "1/s^2"
+    )
+    torque_adaptation: float = key(
+        0.0, "gain of the estimate of a constant angular acceleration; 0: none", "[0, 1e5]", "1/s^2"
+    )
+    position_share: float = key(2.0, "c_1: share of the position error in the adaptation", "[0, 100]", "1/s")
+    attitude_share: float = key(7.0, "c_2: share of the attitude error in the adaptation", "[0, 1000]", "1/s")
+    force_limit: float = key(5.0, "largest acceleration that is adapted", "[0, 100]", "m/s^2")
+    torque_limit: float = key(50.0, "largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")
 
 
 class GeometricController(ExplicitController):
@@ -258,11 +231,7 @@ def _turning(
 ) -> tuple[Expression, Expression, Expression]:
     """A body axis (3,) in the world with its two derivatives, of an attitude with rate w and w', (3,) each."""
     across = ca.cross(w, axis)
-    return (
-        ca.mtimes(R, axis),
-        ca.mtimes(R, across),
-        ca.mtimes(R, ca.cross(w, across) + ca.cross(w_dot, axis)),
-    )
+    return (ca.mtimes(R, axis), ca.mtimes(R, across), ca.mtimes(R, ca.cross(w, across) + ca.cross(w_dot, axis)))
 
 
 def _reference_derivatives(
@@ -286,7 +255,7 @@ class Geometric(GeometricKeys, ControllerPart):
     """Geometric tracking on SE(3) (Lee, Leok, McClamroch 2010). residual: its model of the air."""
 
     former_kind = "geometric"
-    residual: Annotated[str, RESIDUAL] = "none"
+    residual: str = key("none", RESIDUAL)
     backend: Backend = "auto"
 
     def build(self, given: Given) -> Any:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Setting, Settings, part
+from quadexp.parts.settings import Backend, Settings, key, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -52,13 +52,9 @@ class RaptorKeys(Settings):
 
     prefix: ClassVar[str] = "controller."
 
-    rate: Annotated[float, Setting("control rate; the policy was trained at 100 Hz", "[1, 1000]", "Hz")] = 100.0
-    position_limit: Annotated[
-        float, Setting("largest position error that the policy is shown, each axis", "(0, 100]", "m")
-    ] = 0.5
-    velocity_limit: Annotated[
-        float, Setting("largest velocity error that the policy is shown, each axis", "(0, 100]", "m/s")
-    ] = 1.0
+    rate: float = key(100.0, "control rate; the policy was trained at 100 Hz", "[1, 1000]", "Hz")
+    position_limit: float = key(0.5, "largest position error that the policy is shown, each axis", "(0, 100]", "m")
+    velocity_limit: float = key(1.0, "largest velocity error that the policy is shown, each axis", "(0, 100]", "m/s")
 
 
 class RaptorController(ExplicitController):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 import time
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting, Settings, Triple, part
+from quadexp.parts.settings import Settings, Triple, key, part
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -36,18 +36,10 @@ class RotorPySE3Keys(Settings):
     prefix: ClassVar[str] = "controller."
 
     rate: Rate = 100.0
-    position_proportional: Annotated[Triple, Setting("kp_pos", "[0, 1000]", "1/s^2", tuned=("2..60:log",))] = (
-        6.5,
-        6.5,
-        15.0,
-    )
-    position_derivative: Annotated[Triple, Setting("kd_pos", "[0, 1000]", "1/s", tuned=("1..30:log",))] = (
-        4.0,
-        4.0,
-        9.0,
-    )
-    attitude_proportional: Annotated[float, Setting("kp_att", "[0, 1e5]", "1/s^2", tuned=("30..1000:log",))] = 310.0
-    attitude_derivative: Annotated[float, Setting("kd_att", "[0, 1e4]", "1/s", tuned=("8..120:log",))] = 57.0
+    position_proportional: Triple = key((6.5, 6.5, 15.0), "kp_pos", "[0, 1000]", "1/s^2", tuned="2..60:log")
+    position_derivative: Triple = key((4.0, 4.0, 9.0), "kd_pos", "[0, 1000]", "1/s", tuned="1..30:log")
+    attitude_proportional: float = key(310.0, "kp_att", "[0, 1e5]", "1/s^2", tuned="30..1000:log")
+    attitude_derivative: float = key(57.0, "kd_att", "[0, 1e4]", "1/s", tuned="8..120:log")
 
 
 class RotorPySE3Controller:

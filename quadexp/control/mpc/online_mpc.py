@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from quadexp.models.online import Adapting, Law, prior_belief, update_function
 from quadexp.models.residual import Residual, sum_residual
 from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting, Settings, part
+from quadexp.parts.settings import REQUIRED, Settings, key, part
 from quadexp.physics.vehicle import Vehicle
 
 FEATURES = (*MAKERS, "terms")  # models that are linear in some of their parameters
@@ -39,45 +39,30 @@ class AdaptKeys(Settings):
 
     prefix: ClassVar[str] = "controller.adapt."
 
-    law: Annotated[
-        Literal["bayes", "rls", "composite"],
-        Setting(
-            "bayes: Kalman filter with a pull to the prior; rls: recursive least squares with forgetting; composite:"
-            " bayes with the tracking error, Neural-Fly's law"
-        ),
-    ] = "bayes"
-    memory: Annotated[
-        float,
-        Setting("time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s"),
-    ] = 10.0
-    noise: Annotated[
-        float, Setting("standard deviation of a sample of the residual acceleration", "(0, 100]", "m/s^2")
-    ] = 0.1
-    deviation: Annotated[
-        float,
-        Setting("prior standard deviation of the acceleration that the weights can add, roughly", "(0, 100]", "m/s^2"),
-    ] = 0.8
-    fit_prior: Annotated[
-        bool, Setting("of a Gaussian process: take the signal variance of its fit in place of deviation")
-    ] = False
-    start: Annotated[
-        Literal["model", "zero"],
-        Setting("first weights, to which they return without data: those of the checkpoint, or zero"),
-    ] = "model"
-    fitc: Annotated[
-        bool,
-        Setting("of a Gaussian process: count what the inducing points do not know as noise (FITC), not variational"),
-    ] = False
-    every: Annotated[
-        int, Setting("control periods between two samples that are used; more than 1 where their noise is coloured",
-                     "[1, 1000]", "periods")
-    ] = 1  # fmt: skip
-    tracking: Annotated[
-        float, Setting("of law=composite: weight of the tracking error in the adaptation", "[0, 1e6]", "s^2 m^-2")
-    ] = 10.0
-    tracking_rate: Annotated[
-        float, Setting("of law=composite: Lambda of the tracking error (v - v_r) + Lambda (p - p_r)", "[0, 100]", "1/s")
-    ] = 1.0
+    law: Literal["bayes", "rls", "composite"] = key(
+        "bayes", "bayes: Kalman filter, pulled to the prior; rls: with forgetting; composite: bayes with tracking error"
+    )
+    memory: float = key(
+        10.0, "time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s"
+    )
+    noise: float = key(0.1, "standard deviation of a sample of the residual acceleration", "(0, 100]", "m/s^2")
+    deviation: float = key(
+        0.8, "prior standard deviation of the acceleration that the weights can add, roughly", "(0, 100]", "m/s^2"
+    )
+    fit_prior: bool = key(False, "of a Gaussian process: take the signal variance of its fit in place of deviation")
+    start: Literal["model", "zero"] = key(
+        "model", "first weights, to which they return without data: those of the checkpoint, or zero"
+    )
+    fitc: bool = key(
+        False, "of a Gaussian process: count what the inducing points do not know as noise (FITC), not variational"
+    )
+    every: int = key(1, "every how many periods a sample is used; above 1 for coloured noise", "[1, 1000]", "periods")
+    tracking: float = key(
+        10.0, "of law=composite: weight of the tracking error in the adaptation", "[0, 1e6]", "s^2 m^-2"
+    )
+    tracking_rate: float = key(
+        1.0, "of law=composite: Lambda of the tracking error (v - v_r) + Lambda (p - p_r)", "[0, 100]", "1/s"
+    )
 
 
 class AdaptingController(PredictiveController):
@@ -183,11 +168,9 @@ class OnlineMPC(PredictivePart):
     """
 
     former_kind = "online_mpc"
-    residual: Annotated[tuple[str, ...], Setting("summed models; the weights of the last one adapt")]
-    reference_period: Annotated[
-        float, Setting("time between new references from the adapted model; 0: never", "[0, 3600]", "s")
-    ] = 1.0
-    adapt: Annotated[AdaptKeys, Setting("how the weights adapt", tuned=(".memory=0.1..100:log", ".noise=0.03..3:log"))]
+    residual: tuple[str, ...] = key(REQUIRED, "summed models; the weights of the last one adapt")
+    reference_period: float = key(1.0, "time between new references from the adapted model; 0: never", "[0, 3600]", "s")
+    adapt: AdaptKeys = key(REQUIRED, "how the weights adapt", tuned=".memory=0.1..100:log .noise=0.03..3:log")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -203,10 +186,10 @@ class OnlineMPC(PredictivePart):
         from quadexp.models.terms import adapting_terms
 
         *others, last = self.residual
-        for key in ("fit_prior", "fitc"):
-            if getattr(self.adapt, key) and last != "gaussian_process":
-                has = "fitted signal variance" if key == "fit_prior" else "inducing points"
-                raise UsageError(f"controller.adapt.{key}: {last} has no {has}, a Gaussian process has")
+        for name in ("fit_prior", "fitc"):
+            if getattr(self.adapt, name) and last != "gaussian_process":
+                has = "fitted signal variance" if name == "fit_prior" else "inducing points"
+                raise UsageError(f"controller.adapt.{name}: {last} has no {has}, a Gaussian process has")
         if last in MAKERS:
             residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
             deviation = None if self.adapt.fit_prior else self.adapt.deviation

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Setting, part
+from quadexp.parts.settings import REQUIRED, Backend, Setting, key, part
 
 PARTS = Setting("models that are added to the rigid body in the prediction, and summed")
 
@@ -21,9 +21,7 @@ class PredictivePart(MPCSettings, ControllerPart):
 
     former_kind = "mpc"
     backend: Backend = "auto"
-    allow_unstable: Annotated[
-        bool, Setting("fly although the plant's own lag or delay makes the loop unstable at hover")
-    ] = False
+    allow_unstable: bool = key(False, "fly although the plant's own lag or delay makes the loop unstable at hover")
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""
@@ -50,7 +48,7 @@ class PredictivePart(MPCSettings, ControllerPart):
 class MPC(PredictivePart):
     """Model predictive control (Torrente et al. 2021). residual: its model of the air."""
 
-    residual: Annotated[str, RESIDUAL]
+    residual: str = key(REQUIRED, RESIDUAL)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +56,7 @@ class SumMPC(PredictivePart):
     """MPC with a sum of models; `models` holds one checkpoint folder for each of them."""
 
     former_kind = "sum_mpc"
-    residual: Annotated[tuple[str, ...], PARTS]
+    residual: tuple[str, ...] = key(REQUIRED, PARTS)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,7 +8,7 @@ too; they are recomputed with the newest coefficients every reference_period, wh
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.models.rls import Identification
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Setting, part
+from quadexp.parts.settings import REQUIRED, key, part
 
 # Changes of (C_d0, C_la, C_D) for which the reference is recomputed: each is about 0.05 m/s^2 at 10 m/s.
 NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
@@ -87,12 +87,11 @@ class RLSMPC(PredictivePart):
     reference_period: s between new references from the identified coefficients; 0: never."""
 
     former_kind = "rls_mpc"
-    residual: Annotated[Literal["blade_element"], RESIDUAL] = "blade_element"
-    reference_period: Annotated[
-        float,
-        Setting("time between new references from the identified coefficients; 0: never", "[0, 3600]", "s"),
-    ]
-    rls: Annotated[Identification, Setting("recursive least squares in flight", tuned=(".noise=0.01..1:log",))]
+    residual: Literal["blade_element"] = key("blade_element", RESIDUAL)
+    reference_period: float = key(
+        REQUIRED, "time between new references from the identified coefficients; 0: never", "[0, 3600]", "s"
+    )
+    rls: Identification = key(REQUIRED, "recursive least squares in flight", tuned=".noise=0.01..1:log")
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Setting, Settings, Triple
+from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -26,102 +26,52 @@ class MPCSettings(Settings):
 
     prefix: ClassVar[str] = "controller."
 
-    horizon: Annotated[float, Setting("length of the prediction horizon", "(0, 10]", "s")] = 1.0
-    nodes: Annotated[int, Setting("number of intervals of the horizon", "[2, 200]", "nodes")] = 10
-    first_node: Annotated[
-        float,
-        Setting(
-            "length of the first interval, from which the others grow; 0: equal intervals, as published. A short first"
-            " interval reduces the tracking error and the margin for delays that the controller does not know",
-            "[0, 10]",
-            "s",
-        ),
-    ] = 0.0
-    input_hold: Annotated[
-        Literal["command", "deviation"],
-        Setting(
-            "what the prediction keeps constant within an interval: the command, as published, or its deviation from"
-            " the reference's thrust; then long intervals cost no accuracy on the reference"
-        ),
-    ] = "command"
-    dead_time: Annotated[
-        float,
-        Setting(
-            "known delay between a command and its thrust; the state is predicted over it with the commands already"
-            " sent."
-            " Includes the time constant of any lag that motor_lag does not model",
-            "[0, 0.5]",
-            "s",
-        ),
-    ] = 0.0
-    motor_lag: Annotated[
-        float,
-        Setting(
-            "known time constant of the rotor thrusts, which then are states of the model; 0: no lag", "[0, 0.5]", "s"
-        ),
-    ] = 0.0
-    motor_lead: Annotated[
-        float,
-        Setting(
-            "time constant of the rotors' first-order lag that is inverted behind the MPC, which plans without it;"
-            " cheaper than motor_lag; 0: none",
-            "[0, 0.5]",
-            "s",
-        ),
-    ] = 0.0
-    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 50.0
-    position_weight: Annotated[
-        Triple, Setting("weight of the squared position error, world axes, m^-2", "[0, 1e6]", tuned=("1..1000:log",))
-    ] = (10.0, 10.0, 10.0)
-    attitude_weight: Annotated[
-        tuple[float, float, float, float],
-        Setting(
-            "weight of the squared components of the attitude error, a quaternion with w first; see attitude_error",
-            "[0, 1e6]",
-            tuned=("0.01..10:log",),
-        ),
-    ] = (0.0, 0.1, 0.1, 0.1)
-    attitude_error: Annotated[
-        Literal["plain", "body", "world"],
-        Setting(
-            "plain: q - q_ref as in the paper's code, so that the effect of unequal weights depends on the heading;"
-            " body:"
-            " the rotation q_ref^-1 o q, whose weights act on roll, pitch and yaw errors; world: q o q_ref^-1, whose"
-            " weights act on turns about the world's axes"
-        ),
-    ] = "plain"
-    velocity_weight: Annotated[
-        Triple,
-        Setting("weight of the squared velocity error, world axes, s^2 m^-2", "[0, 1e6]", tuned=("0.005..5:log",)),
-    ] = (0.05, 0.05, 0.05)
-    rate_weight: Annotated[
-        Triple, Setting("weight of the squared body rate error, s^2", "[0, 1e6]", tuned=("0.005..5:log",))
-    ] = (0.05, 0.05, 0.05)
-    input_weight: Annotated[
-        float, Setting("weight of the squared thrust error divided by thrust_max", "(0, 1e6]", tuned=("0.01..1:log",))
-    ] = 0.1
-    terminal_weight: Annotated[
-        float,
-        Setting(
-            "factor on the weights of the state at the last node; 0: no terminal cost, as in the paper's code",
-            "[0, 1e6]",
-        ),
-    ] = 0.0
-    feedforward: Annotated[
-        bool, Setting("compute the reference attitude, rates and thrusts with the controller's model of the air")
-    ] = True
-    initial_iterations: Annotated[
-        int,
-        Setting(
-            "largest number of SQP iterations before the first input: 20 with full steps, then with a line search until"
-            " converged; every later control step makes one iteration",
-            "[1, 1000]",
-        ),
-    ] = 400
-    distance_limit: Annotated[
-        float,
-        Setting("largest position error that the MPC acts on; a larger one is reduced to this length", "(0, 1e6]", "m"),
-    ] = 10.0
+    horizon: float = key(1.0, "length of the prediction horizon", "(0, 10]", "s")
+    nodes: int = key(10, "number of intervals of the horizon", "[2, 200]", "nodes")
+    first_node: float = key(
+        0.0, "first interval, from which the others grow: less error, less margin; 0: equal ones", "[0, 10]", "s"
+    )
+    input_hold: Literal["command", "deviation"] = key(
+        "command", "what is constant in an interval: the command, or its deviation from the reference"
+    )
+    dead_time: float = key(
+        0.0, "known delay of thrust, predicted over; with any lag that motor_lag does not model", "[0, 0.5]", "s"
+    )
+    motor_lag: float = key(
+        0.0, "known time constant of the rotor thrusts, which then are states of the model; 0: no lag", "[0, 0.5]", "s"
+    )
+    motor_lead: float = key(
+        0.0, "rotors' lag that is inverted behind the MPC; cheaper than motor_lag; 0: none", "[0, 0.5]", "s"
+    )
+    rate: float = key(50.0, "control rate", "[1, 1000]", "Hz")
+    position_weight: Triple = key(
+        (10.0, 10.0, 10.0), "weight of the squared position error, world axes, m^-2", "[0, 1e6]", tuned="1..1000:log"
+    )
+    attitude_weight: tuple[float, float, float, float] = key(
+        (0.0, 0.1, 0.1, 0.1), "on the squared attitude error, w first", "[0, 1e6]", tuned="0.01..10:log"
+    )
+    attitude_error: Literal["plain", "body", "world"] = key(
+        "plain", "plain: q - q_ref, as published; body: q_ref^-1 o q, roll, pitch and yaw errors; world: q o q_ref^-1"
+    )
+    velocity_weight: Triple = key(
+        (0.05, 0.05, 0.05), "on the squared velocity error, s^2 m^-2", "[0, 1e6]", tuned="0.005..5:log"
+    )
+    rate_weight: Triple = key(
+        (0.05, 0.05, 0.05), "weight of the squared body rate error, s^2", "[0, 1e6]", tuned="0.005..5:log"
+    )
+    input_weight: float = key(
+        0.1, "weight of the squared thrust error divided by thrust_max", "(0, 1e6]", tuned="0.01..1:log"
+    )
+    terminal_weight: float = key(
+        0.0, "factor on the weights of the last state; 0: no terminal cost, as published", "[0, 1e6]"
+    )
+    feedforward: bool = key(
+        True, "compute the reference attitude, rates and thrusts with the controller's model of the air"
+    )
+    initial_iterations: int = key(400, "largest number of SQP iterations before the first input", "[1, 1000]")
+    distance_limit: float = key(
+        10.0, "largest position error that the MPC acts on; a larger one is reduced to this length", "(0, 1e6]", "m"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -66,11 +66,7 @@ def forward_pass(
 
 
 def input_gradient(
-    passes: Passes,
-    A: Sequence[Expression],
-    B: Sequence[Expression],
-    q: Sequence[Expression],
-    r: Sequence[Expression],
+    passes: Passes, A: Sequence[Expression], B: Sequence[Expression], q: Sequence[Expression], r: Sequence[Expression]
 ) -> tuple[Expression, list[Expression]]:
     """Derivative of the Lagrangian with respect to each input of some nodes, q also of the one behind the last.
 

@@ -20,34 +20,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.observers.observer import (
-    Observer,
-    ObserverPart,
-    Update,
-    air_of,
-    arguments,
-    believer,
-    callable_air,
-)
-from quadexp.control.observers.scaled_force import (
-    APART,
-    N_SCALED,
-    N_SCALED_STATE,
-    scaled_force_update,
-)
+from quadexp.control.observers.observer import Observer, ObserverPart, Update, air_of, arguments, believer, callable_air
+from quadexp.control.observers.scaled_force import APART, N_SCALED, N_SCALED_STATE, scaled_force_update
 from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -61,9 +48,9 @@ N_FORCE_SETTINGS = 8
 def with_disturbance_observer(controller: Controller, config: DisturbanceObserver) -> Observer:
     """The controller with a disturbance observer; raises UsageError where it cannot be told of a disturbance."""
     inner = believer(controller, config.name)
-    for key in ("scale_walk", "air_walk"):
-        if config.source == "velocity" and getattr(config, key) > 0:
-            raise UsageError(f"observer.{key}: a scale is found from the accelerometer, not with source=velocity")
+    for name in ("scale_walk", "air_walk"):
+        if config.source == "velocity" and getattr(config, name) > 0:
+            raise UsageError(f"observer.{name}: a scale is found from the accelerometer, not with source=velocity")
     core = innermost(inner)
     if config.air_walk > 0 and isinstance(core, PredictiveController) and core.mpc.residual.unscaled is None:
         raise UsageError("observer.air_walk: the MPC was made without a scale of its model of the air (air.scaled)")
@@ -109,13 +96,7 @@ def disturbance_settings(config: DisturbanceObserver, period: float) -> np.ndarr
 
 
 def disturbance_function(
-    vehicle: Vehicle,
-    residual: Residual,
-    period: float,
-    backend: str,
-    *,
-    velocity: bool = False,
-    scaled: bool = False,
+    vehicle: Vehicle, residual: Residual, period: float, backend: str, *, velocity: bool = False, scaled: bool = False
 ) -> ca.Function:
     """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
     scales, see control.observers.scaled_force, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
@@ -159,48 +140,23 @@ def disturbance_function(
 class DisturbanceObserver(ObserverPart):
     """Force and torque beyond the model."""
 
-    source: Annotated[
-        Literal["accelerometer", "velocity"],
-        Setting("what the force is found from: the accelerometer, or the velocity where there is none"),
-    ] = "accelerometer"
-    force_bandwidth: Annotated[
-        float, Setting("bandwidth of the estimated force", "(0, 1000]", "rad/s", tuned=("1..100:log",))
-    ] = 25.0
-    force_noise: Annotated[
-        float,
-        Setting(
-            "standard deviation of the accelerometer's readings from the model; only its ratio to the initial one"
-            " matters, for how fast the first estimates are",
-            "(0, 1000]",
-            "m/s^2",
-        ),
-    ] = 0.1
-    force_initial: Annotated[
-        float, Setting("standard deviation of the force over the mass when a flight begins", "[0, 1000]", "m/s^2")
-    ] = 3.0
-    force_limit: Annotated[float, Setting("largest estimated force over the mass", "(0, 1000]", "m/s^2")] = 15.0
-    scale_walk: Annotated[
-        float,
-        Setting(
-            "how fast the thrust scale changes, which is estimated beside the force: standard deviation that it gains"
-            " in a second; 0: it is not estimated",
-            "[0, 1]",
-        ),
-    ] = 0.0
-    scale_initial: Annotated[
-        float, Setting("standard deviation of the thrust scale when a flight begins", "[0, 1]")
-    ] = 0.3
-    air_walk: Annotated[
-        float,
-        Setting(
-            "how fast the scale of the air's force (of drag) changes, likewise; for controllers that know drag;"
-            " 0: it is not estimated",
-            "[0, 10]",
-        ),
-    ] = 0.0
-    air_initial: Annotated[float, Setting("standard deviation of the air's scale when a flight begins", "[0, 10]")] = (
-        1.0
+    source: Literal["accelerometer", "velocity"] = key(
+        "accelerometer", "what the force is found from: the accelerometer, or the velocity where there is none"
     )
+    force_bandwidth: float = key(25.0, "bandwidth of the estimated force", "(0, 1000]", "rad/s", tuned="1..100:log")
+    force_noise: float = key(
+        0.1, "standard deviation of the accelerometer from the model; its ratio to initial counts", "(0, 1000]", "m/s^2"
+    )
+    force_initial: float = key(
+        3.0, "standard deviation of the force over the mass when a flight begins", "[0, 1000]", "m/s^2"
+    )
+    force_limit: float = key(15.0, "largest estimated force over the mass", "(0, 1000]", "m/s^2")
+    scale_walk: float = key(
+        0.0, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
+    )
+    scale_initial: float = key(0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    air_walk: float = key(0.0, "likewise of the scale of the air's force; 0: not estimated", "[0, 10]")
+    air_initial: float = key(1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]")
 
     @property
     def scales_air(self) -> bool:
@@ -218,10 +174,10 @@ class DisturbanceObserver(ObserverPart):
         told = [getattr(part, key, None) for part in (self, controller) for key in ("motor_lag", "dead_time")]
         if vehicle.thrust_coefficient is not None or not lag or any(told) or any(one.finds_delays for one in others):
             return
-        for key in ("scale_walk", "air_walk"):
-            if getattr(self, key) > 0:
+        for name in ("scale_walk", "air_walk"):
+            if getattr(self, name) > 0:
                 raise UsageError(
-                    f"observer.{key}: a scale is found from rotor speeds, which need vehicle.thrust_coefficient, and"
+                    f"observer.{name}: a scale is found from rotor speeds, which need vehicle.thrust_coefficient, and"
                     f" vehicle={vehicle.name} has none; its motors lag by {1e3 * lag:.0f} ms here: give the"
                     f" coefficient, or observer.motor_lag and observer.dead_time, or observer.{key}=0"
                 )

@@ -11,7 +11,7 @@ parameters of the controller's model of the air. It runs from the second instant
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, no_residual
-from quadexp.parts.settings import Setting
+from quadexp.parts.settings import key
 from quadexp.physics.vehicle import Vehicle
 
 COLUMNS = (
@@ -50,38 +50,19 @@ class ObserverPart(Remedy):
     prefix = "observer."
     believes = True
 
-    torque_bandwidth: Annotated[
-        float,
-        Setting(
-            "bandwidth of the estimated torque, from the measured body rates; 0: no torque",
-            "[0, 1000]",
-            "rad/s",
-            tuned=("1..100:log",),
-        ),
-    ] = 15.0
-    torque_limit: Annotated[
-        float, Setting("largest estimated torque on an axis, over its inertia", "(0, 1e6]", "rad/s^2")
-    ] = 100.0
-    targets: Annotated[
-        bool,
-        Setting(
-            "recompute attitudes and thrusts of the reference so that they hold the path under what is estimated; an"
-            " MPC with weights on them keeps an offset otherwise"
-        ),
-    ] = True
-    dead_time: Annotated[
-        float | None,
-        Setting(
-            "delay between a command and its thrust with which the delivered thrusts are computed where rotor speeds"
-            " are not measured; null: the controller's",
-            "[0, 0.5]",
-            "s",
-        ),
-    ] = None
-    motor_lag: Annotated[
-        float | None,
-        Setting("time constant of the rotors, likewise; null: the controller's", "[0, 0.5]", "s"),
-    ] = None
+    torque_bandwidth: float = key(
+        15.0, "of the estimated torque; 0: no torque", "[0, 1000]", "rad/s", tuned="1..100:log"
+    )
+    torque_limit: float = key(100.0, "largest estimated torque on an axis, over its inertia", "(0, 1e6]", "rad/s^2")
+    targets: bool = key(
+        True, "recompute attitudes and thrusts of the reference so that they hold the path under what is estimated"
+    )
+    dead_time: float | None = key(
+        None, "of thrust, where rotor speeds are not measured; null: the controller's", "[0, 0.5]", "s"
+    )
+    motor_lag: float | None = key(
+        None, "time constant of the rotors, likewise; null: the controller's", "[0, 0.5]", "s"
+    )
 
 
 class Update(NamedTuple):

@@ -19,7 +19,7 @@ what can be done.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, 
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
-from quadexp.parts.settings import Setting, Triple
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -153,51 +153,29 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
 class WindObserver(ObserverPart):
     """Wind from the drag that it causes."""
 
-    noise: Annotated[
-        Triple,
-        Setting(
-            "standard deviation of the accelerometer's readings from the model, body axes; a large one on z, where"
-            " thrust that comes late or is scaled would be taken for wind",
-            "(0, 1000]",
-            "m/s^2",
-        ),
-    ] = (0.1, 0.1, 3.0)
-    force_bandwidth: Annotated[
-        float,
-        Setting("bandwidth of the force that the wind leaves unexplained; 0: none", "[0, 1000]", "rad/s"),
-    ] = 25.0
-    wind_walk: Annotated[
-        float,
-        Setting(
-            "how fast the wind changes: standard deviation that it gains in a second",
-            "[0, 100]",
-            "m/s",
-            tuned=("0.1..20:log",),
-        ),
-    ] = 1.5
-    wind_initial: Annotated[
-        float, Setting("standard deviation of the wind when a flight begins, and the largest later", "(0, 100]", "m/s")
-    ] = 4.0
-    wind_limit: Annotated[float, Setting("largest estimated wind", "(0, 100]", "m/s")] = 25.0
-    scale_walk: Annotated[
-        float,
-        Setting(
-            "how fast the thrust scale changes: standard deviation that it gains in a second; 0: it is not estimated",
-            "[0, 1]",
-        ),
-    ] = 0.005
-    scale_initial: Annotated[
-        float, Setting("standard deviation of the thrust scale when a flight begins", "[0, 1]")
-    ] = 0.05
-    least_bandwidth: Annotated[
-        float,
-        Setting(
-            "bandwidth of the estimated wind below which the vehicle's drag is too little to measure it, and the"
-            " controller is refused",
-            "[0, 1000]",
-            "rad/s",
-        ),
-    ] = 1.0
+    noise: Triple = key(
+        (0.1, 0.1, 3.0),
+        "standard deviation of the accelerometer from the model; large on z: thrust is uncertain",
+        "(0, 1000]",
+        "m/s^2",
+    )
+    force_bandwidth: float = key(
+        25.0, "bandwidth of the force that the wind leaves unexplained; 0: none", "[0, 1000]", "rad/s"
+    )
+    wind_walk: float = key(
+        1.5, "what the wind's standard deviation gains in a second", "[0, 100]", "m/s", tuned="0.1..20:log"
+    )
+    wind_initial: float = key(
+        4.0, "standard deviation of the wind when a flight begins, and the largest later", "(0, 100]", "m/s"
+    )
+    wind_limit: float = key(25.0, "largest estimated wind", "(0, 100]", "m/s")
+    scale_walk: float = key(
+        0.005, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
+    )
+    scale_initial: float = key(0.05, "standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    least_bandwidth: float = key(
+        1.0, "of the wind estimate; where drag gives less the controller is refused", "[0, 1000]", "rad/s"
+    )
 
     def around(self, controller: Any) -> Observer:
         """See Remedy."""

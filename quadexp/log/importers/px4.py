@@ -59,10 +59,7 @@ SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
         ("vehicle_odometry", ("rollspeed", "pitchspeed", "yawspeed")),
         ("vehicle_angular_velocity_groundtruth", _XYZ),
     ],
-    "acceleration": [
-        ("sensor_combined", _array("accelerometer_m_s2")),
-        ("vehicle_acceleration", _XYZ),
-    ],
+    "acceleration": [("sensor_combined", _array("accelerometer_m_s2")), ("vehicle_acceleration", _XYZ)],
     "battery_voltage": [("battery_status", ("voltage_v",)), ("battery_status", ("voltage_filtered_v",))],
     "wind": [("wind", ("windspeed_north", "windspeed_east")), ("wind_estimate", ("windspeed_north", "windspeed_east"))],
     "reference_position": [("vehicle_local_position_setpoint", ("x", "y", "z"))],

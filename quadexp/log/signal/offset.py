@@ -51,10 +51,7 @@ class Offset(NamedTuple):
     certain: bool
 
 
-def estimate_offset(
-    a: tuple[np.ndarray, np.ndarray],
-    b: tuple[np.ndarray, np.ndarray],
-) -> Offset:
+def estimate_offset(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> Offset:
     """Offset of stream b behind stream a; both (k, m) with the same m, columns in the same order, units free.
 
     Raises DataError where there is too little common data or nothing moves.

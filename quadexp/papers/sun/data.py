@@ -66,11 +66,7 @@ def ellipses() -> tuple[Ellipse, ...]:
     """All 144, the horizontal ones first."""
     return tuple(
         Ellipse(
-            row["plane"],
-            float(row["speed"]),
-            float(row["acceleration"]),
-            float(row["ratio"]),
-            row["feasible"] == "1",
+            row["plane"], float(row["speed"]), float(row["acceleration"]), float(row["ratio"]), row["feasible"] == "1"
         )
         for row in _rows("ellipses.csv")
     )

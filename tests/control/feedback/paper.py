@@ -108,11 +108,7 @@ def control(
     eta_dot = np.linalg.solve(W, rate)
     p, t = eta_dot[:2]
     W_dot = np.array(
-        [
-            [0, 0, -ct * t],
-            [0, -sp * p, cp * ct * p - sp * st * t],
-            [0, -cp * p, -sp * ct * p - cp * st * t],
-        ]
+        [[0, 0, -ct * t], [0, -sp * p, cp * ct * p - sp * st * t], [0, -cp * p, -sp * ct * p - cp * st * t]]
     )
     error = np.array([eta[0] - phi_d, eta[1] - theta_d, wrap(eta[2] - psi_d)])
     error_dot = eta_dot - np.array([x_phi[1], x_theta[1], psi_d_dot])
