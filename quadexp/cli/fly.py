@@ -17,7 +17,7 @@ FIGURES = 5  # of a usual sweep
 SAMPLED = 200  # cells that are looked at for what their flights import
 DRAWING = ("quadexp.report.figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
 NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
-    "random": ("quadexp.reference.random_polynomial", "quadexp.reference.minimum_snap", "quadexp.reference.time_scale"),
+    "random": ("quadexp.reference.random_polynomial", "quadexp.reference.polynomial"),
     "file": ("quadexp.reference.from_file",),
     "feedback": ("quadexp.control.feedback.controller",),
 }

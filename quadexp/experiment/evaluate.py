@@ -85,7 +85,7 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
     single rotor thrust or a rate beyond its limit, mostly due to a prescribed yaw, causes attitude errors but the path
     can still be flown: this is only noted.
     """
-    from quadexp.reference.feasibility import check_feasible as compare
+    from quadexp.reference.flatness import check_feasible as compare
 
     _check_finite(config, trajectory)
     reference = _coarse_reference(trajectory, vehicle)

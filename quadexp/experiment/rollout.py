@@ -22,8 +22,7 @@ from quadexp.models.residual import Residual
 from quadexp.physics.rotation import heading, heading_rate
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, in_motion, input_columns
 from quadexp.reference.base import Trajectory
-from quadexp.reference.feasibility import clipped
-from quadexp.reference.flatness import Reference, flat_reference
+from quadexp.reference.flatness import Reference, clipped, flat_reference
 from quadexp.world.base import Plant
 from quadexp.world.integrator import SimulatedPlant
 from quadexp.world.streams import part_stream, sampled

@@ -18,15 +18,13 @@ from quadexp.physics.vehicle import Vehicle
 
 SPEED = Setting(
     "nominal speed (circle, lemniscate; `quadexp simulate` prints the peak speed), or largest speed of the path"
-    " (random,"
-    " waypoints without t), reduced where the vehicle's limits do not allow it; the column `speed` of tables",
+    " (random, waypoints without t), reduced where the vehicle's limits do not allow it; the column `speed` of tables",
     "(0, 60]",
     "m/s",
 )
 MARGIN = Setting(
     "control authority that the reference leaves unused, as a share: of the range between the hover thrust and the"
-    " thrust"
-    " limits, and of the largest body rate",
+    " thrust limits, and of the largest body rate",
     "[0, 0.9]",
 )
 RADIUS = Setting("radius of the circle, half width of the lemniscate", "(0, 1000]", "m")
@@ -41,7 +39,7 @@ class FlatOutput:
 
     position: (k, 5, 3), world: position (m), velocity, acceleration, jerk, snap (m/s .. m/s^4).
     yaw: (k, 3): heading (rad), rate (rad/s), acceleration (rad/s^2); None where the heading is free: from 0 at the
-        start the vehicle does not turn about its thrust axis (body yaw rate zero, Torrente et al. 2021; demand.py).
+        start the vehicle does not turn about its thrust axis (body yaw rate zero, Torrente et al. 2021; motion.py).
     """
 
     position: np.ndarray
@@ -93,11 +91,29 @@ class TrajectoryPart(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedTrajectory(TrajectoryPart):
-    """A path that is timed by the limits of the vehicle. vehicle: whose; None: no limits."""
+    """A path that is timed by the limits of the vehicle. vehicle: whose; None: no limits.
+
+    flown: the path with its times, which a subclass makes when it is first asked for.
+    """
 
     follows_limits = True
 
     vehicle: Vehicle | None = None
+
+    @property
+    def flown(self) -> Trajectory:
+        raise NotImplementedError
+
+    @property
+    def duration(self) -> float:
+        return self.flown.duration
+
+    @property
+    def peak_speed(self) -> float:
+        return self.flown.peak_speed
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        return self.flown.flat_output(t)
 
     def build(self, vehicle: Vehicle | None) -> Any:
         """See TrajectoryPart; UsageError without a vehicle."""
@@ -134,17 +150,3 @@ def sampled_peak_speed(trajectory: Trajectory, step: float = 2e-3) -> float:
     """Largest speed on a grid of `step` (s), m/s."""
     t = np.linspace(0.0, trajectory.duration, int(np.ceil(trajectory.duration / step)) + 1)
     return float(np.linalg.norm(trajectory.flat_output(t).position[:, 1], axis=1).max())
-
-
-def check_positive(**values: float) -> None:
-    """Raise UsageError for a value that is not finite and above zero; keywords are configuration keys."""
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0):
-            raise UsageError(f"trajectory.{name}: {value!r} is not allowed, it must be finite and above 0")
-
-
-def check_finite(**values: float | None) -> None:
-    """Raise UsageError for a value that is neither finite nor None; keywords are configuration keys."""
-    for name, value in values.items():
-        if value is not None and not np.isfinite(value):
-            raise UsageError(f"trajectory.{name}: {value!r} is not allowed, it must be a finite number")

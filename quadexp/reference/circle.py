@@ -25,12 +25,11 @@ class Circle(ProfiledPath):
 
     @property
     def peak_speed(self) -> float:
-        return self.profile.peak_speed
+        return self.peak_angle_speed
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
         t, inside = hold_outside(t, self.duration)
-        point = self.radius * phasor(self.profile.angle(t))
+        point = self.radius * phasor(self.angle(t))
         position = np.zeros((len(t), N_DERIVATIVES, 3))
         position[:, :, 0] = point.real
         position[:, :, 1] = point.imag

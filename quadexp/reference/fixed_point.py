@@ -17,31 +17,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.air_model import AirModel
-from quadexp.reference.air_step import predicted_and_next, reachable
-from quadexp.reference.demand import Demand
-from quadexp.reference.motion import Air, Calculus, Motion, flat_motion
+from quadexp.reference.air_step import AirModel, predicted_and_next, reachable
+from quadexp.reference.motion import Air, Calculus, Demand, Motion, flat_motion
 from quadexp.reference.traced import CompiledStep
 
 KINK = 0.5  # m/s^2, N m: change accepted where a rotor reaches its limit, for the whole residual
 SETTLED = 0.3  # m/s^2: until l changes by less per iteration its time derivatives are noise, and set to zero
 PATIENCE, PROGRESS = 12, 0.5  # iterations within which the change must fall to this share of its smallest value so far
 FALLING, SHORTEST = 0.9, 0.1  # where the change does not fall to this share, the step is halved, down to the second
-
-
-class Outcome(Enum):
-    """How an iteration ended: at the tolerance, without progress for PATIENCE iterations, or out of iterations."""
-
-    CONVERGED = "converged"
-    STALLED = "stalled"
-    EXHAUSTED = "out of iterations"
 
 
 @dataclass(frozen=True)
@@ -55,13 +44,16 @@ class Settings:
 
 @dataclass(frozen=True)
 class Iterated:
-    """The last air of an iteration, the one before, and its last change at every time, (k,) (m/s^2, N m)."""
+    """The last air of an iteration, the one before, and its last change at every time, (k,) (m/s^2, N m).
+
+    failure: "" at the tolerance, else "stalled", without progress for PATIENCE iterations, or "out of iterations".
+    """
 
     air: Air
     used: Air
     change: np.ndarray
     iterations: int
-    outcome: Outcome
+    failure: str
 
 
 def consistent_air(
@@ -85,13 +77,13 @@ def consistent_air(
         return air, flat_motion(demand, vehicle, air, calculus)
     iteration = _Iteration(demand, vehicle, model, calculus, settings)
     result = iteration.run(air, decoupled=False)
-    if result.outcome is not Outcome.CONVERGED and settings.corners:
+    if result.failure and settings.corners:
         result = iteration.run(air, decoupled=True)
-    if result.outcome is Outcome.CONVERGED or (settings.corners and result.change.max() < KINK * model.share):
+    if not result.failure or (settings.corners and result.change.max() < KINK * model.share):
         return result.air, flat_motion(demand, vehicle, result.used, calculus)
     worst = int(np.argmax(result.change))
     raise UsageError(
-        f"the reference with residual {model.name!r} does not converge: {result.outcome.value} after"
+        f"the reference with residual {model.name!r} does not converge: {result.failure} after"
         f" {result.iterations} iterations, last change {result.change[worst]:.2g} (m/s^2, N m) at"
         f" t = {demand.t[worst]:.2f} s; lower trajectory.speed or check the model"
     )
@@ -140,11 +132,11 @@ class _Iteration:
             air = Air.of_outputs(outputs)
             if settled and not decoupled:
                 air = Air(outputs, *self.calculus.differentiate(outputs[:2]))
-            result = Iterated(air, used, change, i + 1, Outcome.EXHAUSTED)
+            result = Iterated(air, used, change, i + 1, "out of iterations")
             if settled and change.max() < self.settings.tolerance:
-                return replace(result, outcome=Outcome.CONVERGED)
+                return replace(result, failure="")
             if stall.after(change.max()):
-                return replace(result, outcome=Outcome.STALLED)
+                return replace(result, failure="stalled")
         return result
 
     @cached_property

@@ -1,15 +1,18 @@
-"""State and input references from a trajectory by differential flatness, with or without a residual model.
+"""State and input references from a trajectory by differential flatness, with or without a residual model, and whether
+a vehicle can fly them.
 
     flat output p(t), heading  ->  R, w, w'  ->  x = [p, q, v, w],  u = G^+ [m (c - a_air,z), J w' + w x J w - tau_air]
 
 Without a residual the map is in closed form (flat_map.py; Mellinger & Kumar 2011). With a residual model the
 acceleration and torque of the air are the fixed point of fixed_point.py, solved on a regular grid of times
-(time_grid.py) and interpolated. Headings: demand.py.
+(time_grid.py) and interpolated. Headings: motion.py.
 
 Where no solution of y = r(z(y)) is found, the reference contains a share h of the residual, y = h r(z(y)). h is one
 number for the whole path, so that attitude, body rates and thrusts remain derivatives of each other and the reference
 satisfies the equations of motion with h r. The largest h is found by bisection on a coarse grid, each attempt starting
 from the solution for the largest share so far. h = 0 is the reference without residual. World ENU, body FLU, SI.
+
+A vehicle can fly a reference with thrust_min <= u_i <= thrust_max (N) and |w| <= rate_max (rad/s).
 """
 
 from __future__ import annotations
@@ -22,12 +25,12 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
+from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.air_model import AirModel
+from quadexp.reference.air_step import AirModel
 from quadexp.reference.base import Trajectory, end_of
-from quadexp.reference.demand import Demand
 from quadexp.reference.fixed_point import Settings, consistent_air
-from quadexp.reference.motion import Air, Constant, Motion, flat_motion
+from quadexp.reference.motion import Air, Constant, Demand, Motion, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
 # On the last change of the residual's outputs, m/s^2 and N m: the error is some tenths of it; and of each of the two
@@ -44,7 +47,7 @@ class Reference:
     """State and input of the vehicle on the trajectory.
 
     t: (k,), s. state: (k, 13), see quadexp.physics.state; the quaternion's sign is continuous and starts with w >= 0.
-    input: rotor thrusts, (k, n), N; beyond the limits where the trajectory cannot be flown (see feasibility.py).
+    input: rotor thrusts, (k, n), N; beyond the limits where the trajectory cannot be flown (see check_feasible).
     residual: share of the residual model in the reference, 0 .. 1; NaN without a model.
     """
 
@@ -192,3 +195,56 @@ def as_reference(
     quaternion = quaternion * np.cumprod(np.concatenate([first, flips]))[:, None]
     state = np.concatenate([position, quaternion, velocity, rate], axis=1)
     return Reference(t, state, np.ascontiguousarray(thrusts), residual)
+
+
+@dataclass(frozen=True)
+class Infeasibility:
+    """The worst violation of a limit along a reference.
+
+    what: "rotor 2 thrust", "body rate". value, limit: in `unit`. t: s. margin: excess over the limit, above 0.
+    share: of the reference's samples that are beyond any limit.
+    """
+
+    what: str
+    value: float
+    limit: float
+    unit: str
+    t: float
+    margin: float
+    share: float
+
+    def __str__(self) -> str:
+        side = "above" if self.value > self.limit else "below"
+        return (
+            f"the reference cannot be flown: {self.what} would be {self.value:.4g} {self.unit} at t = {self.t:.2f} s,"
+            f" {self.margin:.3g} {self.unit} {side} the limit of {self.limit:g} {self.unit}"
+            f" ({100 * self.share:.2g} % of the reference is beyond a limit); lower trajectory.speed"
+        )
+
+
+def check_feasible(reference: Reference, vehicle: Vehicle) -> Infeasibility | None:
+    """The largest violation relative to the limit's range, or None."""
+    thrust_range = vehicle.thrust_max - vehicle.thrust_min
+    rate = np.linalg.norm(reference.state[:, RATE], axis=1, keepdims=True)
+    rotors = [f"rotor {i} thrust" for i in range(vehicle.n_rotors)]
+    checks = (  # names, values (k, n), limit, sign of the violation, unit, range
+        (rotors, reference.input, vehicle.thrust_max, 1.0, "N", thrust_range),
+        (rotors, reference.input, vehicle.thrust_min, -1.0, "N", thrust_range),
+        (["body rate"], rate, vehicle.rate_max, 1.0, "rad/s", vehicle.rate_max),
+    )
+    beyond = np.any([(sign * (values - limit) > 0).any(axis=1) for _, values, limit, sign, _, _ in checks], axis=0)
+    if not beyond.any():
+        return None
+    names, values, limit, sign, unit, _ = max(checks, key=lambda c: (c[3] * (c[1] - c[2])).max() / c[5])
+    row, column = np.unravel_index(np.argmax(sign * values), values.shape)
+    value = float(values[row, column])
+    return Infeasibility(
+        names[column], value, limit, unit, float(reference.t[row]), sign * (value - limit), float(beyond.mean())
+    )
+
+
+def clipped(reference: Reference, vehicle: Vehicle) -> Reference:
+    """The reference with every thrust, and every component of the body rate, brought back to the vehicle's limits."""
+    state = reference.state.copy()
+    state[:, RATE] = np.clip(state[:, RATE], -vehicle.rate_max, vehicle.rate_max)
+    return replace(reference, state=state, input=np.clip(reference.input, vehicle.thrust_min, vehicle.thrust_max))

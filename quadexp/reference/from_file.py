@@ -1,25 +1,34 @@
-"""Trajectory from a file: a sampled track, or waypoints (formats: track_file.py).
+"""Trajectory from a file: a sampled track, or waypoints, distinguished by the file's first line.
+
+    CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw (s, m, rad; world ENU); 8 rows or more
+    CSV waypoints  a header with the columns x, y, z and, if there, t and yaw (m, s, rad; world ENU); 2 rows or more
+    TUM track      t x y z qx qy qz qw, separated by blanks, no header (s, m; quaternion body to world)
+
+Other columns, and lines that begin with #, are ignored. The yaw of a TUM file follows the convention of the reference:
+y_body level with (-sin yaw, cos yaw, 0).
 
 A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative,
 not-a-knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. Time starts at the first
 row; without a yaw the heading is 0.
 
-Waypoints are joined by minimum-snap polynomials, at rest at both ends (minimum_snap.py); without a yaw the heading is
-free. Times in the file are kept. Otherwise segment durations are proportional to the p-th power of their lengths, with
-the p of POWERS that gives the shortest flight within the vehicle's limits and the requested peak speed (time_scale.py).
-World ENU, SI.
+Waypoints are joined by minimum-snap polynomials, at rest at both ends; without a yaw the heading is free. Times in the
+file are kept. Otherwise segment durations are proportional to the p-th power of their lengths, with the p of POWERS
+that gives the shortest flight within the vehicle's limits and the requested peak speed (polynomial.py). World ENU, SI.
 """
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
+from scipy.spatial.transform import Rotation
 
-from quadexp.errors import UsageError
+from quadexp.errors import DataError, UsageError
 from quadexp.parts.settings import REQUIRED, key
 from quadexp.reference.base import (
     MARGIN,
@@ -32,12 +41,110 @@ from quadexp.reference.base import (
     hold_outside,
     sampled_peak_speed,
 )
-from quadexp.reference.minimum_snap import minimum_snap
-from quadexp.reference.time_scale import ScaledPath, time_scale
-from quadexp.reference.track_file import Positions, read_positions
+from quadexp.reference.polynomial import ScaledPath, minimum_snap, time_scale
 
 DEGREE = 7
 POWERS = (0.5, 0.75, 1.0)  # 0.5 suits a limited acceleration, 1 a limited speed
+MIN_ROWS = 8  # of a track, needed by the degree-7 spline
+MIN_POINTS, MAX_POINTS = 2, 200
+TRACK = ("t", "p_x", "p_y", "p_z")
+WAYPOINTS = ("x", "y", "z")
+TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Content of a file. sampled: True for a track, False for waypoints.
+
+    times: (k,), s; None for waypoints without times. points: (k, 3), world (m). yaw: (k,), unwrapped (rad), or None.
+    """
+
+    sampled: bool
+    times: np.ndarray | None
+    points: np.ndarray
+    yaw: np.ndarray | None
+
+
+def read_positions(path: Path) -> Positions:
+    """The rows of a CSV or TUM file.
+
+    Raises DataError with the line number for a missing column, a value that is not a finite number, time that does not
+    increase, repeated waypoints without times, or too few or too many rows.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: not a readable text file ({error})") from None
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise DataError(f"{path}: no rows (a track needs at least {MIN_ROWS}, waypoints {MIN_POINTS})")
+    if "," in lines[0][1]:
+        (first, names), *rows = [(i, next(csv.reader([line]))) for i, line in lines]
+        header = [name.strip() for name in names]
+        columns = _columns(f"{path}, line {first}", header)
+    else:
+        header, columns, rows = list(TUM), TUM, [(i, line.split()) for i, line in lines]
+    table = np.array([_numbers(f"{path}, line {i}", row, header, columns) for i, row in rows])
+    values = dict(zip(columns, table.reshape(len(rows), len(columns)).T, strict=True))
+    sampled = columns[: len(WAYPOINTS)] != WAYPOINTS
+    points = np.column_stack([values[name] for name in (columns[1:4] if sampled else WAYPOINTS)])
+    if sampled and len(points) < MIN_ROWS:
+        raise DataError(
+            f"{path}: {len(points)} rows, a track needs at least {MIN_ROWS}; for waypoints name the columns x, y, z"
+        )
+    if not sampled and not MIN_POINTS <= len(points) <= MAX_POINTS:
+        raise DataError(
+            f"{path}: {len(points)} waypoints, {MIN_POINTS} to {MAX_POINTS} are allowed; for a sampled track name the"
+            f" columns {', '.join(TRACK)}"
+        )
+    times = values.get("t")
+    for (i, _), (before, now) in zip(rows[1:], pairwise(points if times is None else times), strict=True):
+        if times is not None and now <= before:
+            raise DataError(f"{path}, line {i}: t = {now:g} s is not after {before:g} s, time must increase")
+        if times is None and np.array_equal(before, now):
+            raise DataError(f"{path}, line {i}: the same point as in the previous row; add a column t to stay there")
+    yaw = _heading(path, rows, table[:, 4:]) if columns == TUM else values.get("yaw")
+    return Positions(sampled, times, points, None if yaw is None else np.unwrap(yaw))
+
+
+def _columns(where: str, header: list[str]) -> tuple[str, ...]:
+    """The columns that are read of a CSV file; DataError where one is missing."""
+    waypoints = any(name in header for name in WAYPOINTS) and not any(name in header for name in TRACK[1:])
+    needed, optional = (WAYPOINTS, ("t", "yaw")) if waypoints else (TRACK, ("yaw",))
+    if missing := [name for name in needed if name not in header]:
+        about = "optional t and yaw, for waypoints" if waypoints else "optional yaw; waypoints: x, y, z"
+        raise DataError(
+            f"{where}: no column {', '.join(missing)} in the header"
+            f" (found {', '.join(header)}; needed {', '.join(needed)}, {about})"
+        )
+    return (*needed, *(name for name in optional if name in header))
+
+
+def _heading(path: Path, rows: list[tuple[int, list[str]]], quaternion: np.ndarray) -> np.ndarray:
+    """Yaw (k,) (rad) of attitudes (k, 4), w last; DataError where one is not of unit length."""
+    lengths = np.linalg.norm(quaternion, axis=1)
+    if np.any(np.abs(lengths - 1) > 0.01):
+        i = int(np.argmax(np.abs(lengths - 1)))
+        raise DataError(f"{path}, line {rows[i][0]}: the quaternion has length {lengths[i]:.3g}, not 1")
+    y_body = Rotation.from_quat(quaternion).as_matrix()[:, :, 1]
+    return np.arctan2(-y_body[:, 0], y_body[:, 1])
+
+
+def _numbers(where: str, row: list[str], header: list[str], columns: tuple[str, ...]) -> list[float]:
+    """The named columns of one row as finite numbers; DataError with the line otherwise."""
+    if len(row) != len(header):
+        raise DataError(f"{where}: {len(row)} values for the {len(header)} columns {' '.join(header)}")
+    numbers = []
+    for name in columns:
+        word = row[header.index(name)]
+        try:
+            value = float(word)
+        except ValueError:
+            raise DataError(f"{where}: {name} is {word!r}, not a number") from None
+        if not np.isfinite(value):
+            raise DataError(f"{where}: {name} is {word.strip()}, not a finite number")
+        numbers.append(value)
+    return numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,28 +165,17 @@ class FileTrajectory(LimitedTrajectory):
     margin: float = key(0.25, MARGIN)
 
     @property
-    def duration(self) -> float:
-        return self._flown.duration
-
-    @property
-    def peak_speed(self) -> float:
-        return self._flown.peak_speed
-
-    @property
     def note(self) -> str:
         """The limit that keeps the waypoints below the requested speed, in one line; "" if none."""
-        return self._made[1]
-
-    def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
-        return self._flown.flat_output(t)
+        return self._timed[1]
 
     @property
-    def _flown(self) -> Trajectory:
-        return self._made[0]
+    def flown(self) -> Trajectory:
+        """See LimitedTrajectory."""
+        return self._timed[0]
 
     @cached_property
-    def _made(self) -> tuple[Trajectory, str]:
+    def _timed(self) -> tuple[Trajectory, str]:
         """The trajectory and its note."""
         if not Path(self.path).is_file():
             raise UsageError(f"trajectory.path: there is no file {self.path!r}")
@@ -113,10 +209,9 @@ class FileTrajectory(LimitedTrajectory):
         candidates = []
         for power in POWERS:
             path = minimum_snap(np.concatenate([[0.0], np.cumsum(lengths**power)]), points)
-            scale = time_scale(path, self.vehicle, speed=self.speed, margin=self.margin)
-            candidates.append((ScaledPath(path, scale.factor), scale))
-        path, scale = min(candidates, key=lambda candidate: candidate[0].duration)
-        return path, scale.note(self.speed, path.peak_speed, self.vehicle)
+            candidates.append(time_scale(path, self.vehicle, speed=self.speed, margin=self.margin))
+        shortest = min(candidates, key=lambda candidate: candidate.duration)
+        return shortest, shortest.note(self.speed, self.vehicle)
 
 
 @dataclass(frozen=True)
@@ -134,7 +229,6 @@ class SampledTrack:
         return sampled_peak_speed(self)
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
         t, inside = hold_outside(t, self.duration)
         values = np.stack([derivative(t) for derivative in self._derivatives], axis=1)
         return flat_output_held(values[:, :, :3].copy(), values[:, :3, 3].copy(), inside)

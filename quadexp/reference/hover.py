@@ -25,7 +25,6 @@ class Hover(TrajectoryPart):
         return 0.0
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
         k = np.size(t)
         position = np.zeros((k, N_DERIVATIVES, 3))
         position[:, 0] = self.position

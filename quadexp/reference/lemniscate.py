@@ -32,9 +32,8 @@ class Lemniscate(ProfiledPath):
         return sampled_peak_speed(self)
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
         t, inside = hold_outside(t, self.duration)
-        angle = self.profile.angle(t)
+        angle = self.angle(t)
         position = np.zeros((len(t), N_DERIVATIVES, 3))
         position[:, :, 0] = self.radius * phasor(angle).real
         position[:, :, 1] = self.radius / 2 * phasor(2 * angle).imag

@@ -22,27 +22,32 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.parts.settings import REQUIRED, key
-from quadexp.reference.base import N_DERIVATIVES, RADIUS, SPEED, TrajectoryPart, check_finite, check_positive
+from quadexp.reference.base import N_DERIVATIVES, RADIUS, SPEED, TrajectoryPart
 
 RAMP = 2.0  # s, from rest to full acceleration
 TURN = 4.0  # s, from full acceleration to full deceleration
 OVERSHOOT = 4.0 / np.pi - 1.0  # s, (peak speed - nominal speed) / acceleration
 
 
-@dataclass(frozen=True)
-class SpeedProfile:
-    """The path angle of a closed path.
+@dataclass(frozen=True, kw_only=True)
+class ProfiledPath(TrajectoryPart):
+    """A closed path at constant height from (radius, 0, height), with the path angle of the profile.
 
-    speed: nominal speed v, m/s. acceleration: a, m/s^2. radius: r, m.
-    Raises UsageError for v/a below 2 s, where the ramps alone would exceed the nominal speed.
+    yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
+    Raises UsageError where speed / acceleration is below 2 s, where the ramps alone would exceed the nominal speed.
     """
 
-    speed: float
-    acceleration: float
-    radius: float
+    speed: float = key(REQUIRED, SPEED)
+    acceleration: float = key(
+        1.0, "acceleration from rest to the nominal speed, and deceleration at the end", "(0, 50]", "m/s^2"
+    )
+    radius: float = key(5.0, RADIUS)
+    height: float = key(1.0, "height of the path, world", "[-1000, 1000]", "m")
+
+    yaw: float | None = None
 
     def __post_init__(self) -> None:
-        check_positive(speed=self.speed, acceleration=self.acceleration, radius=self.radius)
+        super().__post_init__()
         if self.speed / self.acceleration < RAMP * (1 - 1e-12):
             raise UsageError(
                 f"trajectory.speed: {self.speed:g} m/s at trajectory.acceleration {self.acceleration:g} m/s^2 leaves no"
@@ -56,7 +61,7 @@ class SpeedProfile:
         return 2 * self._cruise + 2 * RAMP + TURN
 
     @property
-    def peak_speed(self) -> float:
+    def peak_angle_speed(self) -> float:
         """Largest r th', v + (4/pi - 1) a (m/s)."""
         return self.speed + OVERSHOOT * self.acceleration
 
@@ -96,34 +101,3 @@ class SpeedProfile:
         result[:, 3] = -c1 * k * sine
         result[:, 4] = -c1 * k**2 * cosine
         return result
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProfiledPath(TrajectoryPart):
-    """A closed path at constant height from (radius, 0, height), with the path angle of the profile.
-
-    yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
-     Raises UsageError where the numbers are out of range or speed / acceleration is below 2 s.
-    """
-
-    speed: float = key(REQUIRED, SPEED)
-    acceleration: float = key(
-        1.0, "acceleration from rest to the nominal speed, and deceleration at the end", "(0, 50]", "m/s^2"
-    )
-    radius: float = key(5.0, RADIUS)
-    height: float = key(1.0, "height of the path, world", "[-1000, 1000]", "m")
-
-    yaw: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite(yaw=self.yaw)
-        _ = self.profile
-
-    @property
-    def profile(self) -> SpeedProfile:
-        return SpeedProfile(self.speed, self.acceleration, self.radius)
-
-    @property
-    def duration(self) -> float:
-        return self.profile.duration

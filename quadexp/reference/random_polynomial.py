@@ -10,11 +10,11 @@ drawn exactly by the kernel's Fourier series, with I_n the modified Bessel funct
 
 (the covariance matrix is singular to working precision, so that a Cholesky factor would depend on the machine). The
 path is scaled so that the mean of its three axis ranges is `extent`. Keypoints are taken at equal phase, the last one
-equal to the first, with segments of equal duration, and joined by minimum-snap polynomials (minimum_snap.py). The path
+equal to the first, with segments of equal duration, and joined by minimum-snap polynomials (polynomial.py). The path
 is shifted up so that its lowest point is at `clearance`.
 
 The path depends on the seed only; its duration follows from the requested peak speed and, if a vehicle is given, from
-the vehicle's limits (time_scale.py). World frame, m.
+the vehicle's limits (polynomial.py). World frame, m.
 Source: Torrente et al. 2021, public code (kernels, extent). There, `speed` is the mean keypoint distance over
 the segment time, and the peak about 2.4 times that.
 """
@@ -29,12 +29,12 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.parts.settings import REQUIRED, SEEDS, key
-from quadexp.reference.base import MARGIN, SPEED, FlatOutput, LimitedTrajectory, check_finite
+from quadexp.reference.base import MARGIN, SPEED, FlatOutput, LimitedTrajectory
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-    from quadexp.reference.time_scale import ScaledPath, TimeScale
+    from quadexp.reference.polynomial import ScaledPath
 
 KERNELS = (  # per axis: (length scale, cycles per loop), summed
     ((4.5, 2), (4.5, 1)),
@@ -50,7 +50,6 @@ class RandomPolynomial(LimitedTrajectory):
     """A random closed path; the same seed gives the same path for any speed and vehicle.
 
     vehicle: its limits apply, and lower the speed where they require it; None: no limits.
-    yaw: constant heading, rad; None: free, body yaw rate zero.
     Raises UsageError where a number is out of range, or where the vehicle cannot fly the path at any speed.
     """
 
@@ -63,38 +62,13 @@ class RandomPolynomial(LimitedTrajectory):
     extent: float = key(6.0, "edge of the cube that the keypoints are drawn in", "(0, 1000]", "m")
     clearance: float = key(1.0, "height of the lowest keypoint, world", "[-1000, 1000]", "m")
 
-    yaw: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite(yaw=self.yaw)
-
-    @property
-    def duration(self) -> float:
-        return self._flown.duration
-
-    @property
-    def peak_speed(self) -> float:
-        return self._flown.peak_speed
-
     @property
     def note(self) -> str:
         """The limit that keeps the path below the requested speed, in one line; "" if none."""
-        return self._scale.note(self.speed, self.peak_speed, self.vehicle)
-
-    @cached_property
-    def times(self) -> np.ndarray:
-        """Times of the keypoints, (keypoints,) (s)."""
-        return self._scale.factor * np.arange(self.keypoints)
-
-    @cached_property
-    def waypoints(self) -> np.ndarray:
-        """The keypoints, (keypoints, 3), world (m)."""
-        return self._keypoints + [0.0, 0.0, self._lift]
+        return self.flown.note(self.speed, self.vehicle)
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
-        flat = self._flown.flat_output(t)
+        flat = super().flat_output(t)
         flat.position[:, 0, 2] += self._lift
         return flat
 
@@ -112,7 +86,7 @@ class RandomPolynomial(LimitedTrajectory):
     @cached_property
     def _path(self) -> PPoly:
         """The polynomials through the keypoints relative to the centre, m, one unit of time per segment."""
-        from quadexp.reference.minimum_snap import minimum_snap
+        from quadexp.reference.polynomial import minimum_snap
 
         try:
             return minimum_snap(np.arange(self.keypoints), self._keypoints)
@@ -121,16 +95,11 @@ class RandomPolynomial(LimitedTrajectory):
             raise UsageError(f"{span}: no polynomials through these keypoints ({error})") from None
 
     @cached_property
-    def _scale(self) -> TimeScale:
-        from quadexp.reference.time_scale import time_scale
+    def flown(self) -> ScaledPath:
+        """See LimitedTrajectory."""
+        from quadexp.reference.polynomial import time_scale
 
         return time_scale(self._path, self.vehicle, speed=self.speed, margin=self.margin)
-
-    @cached_property
-    def _flown(self) -> ScaledPath:
-        from quadexp.reference.time_scale import ScaledPath
-
-        return ScaledPath(self._path, self._scale.factor, self.yaw)
 
     @cached_property
     def _lift(self) -> float:

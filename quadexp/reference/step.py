@@ -42,7 +42,6 @@ class Step(TrajectoryPart):
         return 0.0
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
         t = np.atleast_1d(np.asarray(t, float))
         position = np.zeros((len(t), N_DERIVATIVES, 3))
         position[:, 0] = np.where((t >= self.step_time)[:, None], self.target, self.start)

@@ -18,13 +18,11 @@ from quadexp.compile.backend import BufferedFunction, realise_together
 from quadexp.compile.symbolic import ca
 from quadexp.models.residual import FEATURES, N_OUTPUTS
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.air_model import AirModel, AirResponse, outputs_and_gradients
-from quadexp.reference.air_step import predicted_and_next
-from quadexp.reference.demand import NO_ATTITUDE, Demand
+from quadexp.reference.air_step import AirModel, AirResponse, outputs_and_gradients, predicted_and_next
 from quadexp.reference.flat_map import Tilt, tilt
-from quadexp.reference.motion import Air, Calculus, Constant
+from quadexp.reference.motion import NO_ATTITUDE, Air, Calculus, Constant, Demand
 
-N_DEMAND = 15  # rows of `demand_rows`
+N_DEMAND = 15  # of a demand at one instant: velocity, jerk, snap, specific force, yaw (0: free)
 N_AIR = N_OUTPUTS + 2 + 2
 
 
@@ -106,7 +104,9 @@ class CompiledStep:
         self._first, self._step = map(BufferedFunction, functions)
         self._step.arguments["theta"].ravel()[:], self._step.arguments["share"][:] = residual.theta, model.share
         self._rows = np.zeros((len(demand.t), N_DEMAND + N_AIR + 1))
-        self._rows[:, :N_DEMAND] = demand_rows(demand).T
+        yaw = np.zeros((3, len(demand.t))) if demand.yaw is None else demand.yaw
+        moving = [demand.path[1], demand.path[3], demand.path[4], demand.specific_force, yaw]
+        self._rows[:, :N_DEMAND] = np.concatenate(moving).T
 
     def __call__(self, air: Air) -> tuple[np.ndarray, np.ndarray]:
         """The model's outputs and the next iterate, (6, k) each; UsageError where the attitude is not determined."""
@@ -121,17 +121,11 @@ class CompiledStep:
         return found[:N_OUTPUTS], found[N_OUTPUTS:]
 
 
-def demand_rows(demand: Demand) -> np.ndarray:
-    """The rows of a demand, (15, k): velocity, jerk, snap, specific force, yaw (0: free)."""
-    yaw = np.zeros((3, len(demand.t))) if demand.yaw is None else demand.yaw
-    return np.concatenate([demand.path[1], demand.path[3], demand.path[4], demand.specific_force, yaw])
-
-
 @lru_cache(maxsize=64)
 def compiled_steps(vehicle: Vehicle, residual: ca.Function, free_heading: bool) -> tuple[ca.Function, ca.Function]:
     """(row) -> q_w, f_z of the tilt frame, o_z, o_z'; and (row, theta, share) -> predicted, next (12,).
 
-    row: demand_rows, an Air's outputs, l', l'', and the twist at one instant, (26,).
+    row: N_DEMAND numbers, an Air's outputs, l', l'', and the twist at one instant, (26,).
     """
     row, chi = ca.SX.sym("row", N_DEMAND + N_AIR), ca.SX.sym("chi")
     rows = _column(row, (N_DEMAND + N_AIR,))

@@ -114,7 +114,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_flatness.py",
     ),
     "quadexp/reference/motion.py": (
-        "tests/reference/test_motion.py",
+        "tests/reference/test_limits.py",
         "tests/reference/test_flatness.py",
         "tests/properties/test_flatness.py",
     ),

@@ -27,7 +27,6 @@ CONFIGURED = {"physics", "air", "reference", "models", "world", "control"}  # ro
 OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
 # Dataclasses that share three or more names with a node and configure nothing: why.
 NOT_SETTINGS = {
-    "SpeedProfile": "a function of three numbers, made by the path that has them",
     "BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options",
 }
 

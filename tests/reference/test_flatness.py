@@ -19,7 +19,7 @@ from quadexp.reference.flatness import as_reference, flat_reference
 from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.random_polynomial import RandomPolynomial
-from quadexp.reference.step import Step
+from tests.reference.conftest import Wave
 from tests.reference.rotor_drag import rotor_drag_reference
 
 DRAG = (0.3, 0.45, 0.1)  # 1/s
@@ -79,42 +79,25 @@ RESIDUALS = {
     "linear drag": lambda v: linear_drag_residual(v, DRAG, (0.1, -0.05, 0.2), -0.05),
     "rich": lambda v: rich_residual(v.n_rotors),
 }
-PATHS = {  # a smooth stretch of each: start, end (s)
-    "circle": (lambda: Circle(speed=5.0), 5.5, 8.5),
-    "circle, yaw": (lambda: Circle(speed=5.0, yaw=0.7), 5.5, 8.5),
-    "lemniscate": (lambda: Lemniscate(speed=4.0), 4.2, 7.0),
-    "random": (lambda: RandomPolynomial(speed=1.5, seed=1), 0.0, 2.5),
+FLOWN = {  # a smooth stretch of each: vehicle, start, end (s); any path in simpler air: tests/properties
+    "circle": (Circle(speed=5.0, yaw=0.7), "vehicle", 5.5, 8.5),
+    "lemniscate": (Lemniscate(speed=4.0), "vehicle", 4.2, 7.0),
+    "random": (RandomPolynomial(speed=1.5, seed=1), "vehicle", 0.0, 2.5),
+    "turning yaw": (Wave(), "odd_vehicle", 2.0, 5.0),
+    "free heading": (Wave(yaw=False), "odd_vehicle", 2.0, 5.0),
 }
 
 
-class TestFlownOpenLoop:
-    """Inputs and initial state of the reference, integrated, give the flat output back."""
-
-    @pytest.mark.parametrize("air", RESIDUALS)
-    @pytest.mark.parametrize("path", PATHS)
-    def test_quadrotor(self, vehicle, path, air):
-        make, start, end = PATHS[path]
-        self.check(make(), start, end, vehicle, RESIDUALS[air](vehicle))
-
-    @pytest.mark.parametrize("air", RESIDUALS)
-    def test_turning_yaw_and_six_rotors(self, wave, odd_vehicle, air):
-        self.check(wave, 2.0, 5.0, odd_vehicle, RESIDUALS[air](odd_vehicle))
-
-    @pytest.mark.parametrize("air", RESIDUALS)
-    def test_free_heading_and_six_rotors(self, free_wave, odd_vehicle, air):
-        self.check(free_wave, 2.0, 5.0, odd_vehicle, RESIDUALS[air](odd_vehicle))
-
-    @staticmethod
-    def check(trajectory, start, end, vehicle, residual):
-        t = np.linspace(start, end, 1 + round((end - start) / 0.004))
-        reference = flat_reference(trajectory, t, vehicle, residual)
-        flown = fly_open_loop(reference, vehicle, residual)
-        expected = reference.state[::50]
-        np.testing.assert_allclose(expected[:, POSITION], trajectory.flat_output(t[::50]).position[:, 0], atol=1e-12)
-        np.testing.assert_allclose(flown[:, POSITION], expected[:, POSITION], atol=2e-6)
-        np.testing.assert_allclose(flown[:, VELOCITY], expected[:, VELOCITY], atol=2e-6)
-        np.testing.assert_allclose(flown[:, ATTITUDE], expected[:, ATTITUDE], atol=2e-6)
-        np.testing.assert_allclose(flown[:, RATE], expected[:, RATE], atol=2e-6)
+@pytest.mark.parametrize("path", FLOWN)
+def test_flown_open_loop_it_gives_the_flat_output_back(path, request):
+    trajectory, name, start, end = FLOWN[path]
+    vehicle = request.getfixturevalue(name)
+    residual = rich_residual(vehicle.n_rotors)
+    t = np.linspace(start, end, 1 + round((end - start) / 0.004))
+    reference = flat_reference(trajectory, t, vehicle, residual)
+    flown, expected = fly_open_loop(reference, vehicle, residual), reference.state[::50]
+    np.testing.assert_allclose(expected[:, POSITION], trajectory.flat_output(t[::50]).position[:, 0], atol=1e-12)
+    np.testing.assert_allclose(flown, expected, atol=2e-6)
 
 
 @pytest.mark.parametrize("path", ["wave", "circle", "lemniscate"])
@@ -131,18 +114,6 @@ def test_fixed_point_equals_the_closed_form_of_faessler(vehicle, wave, path):
     np.testing.assert_allclose(iterated.state[away, 10:], closed.state[away, 10:], atol=1e-7)
     np.testing.assert_allclose(iterated.input[away], closed.input[away], atol=1e-6)
     np.testing.assert_allclose(iterated.input, closed.input, atol=5e-3)
-
-
-def test_closed_form_without_drag_is_the_nominal_reference(vehicle, wave):
-    t = np.linspace(0, 10, 301)
-    closed, nominal = rotor_drag_reference(wave, t, vehicle, (0, 0, 0)), flat_reference(wave, t, vehicle)
-    np.testing.assert_allclose(closed.state, nominal.state, atol=1e-12)
-    np.testing.assert_allclose(closed.input, nominal.input, atol=1e-11)
-
-
-def test_closed_form_needs_a_yaw(vehicle):
-    with pytest.raises(UsageError, match="trajectory.yaw: null"):
-        rotor_drag_reference(Circle(speed=4.0), np.array([0.0]), vehicle, DRAG)
 
 
 def test_no_residual_is_nominal(vehicle):
@@ -260,14 +231,6 @@ def test_the_reference_at_a_time_does_not_depend_on_the_other_times(vehicle):
         np.testing.assert_allclose(part.input[-1], whole.input[750], atol=1e-5)
 
 
-def test_quaternion_is_continuous_and_starts_upright(vehicle):
-    for trajectory in (Circle(speed=12.0), Lemniscate(speed=8.0)):
-        q = flat_reference(trajectory, np.arange(0, trajectory.duration, 0.02), vehicle).state[:, ATTITUDE]
-        assert q[0, 0] > 0
-        assert np.all((q[1:] * q[:-1]).sum(axis=1) > 0.9)
-        np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-13)
-
-
 def test_any_quaternions_become_one_continuous_turn(rng):
     """Two and a half turns about a tilted axis, q and -q in any order: the first gets w >= 0, the others follow it."""
     half = 2.0 + np.linspace(0, 2.5 * np.pi, 60)[:, None]  # cos(2) < 0
@@ -298,12 +261,6 @@ def test_any_number_of_times_beyond_the_ends(vehicle):
         alone = flat_reference(circle, np.array([one]), vehicle, residual)
         np.testing.assert_allclose(reference.state[held] - alone.state, 0, atol=1e-9)
         np.testing.assert_allclose(reference.input[held] - alone.input, 0, atol=1e-9)
-
-
-def test_step_reference_hovers_on_both_sides(vehicle):
-    reference = flat_reference(Step(), np.array([0.0, 2.0]), vehicle, linear_drag_residual(vehicle, DRAG))
-    np.testing.assert_allclose(reference.state[:, 0], [0.0, 1.0])
-    np.testing.assert_allclose(reference.input, vehicle.hover_thrust, rtol=1e-9)
 
 
 def test_many_rotors_share_with_least_norm(odd_vehicle, wave):

@@ -1,23 +1,46 @@
-"""Trajectories from files: what was written comes back; what is broken is named with its line."""
+"""Trajectories from files: what was written comes back; waypoints are flown as fast as can be; errors name the line."""
 
 from __future__ import annotations
+
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.build import build_trajectory, build_vehicle
+from quadexp.experiment.evaluate import InfeasibleError, fly_one
+from quadexp.parts.compose import compose
 from quadexp.reference.circle import Circle
 from quadexp.reference.from_file import FileTrajectory
+from tests.reference.test_polynomial import VEHICLES, shares
+
+ROOT = Path(__file__).parents[2]
+INTERPRETED = ["plant.backend=interpreted", "controller.backend=interpreted"]
+TWO = "x,y,z\n0,0,1\n3,0,2\n"
+LOOP = "x,y,z\n0,0,1\n6,0,1\n6,5,3\n-1,5,2\n0,0,1\n"
 
 
-def write_csv(path, t, p, yaw=None, header=None):
-    columns = [t, *p.T] + ([] if yaw is None else [yaw])
-    header = header or "t,p_x,p_y,p_z" + ("" if yaw is None else ",yaw")
-    path.write_text(
-        header + "\n" + "\n".join(",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True))
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        (tmp_path / "points.csv").write_text(text)
+        return str(tmp_path / "points.csv")
+
+    return write
+
+
+def built(path, *overrides):
+    config = compose(["trajectory=file", f"trajectory.path={path}", *overrides])
+    return build_trajectory(config.trajectory, build_vehicle(config.vehicle))
+
+
+def table(header, columns, separator=","):
+    return (
+        "\n".join([header, *(separator.join(repr(float(v)) for v in row) for row in np.column_stack(columns))]) + "\n"
     )
-    return path
 
 
 @pytest.fixture
@@ -27,46 +50,98 @@ def circle_rows():
     return t, circle.flat_output(t).position
 
 
-def test_csv_round_trip_up_to_snap(tmp_path, circle_rows):
+def test_csv_round_trip_up_to_snap(written, circle_rows):
+    """Other columns are ignored, the end is held."""
     t, p = circle_rows
     yaw = np.mod(2.0 * t, 2 * np.pi) - np.pi  # turns past pi: must be unwrapped
-    trajectory = FileTrajectory(path=str(write_csv(tmp_path / "c.csv", t, p[:, 0], yaw)))
-    assert trajectory.duration == pytest.approx(3.0)
-    flat = trajectory.flat_output(t - t[0])
-    inner = slice(10, -10)
+    path = FileTrajectory(path=written(table("solve_time,t,p_x,p_y,p_z,yaw", [0 * t, t, p[:, 0], yaw])))
+    assert path.duration == pytest.approx(3.0)
+    flat, inner = path.flat_output(t - t[0]), slice(10, -10)
     for order, tolerance in enumerate((1e-12, 1e-9, 1e-7, 1e-5, 1e-3)):
         np.testing.assert_allclose(flat.position[inner, order], p[inner, order], atol=tolerance)
     np.testing.assert_allclose(np.unwrap(flat.yaw[:, 0]) - flat.yaw[0, 0], 2 * (t - t[0]), atol=1e-9)
     np.testing.assert_allclose(flat.yaw[:, 1], 2.0, atol=1e-7)
-    assert trajectory.peak_speed == pytest.approx(np.linalg.norm(p[:, 1], axis=1).max(), abs=1e-3)
+    assert path.peak_speed == pytest.approx(np.linalg.norm(p[:, 1], axis=1).max(), abs=1e-3)
+    held = path.flat_output(np.array([-1.0, 3.5]))
+    np.testing.assert_allclose(held.position[:, 0], p[[0, -1], 0])
+    assert np.all(held.position[:, 1:] == 0) and np.all(held.yaw[:, 1:] == 0)
 
 
-def test_tum_round_trip_with_comments_and_tilted_attitude(tmp_path, circle_rows):
+def test_tum_round_trip_with_comments_and_tilted_attitude(written, circle_rows):
     """Yaw from the quaternion of R_z(yaw) R_x(roll) R_y(pitch), whatever roll and pitch."""
     t, p = circle_rows
     yaw = 0.4 * np.sin(t)
     q = Rotation.from_euler("ZXY", np.column_stack([yaw, 0.5 * np.cos(t), 0.3 * np.sin(2 * t)])).as_quat()
-    path = tmp_path / "track.tum"
-    rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in np.column_stack([t, p[:, 0], q]))
-    path.write_text("# timestamp tx ty tz qx qy qz qw\n" + rows + "\n")
-    flat = FileTrajectory(path=str(path)).flat_output(t - t[0])
+    file = written(table("# timestamp tx ty tz qx qy qz qw", [t, p[:, 0], q], separator=" "))
+    flat = FileTrajectory(path=file).flat_output(t - t[0])
     np.testing.assert_allclose(flat.position[:, 0], p[:, 0], atol=1e-12)
     np.testing.assert_allclose(flat.yaw[:, 0], yaw, atol=1e-12)
     np.testing.assert_allclose(flat.yaw[10:-10, 1], 0.4 * np.cos(t)[10:-10], atol=1e-6)
 
 
-def test_other_columns_are_ignored_and_the_end_is_held(tmp_path, circle_rows):
-    t, p = circle_rows
-    path = tmp_path / "c.csv"
-    write_csv(path, np.arange(151.0), np.column_stack([t, p[:, 0, :2]]), p[:, 0, 2], header="solve_time,t,p_x,p_y,p_z")
-    trajectory = FileTrajectory(path=str(path))
-    held = trajectory.flat_output(np.array([-1.0, 3.5]))
-    np.testing.assert_allclose(held.position[:, 0], p[[0, -1], 0])
-    assert np.all(held.position[:, 1:] == 0)
-    assert np.all(held.yaw == 0)
+@pytest.mark.parametrize("text", [TWO, LOOP])
+@pytest.mark.parametrize("vehicle", ["torrente", "lei_li", "crazyflie"])
+@pytest.mark.parametrize("speed", ["null", "2.5"])
+def test_without_times_as_fast_as_speed_and_limits_allow(written, text, vehicle, speed):
+    path = built(written(text), f"vehicle={vehicle}", f"trajectory.speed={speed}")
+    points = np.genfromtxt(text.splitlines(), delimiter=",", skip_header=1)
+    t = np.linspace(0.0, path.duration, 20_001)
+    position = path.flat_output(t).position
+    np.testing.assert_allclose(position[[0, -1], 0], points[[0, -1]], atol=1e-9)
+    assert max(np.linalg.norm(position[:, 0] - point, axis=1).min() for point in points) < 2e-3
+    assert np.abs(position[[0, -1], 1:4]).max() < 1e-5
+    thrust, rate = shares(path, VEHICLES[vehicle])
+    used = max(thrust / 0.75, rate / 0.75, 0 if speed == "null" else path.peak_speed / 2.5)
+    assert used == pytest.approx(1.0, abs=5e-3), "as fast as can be, and no faster"
+
+
+def test_two_points_fly_the_known_polynomial(written):
+    path = built(written(TWO), "trajectory.speed=1")
+    s = np.linspace(0, 1, 21)
+    share = 35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7
+    position = path.flat_output(s * path.duration).position[:, 0]
+    np.testing.assert_allclose(position, [0, 0, 1] + share[:, None] * [3, 0, 1], atol=1e-9)
+    assert path.duration == pytest.approx(35 / 16 * np.sqrt(10))
+    assert path.flat_output(np.array([1.0])).yaw is None, "the heading is free"
+
+
+def test_times_and_yaw_are_kept(written):
+    """Every point at its time, from the first row's on; the yaw goes the shorter way round, with its derivatives."""
+    path = built(written("yaw,t,x,y,z,note\n3.0,2,0,0,1,7\n-3.0,5,3,0,2,7\n-2.5,7.5,4,4,2,7\n"))
+    t = np.array([0.0, 3.0, 5.5])
+    flat = path.flat_output(t)
+    np.testing.assert_allclose(flat.position[:, 0], [[0, 0, 1], [3, 0, 2], [4, 4, 2]], atol=1e-9)
+    np.testing.assert_allclose(flat.yaw[:, 0], [3.0, 2 * np.pi - 3.0, 2 * np.pi - 2.5], atol=1e-9)
+    assert path.duration == pytest.approx(5.5)
+    inner, h = np.linspace(0.5, 5.0, 40), 1e-5
+    before, now, after = (path.flat_output(inner + d).yaw for d in (-h, 0, h))
+    np.testing.assert_allclose((after - before)[:, 0] / (2 * h), now[:, 1], atol=1e-6)
+    np.testing.assert_allclose((after - before)[:, 1] / (2 * h), now[:, 2], atol=1e-6)
+
+
+def test_times_that_break_a_limit_are_named_and_can_be_flown_all_the_same(written):
+    quick = written("t,x,y,z\n0,0,0,1\n1,30,0,1\n2,0,0,1\n")
+    file = ["trajectory=file", f"trajectory.path={quick}", *INTERPRETED]
+    with pytest.raises(InfeasibleError, match=r"file cannot be flown: it takes .* of collective thrust at t=\d\.\d+ s"):
+        fly_one(compose(file))
+    assert fly_one(compose([*file, "trajectory.allow_infeasible=true"])).outcome in ("ok", "lost", "solver_failed")
+    with pytest.raises(UsageError, match=r"trajectory.speed=4: the times in .* take a peak speed of \d+"):
+        fly_one(compose([*file, "trajectory.speed=4"]))
+    tight = written("t,x,y,z\n0,0,0,1\n1.1,2.5,0,1\n2.2,0,0,1\n")
+    assert re.search(r"rotor \d thrust would be", fly_one(compose(file)).metadata["reference_note"]), tight
+
+
+@pytest.mark.parametrize("name", ["torrente", "lei_li"])
+def test_two_points_are_flown_from_the_command_line_configuration(written, name):
+    flight = fly_one(
+        compose(["trajectory=file", f"trajectory.path={written(TWO)}", f"vehicle={name}", "plant=ideal", *INTERPRETED])
+    )
+    assert flight.outcome == "ok" and flight.metadata["row"]["max_error"] < 0.2
+    assert flight.metadata["row"]["saturated_share"] == 0 and flight.metadata["reference_note"] == ""
 
 
 GOOD = "\n".join(f"{0.1 * i:.1f},{i},0,1" for i in range(10))
+TRACK = "t,p_x,p_y,p_z\n"
 
 
 @pytest.mark.parametrize(
@@ -74,25 +149,37 @@ GOOD = "\n".join(f"{0.1 * i:.1f},{i},0,1" for i in range(10))
     [
         ("", "no rows"),
         ("t,p_x,z\n" + GOOD, r"line 1: no column p_y, p_z in the header \(found t, p_x, z"),
-        ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3", "0.3,nan"), "line 5: p_x is nan"),
-        ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3", "0.3,three"), "line 5: p_x is 'three', not a number"),
-        ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3", "0.2,3"), "line 5: t = 0.2 s is not after 0.2 s"),
-        ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3,0,1", "0.3,3"), "line 5: 2 values for the 4 columns"),
-        ("t,p_x,p_y,p_z\n" + "\n".join(GOOD.splitlines()[:7]), "7 rows, a track needs at least 8"),
+        (TRACK + GOOD.replace("0.3,3", "0.3,nan"), "line 5: p_x is nan"),
+        (TRACK + GOOD.replace("0.3,3", "0.3,three"), "line 5: p_x is 'three', not a number"),
+        (TRACK + GOOD.replace("0.3,3", "0.2,3"), "line 5: t = 0.2 s is not after 0.2 s"),
+        (TRACK + GOOD.replace("0.3,3,0,1", "0.3,3"), "line 5: 2 values for the 4 columns"),
+        (TRACK + "\n".join(GOOD.splitlines()[:7]), "7 rows, .* at least 8; for waypoints name the columns x, y, z"),
         ("\n".join(f"{i} 0 0 1 0 0 0 0.5" for i in range(9)), "line 1: the quaternion has length 0.5"),
         ("\n".join(f"{i} 0 0 1" for i in range(9)), "line 1: 4 values for the 8 columns"),
+        ("x,y,z\n0,0,1\n", "1 waypoints, 2 to 200 are allowed; for a sampled track name the columns t, p_x, p_y, p_z"),
+        ("x,y,z\n" + "1,2,3\n2,3,4\n" * 150, "300 waypoints, 2 to 200 are allowed"),
+        ("x,y,z\n0,0,1\n0,0,1\n", "line 3: the same point as in the previous row; add a column t to stay there"),
+        ("x,y\n0,0\n", r"line 1: no column z in the header \(found x, y; needed x, y, z, optional t and yaw"),
+        ("t,x,y,z\n0,0,0,1\n0,1,0,1\n", "line 3: t = 0 s is not after 0 s"),
+        ("\0\u00e9", "not a readable text file"),
     ],
 )
 def test_broken_files_are_one_line(tmp_path, text, message):
     path = tmp_path / "broken.csv"
-    path.write_text(text)
+    path.write_text(text, encoding="latin-1")
     with pytest.raises(DataError, match=message) as error:
-        _ = FileTrajectory(path=str(path)).duration
+        _ = FileTrajectory(path=str(path), speed=None if text.startswith("t") else 1.0).duration
     assert "\n" not in str(error.value) and str(path) in str(error.value)
 
 
-def test_binary_file_is_refused(tmp_path):
-    path = tmp_path / "x.bin"
-    path.write_bytes(bytes(range(256)))
-    with pytest.raises(DataError, match="not a readable text file"):
-        _ = FileTrajectory(path=str(path)).duration
+def test_a_sampled_track_has_no_other_speed(written):
+    with pytest.raises(UsageError, match=r"trajectory.speed=3: .* is a sampled track, which has its own times"):
+        _ = FileTrajectory(path=written("t,p_x,p_y,p_z\n" + GOOD), speed=3.0).duration
+
+
+def test_the_files_of_the_guide_are_what_the_program_reads(written):
+    """Every block of docs/guide.md that is a CSV of positions."""
+    blocks = re.findall(r"\n((?:    (?:t,p_x|x,y,z)[^\n]*\n)(?:    [^\n]+\n)+)", (ROOT / "docs/guide.md").read_text())
+    assert {block.strip()[0] for block in blocks} == {"x", "t"}
+    for block in blocks:
+        assert built(written("\n".join(line.strip() for line in block.strip().splitlines()))).duration > 0

@@ -13,8 +13,8 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference
 from quadexp.reference.hover import Hover
+from quadexp.reference.lei_li import Rectangle
 from quadexp.reference.random_polynomial import RandomPolynomial
-from quadexp.reference.rectangle import Rectangle
 from quadexp.world import PlantEffects, SimplifiedPlant
 
 H = 1e-4  # s, of the differences in time

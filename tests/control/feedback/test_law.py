@@ -13,7 +13,7 @@ from quadexp.control.feedback.law import law_function
 from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
 from quadexp.errors import UsageError
-from quadexp.reference.rectangle import Rectangle
+from quadexp.reference.lei_li import Rectangle
 from tests.control.feedback import paper
 from tests.states import ned_from_state
 

@@ -1,4 +1,7 @@
-"""The shortest time in which a path can be flown within a vehicle's limits.
+"""Polynomial paths: minimum snap through points, flown in the shortest time within a vehicle's limits.
+
+Pieces of degree 7 that minimise the integral of the squared snap, at rest with zero acceleration and jerk at both ends;
+the minimiser is continuous up to the sixth derivative. Source: Mellinger & Kumar 2011; `minsnap-trajectories`.
 
 A path p(s) flown as p(t / c) keeps its shape; its n-th derivative, and that of its heading, is divided by c^n. The
 factor c is the least one with
@@ -18,18 +21,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from minsnap_trajectories import Waypoint, generate_trajectory
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
-from quadexp.reference.demand import Demand
-from quadexp.reference.minimum_snap import largest_speed
-from quadexp.reference.motion import Air, allocation_inverse, flat_motion
+from quadexp.reference.motion import Air, Demand, allocation_inverse, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
-MARGIN = 0.25  # unless another is asked for
+DEGREE = 7
+_REAL = 1e-6  # largest imaginary part of a real root, relative to the length of the piece
 SPEED = "speed"  # the limit where the requested speed is reached first
 STEPS, FEWEST, MOST = 64, 16, 30_000  # grid points: per mean piece, least per piece, most in total
 DOUBLINGS = 60  # of the factor, before the limits are considered unreachable
@@ -38,22 +41,84 @@ TOLERANCE = 1e-9  # of the logarithm of the factor
 BEYOND = 10.0  # excess where the attitude is undefined; larger excesses are clipped to it
 
 
+def minimum_snap(times: np.ndarray, points: np.ndarray) -> PPoly:
+    """The path through the points (k, d) at the increasing times (k,), k of 2 or more.
+
+    Raises ValueError where there are no such polynomials, for instance for points too close for their times.
+    """
+    rest, ends = np.zeros(points.shape[1]), (0, len(times) - 1)
+    unit = (times[-1] - times[0]) / (len(times) - 1)  # a mean piece of length 1 keeps the linear system well scaled
+    pieces = generate_trajectory(
+        [
+            Waypoint((time - times[0]) / unit, point, jerk=rest if i in ends else None)
+            for i, (time, point) in enumerate(zip(times, points, strict=True))
+        ],
+        degree=DEGREE,
+        idx_minimized_orders=4,
+        num_continuous_orders=4,
+    )
+    coefficients = pieces.coefficients[:, ::-1].transpose(1, 0, 2)
+    if not np.all(np.isfinite(coefficients)):
+        raise ValueError("coefficients that are not finite")
+    powers = np.arange(DEGREE, -1, -1)[:, None, None]
+    return PPoly(coefficients / unit**powers, times[0] + unit * pieces.time_reference)
+
+
+def largest_speed(path: PPoly) -> float:
+    """The largest speed of a path in its first three components, exact up to rounding.
+
+    The maximum over the ends of each piece and the roots of d/dt |p'|^2 = 0.
+    """
+    velocity = path.derivative()
+    largest = 0.0
+    for piece, length in enumerate(np.diff(path.x)):
+        scaled = velocity.c[:, piece, :3] * length ** np.arange(len(velocity.c) - 1, -1, -1)[:, None]
+        square = np.sum([np.convolve(component, component) for component in scaled.T], axis=0)
+        slope = np.trim_zeros(np.polyder(square), "f")
+        roots = np.roots(slope) if len(slope) > 1 else np.empty(0)
+        inside = roots.real[(np.abs(roots.imag) < _REAL) & (roots.real > 0) & (roots.real < 1)]
+        largest = max(largest, float(np.polyval(square, np.concatenate([[0.0, 1.0], inside])).max()))
+    return float(np.sqrt(largest))
+
+
 @dataclass(frozen=True)
-class TimeScale:
-    """factor: real time over path time. limited_by: the limit that determines it, such as "speed", "rotor 2 thrust"."""
+class ScaledPath:
+    """A path flown in `factor` times its path time.
 
+    path: components x, y, z (m) and optionally the yaw (rad); without it the heading is free. limited_by: the limit
+    that determines the factor, such as SPEED, "rotor 2 thrust".
+    """
+
+    path: PPoly
     factor: float
-    limited_by: str
+    limited_by: str = SPEED
 
-    def note(self, requested: float | None, peak: float, vehicle: Vehicle | None) -> str:
-        """The limit that keeps the peak speed (m/s) below the requested one (m/s), in one line; "" if none."""
+    @property
+    def duration(self) -> float:
+        """s."""
+        return float(self.factor * (self.path.x[-1] - self.path.x[0]))
+
+    @cached_property
+    def peak_speed(self) -> float:
+        """Largest speed, m/s."""
+        return largest_speed(self.path) / self.factor
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        t, inside = hold_outside(t, self.duration)
+        path_time = np.clip(self.path.x[0] + t / self.factor, self.path.x[0], self.path.x[-1])
+        values = np.stack([d(path_time) / self.factor**n for n, d in enumerate(self._derivatives)], axis=1)
+        yaw = values[:, :3, 3].copy() if values.shape[2] > 3 else None
+        return flat_output_held(np.ascontiguousarray(values[:, :, :3]), yaw, inside)
+
+    def note(self, requested: float | None, vehicle: Vehicle | None) -> str:
+        """The limit that keeps the peak speed below the requested one (m/s), in one line; "" if none."""
         if vehicle is None or self.limited_by == SPEED:
             return ""
         parts, hover = [], vehicle.hover_thrust
         if requested is not None:
             parts.append(
-                f"peak speed {peak:.3g} m/s instead of the requested {requested:g} m/s: a higher one would bring"
-                f" {self.limited_by} closer to its limit than trajectory.margin allows"
+                f"peak speed {self.peak_speed:.3g} m/s instead of the requested {requested:g} m/s: a higher one would"
+                f" bring {self.limited_by} closer to its limit than trajectory.margin allows"
             )
         if vehicle.thrust_max - hover < NEAR_LIMIT * hover:
             parts.append(f"hovering alone takes {hover / vehicle.thrust_max:.0%} of vehicle.thrust_max")
@@ -61,9 +126,13 @@ class TimeScale:
             parts.append(f"vehicle.thrust_min is {vehicle.thrust_min / hover:.0%} of the hover thrust")
         return "; ".join(parts)
 
+    @cached_property
+    def _derivatives(self) -> tuple[PPoly, ...]:
+        return tuple(self.path.derivative(order) if order else self.path for order in range(N_DERIVATIVES))
 
-def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, margin: float) -> TimeScale:
-    """The least factor from path time to real time within the limits.
+
+def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, margin: float) -> ScaledPath:
+    """The path in the shortest time within the limits.
 
     path: components x, y, z (m) and optionally the yaw (rad); without it the heading is free. vehicle: None: only the
     speed is limited. speed: largest speed, m/s; None: limited by the vehicle only. margin: see the module.
@@ -77,7 +146,7 @@ def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, mar
     demands = None if vehicle is None else _Demands(path, vehicle, margin)
     fast = 1e-3 * peak if speed is None else peak / speed  # 1 km/s: faster than any vehicle
     if demands is None or demands.worst(fast)[0] <= 0:
-        return TimeScale(fast, SPEED)
+        return ScaledPath(path, fast)
     slow = fast
     for _ in range(DOUBLINGS):
         fast, slow = slow, 2 * slow
@@ -87,7 +156,7 @@ def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, mar
         raise UsageError("this path exceeds the limits of the vehicle at any speed")
     logarithm = brentq(lambda c: demands.worst(np.exp(c))[0], np.log(fast), np.log(slow), xtol=TOLERANCE)
     factor = float(np.exp(logarithm + 2 * TOLERANCE))
-    return TimeScale(factor, demands.worst(factor)[1])
+    return ScaledPath(path, factor, demands.worst(factor)[1])
 
 
 @dataclass(frozen=True)
@@ -143,38 +212,3 @@ class _Demands:
                 f" ({vehicle.thrust_min:g}, {vehicle.thrust_max:g}) N: no path is within its limits"
             )
         return hover, below, above
-
-
-@dataclass(frozen=True)
-class ScaledPath:
-    """A path flown in `factor` times its path time.
-
-    path: components x, y, z (m) and optionally the yaw (rad). yaw: constant heading for a path without yaw, rad; None:
-    free.
-    """
-
-    path: PPoly
-    factor: float
-    yaw: float | None = None
-
-    @property
-    def duration(self) -> float:
-        """s."""
-        return float(self.factor * (self.path.x[-1] - self.path.x[0]))
-
-    @cached_property
-    def peak_speed(self) -> float:
-        """Largest speed, m/s."""
-        return largest_speed(self.path) / self.factor
-
-    def flat_output(self, t: np.ndarray) -> FlatOutput:
-        """See Trajectory.flat_output."""
-        t, inside = hold_outside(t, self.duration)
-        own = np.clip(self.path.x[0] + t / self.factor, self.path.x[0], self.path.x[-1])
-        values = np.stack([d(own) / self.factor**n for n, d in enumerate(self._derivatives)], axis=1)
-        yaw = values[:, :3, 3].copy() if values.shape[2] > 3 else self.yaw
-        return flat_output_held(np.ascontiguousarray(values[:, :, :3]), yaw, inside)
-
-    @cached_property
-    def _derivatives(self) -> tuple[PPoly, ...]:
-        return tuple(self.path.derivative(order) if order else self.path for order in range(N_DERIVATIVES))
