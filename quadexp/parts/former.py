@@ -31,6 +31,7 @@ FORMER = {
     "engine.prologue": _JOBS.format("job_script_prologue: [...]"),
     "engine.shared": _JOBS.format("shared_temp_directory: FOLDER"),
     "engine.interface": _JOBS.format("interface: ib0"),
+    "plant.payload": "payload=fixed payload.mass=KG; on plant=blade_element also plant.schedule=[{t: 0, payload: KG}]",
     "gp.split": "whole flights are held out, always",
     "engine.python": _JOBS.format("python: PATH"),
 }

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.errors import UsageError
 from quadexp.parts.part import Part
 from quadexp.parts.settings import Triple, key
 
@@ -45,10 +44,6 @@ class Accelerometer:
 
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     noise_std: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        if not np.all(np.isfinite(self.bias)) or not min(self.noise_std) >= 0:
-            raise UsageError("sensor.accelerometer: the bias must be finite and the noise not negative")
 
     def read(self, specific_force: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Readings (.., 3) (m/s^2) of specific forces (.., 3). noise: standard normal numbers, (.., 3)."""

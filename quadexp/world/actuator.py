@@ -19,7 +19,10 @@ reaction torque; changing and turning it takes a torque, whose opposite acts on 
 
 S is that of the middle of the step, S' its mean over the step, w that of the beginning.
 
-Inner states: y (n,), then what is logged (n,), see rotor_columns.py. Parameters: exp(-h / 2 tau) up and down over half
+A flight logs the speeds w = sqrt(T / k) of its rotors by the thrusts that their motors give, or these thrusts where
+no k is known: lag, voltage and loss are seen there.
+
+Inner states: y (n,), then what is logged (n,). Parameters: exp(-h / 2 tau) up and down over half
 an integration step h, least and largest thrust (N), thrust coefficient; with I_p or factors: (s_0 s_i - 1) times
 vehicle.allocation (4 n,), column by column, and I_p d_i / sqrt(k) (n,).
 """
@@ -42,7 +45,6 @@ from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
-from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 
 LAG = "time constant of the rotors that have to turn {}; 0: none"
 
@@ -89,16 +91,15 @@ class Actuator(Effect):
 
     @property
     def loop_lag(self) -> float:
-        """See Effect.loop_lag."""
         return max(self.time_constant_up, self.time_constant_down)
 
     def among(self, effects: Sequence[Effect]) -> Effect:
-        """See Effect.among: without inertia and factors of the rotors nothing is added to a step."""
+        """Without inertia and factors of the rotors nothing is added to a step."""
         pushes = self.rotor_inertia or self.flight_scale_std or self.rotor_scale_std
         return PushingActuator(**asdict(self)) if pushes else self
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes. Raises UsageError for what needs speeds where the vehicle has no thrust coefficient."""
+        """Raises UsageError for what needs speeds where the vehicle has no thrust coefficient."""
         asked = {key: getattr(self, key) for key in ("rotor_speed_min", "rotor_speed_max")}
         for name, value in (asked | {"rotor_inertia": self.rotor_inertia or None}).items():
             if value is not None and vehicle.thrust_coefficient is None:
@@ -109,7 +110,6 @@ class Actuator(Effect):
         return Sizes(inner=2 * vehicle.n_rotors, parameters=N_FIXED)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         vehicle = start.vehicle
         k = vehicle.thrust_coefficient or 0.0
         low = k * (self.rotor_speed_min or 0.0) ** 2
@@ -126,25 +126,22 @@ class Actuator(Effect):
         return inner, np.array([*decays, low, high, rotor_column_factor(vehicle)])
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
-        """See Effect.columns."""
         return rotor_column_names(vehicle, vehicle.n_rotors)
 
     def thrusts(self, at: Moment) -> Expression:
-        """See Effect.thrusts."""
         return self._thrust(self._after(at)[0])
 
     def advance(self, at: Moment) -> Expression:
-        """See Effect.advance."""
         y = self._after(at)[1]
         return ca.vertcat(y, at.inner[y.numel() :])
 
     def end(self, at: Moment) -> Expression:
-        """See Effect.end: what is logged."""
+        """What is logged."""
         y = at.inner[: at.inner.numel() // 2]
         return ca.vertcat(y, rotor_column(self._thrust(y), at.parameters[4]))
 
     def _lagging(self, thrust: Any) -> Any:
-        """y of a thrust."""
+        """Y of a thrust."""
         return ca.sqrt(thrust) if self.lag_of == "rotor_speed" else thrust
 
     def _after(self, at: Moment) -> tuple[Expression, Expression]:
@@ -160,7 +157,6 @@ class Actuator(Effect):
 
     @property
     def idle(self) -> bool:
-        """See WorldPartConfig."""
         numbers = (self.time_constant_up, self.time_constant_down, self.rotor_scale_std, self.flight_scale_std)
         return not any((*numbers, self.rotor_inertia)) and self.rotor_speed_min is None and self.rotor_speed_max is None
 
@@ -170,16 +166,13 @@ class PushingActuator(Actuator):
     """Motors whose rotors have angular momentum, or thrust coefficients of their own; Actuator.among makes it."""
 
     def among(self, effects: Sequence[Effect]) -> Effect:
-        """See Effect.among."""
         return self
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         sizes = super().sizes(clock, vehicle)
         return sizes._replace(parameters=sizes.parameters + 5 * vehicle.n_rotors)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         inner, parameters = super().start(rng, start)
         vehicle = start.vehicle
         drawn = rng.standard_normal(1 + vehicle.n_rotors)  # whatever the settings: neither changes the other's draws
@@ -189,7 +182,6 @@ class PushingActuator(Actuator):
         return inner, np.concatenate([parameters, more, factor * np.array(vehicle.rotor_spin, float)])
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        """See Effect.wrench."""
         middle, end = self._after(at)
         first, n = at.inner[: middle.numel()], middle.numel()
         before, between, after = (ca.dot(at.parameters[-n:], self._root(y)) for y in (first, middle, end))
@@ -207,3 +199,26 @@ def log_normal(std: float, drawn: Any) -> Any:
     """Positive factors with mean 1 and this standard deviation, from standard normal numbers."""
     spread = math.log1p(std**2)
     return np.exp(math.sqrt(spread) * drawn - spread / 2)
+
+
+def rotor_column_names(vehicle: Vehicle, first: int) -> Mapping[str, int]:
+    """Columns of n inner states from `first` on."""
+    name = "delivered" if vehicle.thrust_coefficient is None else "rotor_speed"
+    return {f"{name}_{i}": first + i for i in range(vehicle.n_rotors)}
+
+
+def rotor_column_factor(vehicle: Vehicle) -> float:
+    """The parameter that `rotor_column` needs: thrust coefficient (N s^2), 0 where it is not known."""
+    return vehicle.thrust_coefficient or 0.0
+
+
+def rotor_column(thrust: Expression, factor: Expression) -> Expression:
+    """Rotor speeds (n,) (rad/s) of thrusts (n,) (N); the thrusts where the factor is 0."""
+    speed = ca.sqrt(ca.fmax(thrust, 0) / ca.fmax(factor, 1e-300))
+    return ca.if_else(factor > 0, speed, thrust)
+
+
+def first_rotor_column(vehicle: Vehicle, thrust: np.ndarray) -> Any:
+    """The columns at thrusts (n,) (N); (n,)."""
+    k = vehicle.thrust_coefficient
+    return thrust if k is None else np.sqrt(thrust / k)

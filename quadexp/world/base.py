@@ -12,9 +12,6 @@ from quadexp.parts.part import Given, Part
 from quadexp.parts.settings import Backend, Setting, key
 from quadexp.physics.vehicle import Vehicle
 
-PAYLOAD_MASS = Setting(
-    "point mass at the centre of mass, unknown to controllers that are not told the plant's equations", "[0, 100]", "kg"
-)
 FORCE_DENSITY = Setting("spectral density of the white noise on the force, each axis", "[0, 10]", "N/sqrt(Hz)")
 TORQUE_DENSITY = Setting("spectral density of the white noise on the torque, each axis", "[0, 10]", "N m/sqrt(Hz)")
 

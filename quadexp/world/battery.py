@@ -6,7 +6,7 @@ a battery that lasts 20 s loses 0.1 % of its charge, and E is off by some 1e-6 V
 charge, where it bends). The flight is over when the battery is empty, or its voltage below the cut-off.
 
 Inner states: state of charge, V_1, voltage (V), current (A), then of the rotors (n,) their thrusts, and at the end of a
-period what is logged, see rotor_columns.py; then a and b of the tangent a + b z. Parameters: see `PARAMETERS`.
+period what is logged, see actuator.py; then a and b of the tangent a + b z. Parameters: see `PARAMETERS`.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from quadexp.physics.battery import (
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.actuator import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
-from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 
 CHARGE, RC_VOLTAGE, VOLTAGE, CURRENT = range(4)
 STATES, TANGENT = 4, 2
@@ -74,11 +74,10 @@ class Battery(Effect):
     stage = "battery"
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(inner=STATES + vehicle.n_rotors + TANGENT, parameters=len(PARAMETERS))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start. Raises UsageError where the battery cannot hold the vehicle in hover."""
+        """Raises UsageError where the battery cannot hold the vehicle in hover."""
         vehicle = start.vehicle
         power = self.hover_power * vehicle.mass
         source = float(open_circuit_voltage(self.state_of_charge, self.cells))
@@ -110,38 +109,33 @@ class Battery(Effect):
         return inner, [values[name] for name in PARAMETERS]
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
-        """See Effect.columns."""
         own = {"battery_voltage": VOLTAGE, "battery_current": CURRENT, "state_of_charge": CHARGE}
         return {**own, **rotor_column_names(vehicle, STATES)}
 
     def begin(self, at: Moment) -> Expression:
-        """See Effect.begin: the tangent."""
+        """The tangent."""
         tangent = open_circuit_tangent(ca.fmax(at.inner[CHARGE], 0), self._named(at)["cells"])
         return ca.vertcat(at.inner[:-TANGENT], *tangent)
 
     def thrusts(self, at: Moment) -> Expression:
-        """See Effect.thrusts."""
         return self._point(at).thrust
 
     def advance(self, at: Moment) -> Expression:
-        """See Effect.advance."""
         p, point = self._named(at), self._point(at)
         charge = charge_after(at.inner[CHARGE], point.current, p["capacity"], at.step)
         pair = decayed(at.inner[RC_VOLTAGE], p["rc_resistance"] * point.current, p["rc_decay"])
         return ca.vertcat(charge, pair, point.voltage, point.current, point.thrust, at.inner[-TANGENT:])
 
     def end(self, at: Moment) -> Expression:
-        """See Effect.end: what is logged."""
+        """What is logged."""
         logged = rotor_column(at.inner[STATES:-TANGENT], self._named(at)["rotor_column_factor"])
         return ca.vertcat(at.inner[:STATES], logged, at.inner[-TANGENT:])
 
     def ended(self, inner: Any, parameters: Any) -> Any:
-        """See Effect.ended."""
         cutoff = parameters[PARAMETERS.index("cutoff")]
         return ca.fmax(inner[CHARGE] <= 0, inner[VOLTAGE] < cutoff)
 
     def reason(self, inner: np.ndarray, parameters: np.ndarray) -> str:
-        """See Effect.reason."""
         charge, voltage, current = (float(inner[i]) for i in (CHARGE, VOLTAGE, CURRENT))
         if charge <= 0:
             return f"the battery is empty (battery.capacity={self.capacity:g} Ah, {voltage:.1f} V left)"

@@ -28,13 +28,10 @@ class ConstantWind(MeanWind):
     """The same wind everywhere and at all times. parameters: velocity (3,), world (m/s)."""
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(parameters=3)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         return (), self.velocity
 
     def wind(self, at: Moment) -> Expression:
-        """See Effect.wind."""
         return at.parameters

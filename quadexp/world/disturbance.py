@@ -45,15 +45,12 @@ class Disturbance(Effect):
     stage = "external"
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(parameters=8)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         end = math.inf if self.duration is None else self.onset + self.duration
         return (), (*self.force, *self.torque, self.onset, end)
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        """See Effect.wrench."""
         share = active_share(at.t, at.step, at.parameters[6], at.parameters[7])
         return share * at.parameters[:3], share * at.parameters[3:6]

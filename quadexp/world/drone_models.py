@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +28,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Settings, Triple, key, part
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features, state_derivative
@@ -49,11 +48,9 @@ OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is ano
 Pair = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class DroneModelsKeys(Settings):
+@dataclass(frozen=True, kw_only=True)
+class DroneModels(PlantPart):
     """Rotors and drag of the first-principles model of drone-models 0.1, with the numbers of its cf2x_L250."""
-
-    prefix: ClassVar[str] = "plant."
 
     thrust_curve: Triple = key(
         (0.0, -5.382196214637237e-7, 2.4582929831265485e-10), "rpm2thrust: N, N/rpm, N/rpm^2", "[-1, 1]"
@@ -72,30 +69,21 @@ class DroneModelsKeys(Settings):
     )
     propeller_inertia: float = key(34.52e-9, "of one propeller about its axis (prop_inertia)", "[0, 1]", "kg m^2")
 
-
-@dataclass(frozen=True, kw_only=True)
-class DroneModels(DroneModelsKeys, PlantPart):
-    """drone-models' first-principles equations."""
-
     former_kind = "drone_models"
 
     def build(self, given: Given) -> DroneModelsPlant:
-        """See PlantPart."""
-        return DroneModelsPlant(given.vehicle, part(DroneModelsKeys, self), step=self.step, backend=self.backend)
+        return DroneModelsPlant(given.vehicle, self)
 
 
 class DroneModelsPlant(RotorSpeedPlant):
     """drone-models' first-principles model, with its motors, as a Plant.
 
-    vehicle: with thrust_coefficient. keys: of rotors and drag. step: largest integration step (s); a control period is
-    divided evenly. After `advance`: rotor_speed (n,) (rad/s). Raises UsageError where thrust_curve does not rise over
-    the vehicle's thrusts, or in hover is not that of the vehicle's thrust_coefficient.
+    vehicle: with thrust_coefficient. After `advance`: rotor_speed (n,) (rad/s). Raises UsageError where thrust_curve
+    does not rise over the vehicle's thrusts, or in hover is not that of the vehicle's thrust_coefficient.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, keys: DroneModelsKeys | None = None, *, step: float = 1e-3, backend: str = "auto"
-    ) -> None:
-        self.keys = keys or DroneModelsKeys()
+    def __init__(self, vehicle: Vehicle, keys: DroneModels) -> None:
+        self.keys = keys
         k_0, k_1, k_2 = self.keys.thrust_curve
         if not (k_2 > 0 and k_1**2 > 4 * k_2 * (k_0 - vehicle.thrust_min)):
             raise UsageError(
@@ -110,7 +98,7 @@ class DroneModelsPlant(RotorSpeedPlant):
                 f" speed squared, its vehicle.thrust_coefficient is {stated}: the curve is another vehicle's"
                 " (vehicle=cf2x_L250 flies plant=drone_models, vehicle=cf21B_500 plant=drone_models_brushless)"
             )
-        super().__init__(vehicle, _equations(vehicle), self._values(), step=step, backend=backend)
+        super().__init__(vehicle, _equations(vehicle), self._values(), step=keys.step, backend=keys.backend)
 
     def _values(self) -> np.ndarray:
         """Parameters of the equations, (14,)."""
@@ -121,18 +109,18 @@ class DroneModelsPlant(RotorSpeedPlant):
         )
 
     def initial(self, thrust: npt.ArrayLike) -> np.ndarray:
-        """See SimulatedPlant: rotor speeds (rad/s) at thrusts (N) that are held."""
+        """Rotor speeds (rad/s) at thrusts (N) that are held."""
         k_0, k_1, k_2 = self.keys.thrust_curve
         return RPM * (np.sqrt(k_1**2 - 4 * k_2 * (k_0 - np.asarray(thrust))) - k_1) / (2 * k_2)
 
     @property
     def loop_lag(self) -> float:  # type: ignore[override]  # a plain attribute in the base
-        """See SimulatedPlant: in hover, of thrust after a small change of the command, up or down, the longer (s)."""
+        """In hover, of thrust after a small change of the command, up or down, the longer (s)."""
         rpm = float(self.initial(self.vehicle.hover_thrust)) / RPM
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
 
     def residual(self) -> Residual:
-        """See Plant.residual: drag, reaction torque and rotors as gyroscopes at the commanded speeds.
+        """drag, reaction torque and rotors as gyroscopes at the commanded speeds.
 
         The lag of the motors, which controller.motor_lag says, is left out, and with it the torque of spinning up.
         """

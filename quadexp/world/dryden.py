@@ -147,7 +147,6 @@ class Dryden(MeanWind):
     stage = "wind"
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         ticks = Ticking(N_NOISE, self.held(), clock.period)
         return Sizes(N_FILTER + 3 + 4 * ticks.slots, N_PARAMETERS, (ticks,))
 
@@ -160,7 +159,7 @@ class Dryden(MeanWind):
         return scale_lengths(self.altitude) if self.length is None else np.array(self.length)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start: the filters begin in their stationary distribution."""
+        """The filters begin in their stationary distribution."""
         mean = np.array(self.velocity)
         at_6m = math.hypot(*self.velocity[:2]) if self.wind_at_6m is None else self.wind_at_6m
         intensity = intensities(self.altitude, at_6m) if self.intensity is None else self.intensity
@@ -173,7 +172,7 @@ class Dryden(MeanWind):
         return np.concatenate([filters, first, np.zeros(4 * slots)]), parameters
 
     def begin(self, at: Moment) -> Expression:
-        """See Effect.begin: the winds of the period."""
+        """The winds of the period."""
         mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
         airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0]), limits[1])
         filters = at.inner[:N_FILTER]
@@ -186,7 +185,7 @@ class Dryden(MeanWind):
         return ca.vertcat(filters, winds[0], *(after - before for before, after in pairwise(winds)), *times)
 
     def wind(self, at: Moment) -> Expression:
-        """See Effect.wind: the last that holds when the step begins."""
+        """The last that holds when the step begins."""
         count = (at.inner.numel() - N_FILTER - 3) // 4
         first, *added = ca.vertsplit(at.inner[N_FILTER:-count], 3)
         times = ca.vertsplit(at.inner[-count:])

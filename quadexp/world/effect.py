@@ -8,7 +8,7 @@ effects and the airframe's equations into the one function of a control period. 
 
 What has a memory is an inner state; what is drawn once a flight is a parameter; noise comes as standard normal numbers
 from the effect's own random stream, by time (see streams.py): switching an effect on, or another control rate, changes
-no numbers.
+no numbers. What a hook is for is said here; that of an effect says what is its own.
 """
 
 from __future__ import annotations

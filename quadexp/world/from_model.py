@@ -40,7 +40,7 @@ class FromModel(PlantPart):
     torque_noise_density: float = key(0.0, TORQUE_DENSITY)
 
     def build(self, given: Given) -> FromModelPlant:
-        """See PlantPart; the model was fitted to given.believed."""
+        """The model was fitted to given.believed."""
         return FromModelPlant(
             given.vehicle,
             given.plant_model(self.model, self.residual),
@@ -78,7 +78,7 @@ class FromModelPlant(SimulatedPlant):
         super().__init__(vehicle, equations, parameters, step=step, backend=backend)
 
     def residual(self) -> Residual:
-        """See Plant.residual: the model itself; noise and clipping left out."""
+        """The model itself; noise and clipping left out."""
         return self._model
 
 

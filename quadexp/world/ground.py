@@ -66,11 +66,9 @@ class GroundEffect(Effect):
     stage = "ground"
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(parameters=3 * vehicle.n_rotors + 3)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         radius = self.rotor_radius
         if radius is None:
             if start.vehicle.rotor is None:
@@ -81,6 +79,5 @@ class GroundEffect(Effect):
         return (), np.concatenate([*start.vehicle.rotor_position, [radius, self.height, self.height_max]])
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        """See Effect.wrench."""
         position, *others = ca.vertsplit(at.parameters, [0, *(3 * at.thrust.numel() + i for i in range(4))])
         return ground_wrench(at.x, at.thrust, ca.reshape(position, 3, at.thrust.numel()), *others)

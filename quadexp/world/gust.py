@@ -44,14 +44,12 @@ class Gust(MeanWind):
     stage = "wind"
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(parameters=8)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         return (), (*self.velocity, *self.amplitude, self.onset, self.duration)
 
     def wind(self, at: Moment) -> Expression:
-        """See Effect.wind: that of the middle of the step."""
+        """That of the middle of the step."""
         mean, amplitude, onset, duration = ca.vertsplit(at.parameters, [0, 3, 6, 7, 8])
         return mean + one_minus_cosine(at.t + at.step / 2, onset, duration, amplitude)

@@ -107,7 +107,6 @@ class SimulatedPlant:
         self.reset()
 
     def reset(self) -> None:
-        """See Plant.reset."""
         self.time, self.inner = 0.0, self.initial(np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
 
     def begin(
@@ -144,7 +143,7 @@ class SimulatedPlant:
     def advance(
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | Streams | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See Plant.advance. rng: what `begin` returned; or a Generator, whose noise is new in every period and step.
+        """rng: what `begin` returned; or a Generator, whose noise is new in every period and step.
 
         It may be None where the equations have no noise.
         """
@@ -218,17 +217,16 @@ class SimulatedPlant:
 
 
 class RotorSpeedPlant(SimulatedPlant):
-    """A plant whose inner states are its rotors' speeds, (n,) (rad/s)."""
+    """A plant whose first inner states are its rotors' speeds, (n,) (rad/s)."""
 
     @property
     def inner_columns(self) -> tuple[str, ...]:
-        """See SimulatedPlant."""
         return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
 
     @property
     def rotor_speed(self) -> np.ndarray:
         """(n,), rad/s."""
-        return self.inner
+        return self.inner[: self.vehicle.n_rotors]
 
     @property
     def rotor_places(self) -> list[int]:

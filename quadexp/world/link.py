@@ -41,7 +41,6 @@ class Latency(Effect):
 
     @property
     def loop_delay(self) -> float:
-        """See Effect.loop_delay."""
         return self.latency + self.jitter / 2
 
     def _kept(self, clock: Clock) -> int:
@@ -49,17 +48,15 @@ class Latency(Effect):
         return math.floor((self.latency + self.jitter) / clock.period + 1e-6) + 1
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         n = vehicle.n_rotors
         return Sizes(inner=n + self._kept(clock) * (n + 1), parameters=3, drawn=(Sampled(2, (0.0,)),))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         waiting = np.tile([*start.thrust, NEVER], self._kept(start.clock))
         return np.concatenate([start.thrust, waiting]), (self.latency, self.jitter, self.drop)
 
     def begin(self, at: Moment) -> Expression:
-        """See Effect.begin: the oldest command is no longer kept, the new one is sent."""
+        """The oldest command is no longer kept, the new one is sent."""
         n = at.command.numel()
         base = ca.if_else(at.inner[-1] < NEVER, at.inner[-n - 1 : -1], at.inner[:n])
         uniform = (1 + ca.erf(at.draws / math.sqrt(2))) / 2
@@ -68,7 +65,7 @@ class Latency(Effect):
         return ca.vertcat(base, at.command, arrives, at.inner[n : -n - 1])
 
     def thrusts(self, at: Moment) -> Expression:
-        """See Effect.thrusts: from its arrival on, each command replaces older ones."""
+        """From its arrival on, each command replaces older ones."""
         n, acting, found = at.command.numel(), 0, 0
         for first in range(n, at.inner.numel(), n + 1):  # the newest first; acting: share of the step from then on
             left = at.t + at.step - ROUNDING - at.inner[first + n]

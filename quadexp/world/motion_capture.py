@@ -9,25 +9,21 @@ A filter compares p_m - p and Log(q* o q_m), which to first order are the errors
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.part import Part
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product
 from quadexp.physics.state import ATTITUDE, POSITION
-from quadexp.world.aid import OUTAGE, RATE, SHARE, Aid, Innovation
 from quadexp.world.eskf import D_ATTITUDE, D_POSITION, D_VELOCITY
+from quadexp.world.inertial import OUTAGE, RATE, SHARE, Aid, InertialSensors, Innovation
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionCaptureKeys(Part):
-    """Position and attitude from cameras; see quadexp/world/motion_capture.py."""
-
-    prefix: ClassVar[str] = "sensor."
+class ImuMocap(InertialSensors):
+    """An IMU and motion capture: position (m) and attitude; its first velocity is that between two poses."""
 
     pose_rate: float = key(100.0, "poses a second, at most imu_rate", RATE, "Hz")
     pose_delay: float = key(0.01, "between the exposure and the pose at hand", "[0, 1]", "s")
@@ -36,25 +32,25 @@ class MotionCaptureKeys(Part):
     pose_dropout: float = key(0.01, SHARE)
     pose_outage: float = key(0.05, OUTAGE)
 
-
-def motion_capture(keys: MotionCaptureKeys) -> Aid:
-    """Position (m) and attitude; its first velocity is that between two poses."""
-    position, attitude = keys.pose_position_noise, keys.pose_attitude_noise
-    velocity = float(np.sqrt(2)) * position * keys.pose_rate
-    return Aid(
-        name="pose",
-        rate=keys.pose_rate,
-        delay=keys.pose_delay,
-        dropout=keys.pose_dropout,
-        outage=keys.pose_outage,
-        size=7,
-        noise=6,
-        deviations=np.array([position, attitude]),
-        measure=_measure,
-        compare=_compare,
-        first_guess={**dict.fromkeys(D_POSITION, position), **dict.fromkeys(D_VELOCITY, velocity)}
-        | dict.fromkeys(D_ATTITUDE, attitude),
-    )
+    @property
+    def aids(self) -> tuple[Aid, ...]:
+        position, attitude = self.pose_position_noise, self.pose_attitude_noise
+        velocity = float(np.sqrt(2)) * position * self.pose_rate
+        pose = Aid(
+            name="pose",
+            rate=self.pose_rate,
+            delay=self.pose_delay,
+            dropout=self.pose_dropout,
+            outage=self.pose_outage,
+            size=7,
+            noise=6,
+            deviations=np.array([position, attitude]),
+            measure=_measure,
+            compare=_compare,
+            first_guess={**dict.fromkeys(D_POSITION, position), **dict.fromkeys(D_VELOCITY, velocity)}
+            | dict.fromkeys(D_ATTITUDE, attitude),
+        )
+        return (pose,)
 
 
 def _measure(x: Expression, noise: Expression, deviations: Expression) -> Expression:

@@ -1,6 +1,6 @@
 """Rotors that lose part of their thrust at a time: T_i = f u_i from t on, f of the last loss that has begun.
 
-Inner states: what is logged of the rotors (n,), see rotor_columns.py. Parameters: thrust coefficient, then t (s) and
+Inner states: what is logged of the rotors (n,), see actuator.py. Parameters: thrust coefficient, then t (s) and
 factor of every loss.
 """
 
@@ -17,8 +17,8 @@ from quadexp.errors import UsageError
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.actuator import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
-from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 
 FAILURE = ("rotor", "t", "factor")
 
@@ -59,7 +59,7 @@ class RotorLoss(Effect):
         return sorted(self.losses, key=lambda loss: loss["t"])
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes. Raises UsageError for a rotor that the vehicle does not have."""
+        """Raises UsageError for a rotor that the vehicle does not have."""
         for loss in self.losses:
             if loss["rotor"] >= vehicle.n_rotors:
                 raise UsageError(
@@ -69,16 +69,13 @@ class RotorLoss(Effect):
         return Sizes(inner=vehicle.n_rotors, parameters=1 + 2 * len(self.losses))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         numbers = [float(loss[name]) for loss in self._ordered for name in ("t", "factor")]
         return first_rotor_column(start.vehicle, start.thrust), [rotor_column_factor(start.vehicle), *numbers]
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
-        """See Effect.columns."""
         return rotor_column_names(vehicle, 0)
 
     def thrusts(self, at: Moment) -> Expression:
-        """See Effect.thrusts."""
         factors = [type(at.command)(1) for _ in range(at.command.numel())]
         for i, loss in enumerate(self._ordered):
             begins, factor = at.parameters[1 + 2 * i], at.parameters[2 + 2 * i]
@@ -87,10 +84,8 @@ class RotorLoss(Effect):
         return at.command * ca.vertcat(*factors)
 
     def advance(self, at: Moment) -> Expression:
-        """See Effect.advance."""
         return rotor_column(self.thrusts(at), at.parameters[0])
 
     @property
     def idle(self) -> bool:
-        """See WorldPartConfig."""
         return not self.losses

@@ -20,7 +20,6 @@ with Aerodynamics for Education and Research", arXiv 2306.04485.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Settings, Triple, key, part
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_rk4_step
@@ -45,11 +44,9 @@ SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes th
 # no slope at u = 0
 
 
-@dataclass(frozen=True)
-class RotorPyKeys(Settings):
+@dataclass(frozen=True, kw_only=True)
+class RotorPy(PlantPart):
     """Air and motors of RotorPy 3.0's Multirotor (Folk et al. 2023), with the numbers of its Hummingbird."""
-
-    prefix: ClassVar[str] = "plant."
 
     aero: bool = key(True, "forces and torques of the air; false: thrust and reaction torque of the rotors alone")
     parasitic_drag: Triple = key(
@@ -67,30 +64,21 @@ class RotorPyKeys(Settings):
     rotor_speed_min: float = key(0.0, "least rotor speed", "[0, 1e5]", "rad/s")
     rotor_speed_max: float = key(1500.0, "largest rotor speed", "(0, 1e5]", "rad/s")
 
-
-@dataclass(frozen=True, kw_only=True)
-class RotorPy(RotorPyKeys, PlantPart):
-    """RotorPy's equations."""
-
     former_kind = "rotorpy"
 
     def build(self, given: Given) -> RotorPyPlant:
-        """See PlantPart."""
-        return RotorPyPlant(given.vehicle, part(RotorPyKeys, self), step=self.step, backend=self.backend)
+        return RotorPyPlant(given.vehicle, self)
 
 
 class RotorPyPlant(RotorSpeedPlant):
     """RotorPy's Multirotor as a Plant.
 
-    vehicle: with thrust_coefficient. keys: of air and motors. step: largest integration step (s); a control period is
-    divided evenly. After `advance`: rotor_speed (n,) (rad/s). Raises UsageError where the vehicle has no
-    thrust_coefficient, or its rotors need more than rotor_speed_max to hover.
+    vehicle: with thrust_coefficient. After `advance`: rotor_speed (n,) (rad/s). Raises UsageError where the vehicle has
+    no thrust_coefficient, or its rotors need more than rotor_speed_max to hover.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, keys: RotorPyKeys | None = None, *, step: float = 5e-4, backend: str = "auto"
-    ) -> None:
-        self.keys = keys or RotorPyKeys()
+    def __init__(self, vehicle: Vehicle, keys: RotorPy) -> None:
+        self.keys = keys
         if vehicle.thrust_coefficient is None:
             raise UsageError(
                 f"plant=rotorpy: vehicle={vehicle.name} has no vehicle.thrust_coefficient (thrust per rotor speed"
@@ -102,10 +90,9 @@ class RotorPyPlant(RotorSpeedPlant):
                 f"plant.rotor_speed_max: vehicle={vehicle.name} hovers at {hover:.4g} rad/s,"
                 f" outside ({self.keys.rotor_speed_min:g}, {self.keys.rotor_speed_max:g})"
             )
-        super().__init__(vehicle, _equations(vehicle), self._values(), step=step, backend=backend)
+        super().__init__(vehicle, _equations(vehicle), self._values(), step=keys.step, backend=keys.backend)
 
     def initial(self, thrust: np.ndarray) -> np.ndarray:
-        """See SimulatedPlant."""
         speed = np.sqrt(thrust / self.vehicle.static_thrust_coefficient)
         return np.clip(speed, self.keys.rotor_speed_min, self.keys.rotor_speed_max)
 
@@ -118,7 +105,7 @@ class RotorPyPlant(RotorSpeedPlant):
         return np.hstack([air * keys.aero, keys.motor_lag, keys.rotor_speed_min, keys.rotor_speed_max])
 
     def residual(self) -> Residual:
-        """See Plant.residual: all but the lag of the motors, which controller.motor_lag says."""
+        """All but the lag of the motors, which controller.motor_lag says."""
         n, vehicle = self.vehicle.n_rotors, self.vehicle
         z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_PARAMETERS)
         command = z[6:]

@@ -1,8 +1,8 @@
-"""The simplified simulation of Torrente et al. 2021: rigid body, drag, motor loss, process noise, payload.
+"""The simplified simulation of Torrente et al. 2021: rigid body, drag, motor loss, process noise.
 
     delivered thrust   t_i = clip(u_i - k u_i^2 / u_max - noise_i, 0, u_max)
     body force         F   = [0, 0, sum t_i + lift] - d v_b - c v_b |v_b| + noise          N, per axis; lift = k v_xy^2
-    v'                     = R F / M + g,   M = m + payload (a point mass at the centre)
+    v'                     = R F / m + g
     w'                     = J^-1 (G t + noise - w x J w)
 
 Every noise is white and given by its spectral density, held for 0.5 ms whatever the integration step h (see Held in
@@ -15,7 +15,7 @@ that of Sun et al. 2022, zero by default.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from quadexp.physics.motor import thrust_loss
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.base import FORCE_DENSITY, PAYLOAD_MASS, TORQUE_DENSITY, PlantPart
+from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
 
 
@@ -54,7 +54,6 @@ class PlantEffects(Settings):
     )
     force_noise_density: float = key(1.118033988749895e-4, FORCE_DENSITY)
     torque_noise_density: float = key(1.118033988749895e-4, TORQUE_DENSITY)
-    payload: float = key(0.0, PAYLOAD_MASS)
     lift: float = key(
         0.0, "k of the force k (v_x^2 + v_y^2) along z_body, v in body axes", "[0, 100]", "N s^2/m^2", noise=False
     )
@@ -62,7 +61,7 @@ class PlantEffects(Settings):
     @classmethod
     def none(cls) -> PlantEffects:
         """The ideal plant: what the nominal model says is what happens."""
-        return cls(ZERO, ZERO, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return cls(ZERO, ZERO, 0.0, 0.0, 0.0, 0.0)
 
     @property
     def noisy(self) -> bool:
@@ -70,14 +69,14 @@ class PlantEffects(Settings):
         return any((self.motor_noise_density, self.force_noise_density, self.torque_noise_density))
 
     def parameters(self) -> np.ndarray:
-        """The numbers in the order of the plant's symbolic parameter vector, (12,)."""
+        """The numbers in the order of the plant's symbolic parameter vector, (11,)."""
         return np.hstack(astuple(self)).astype(float)
 
 
 ZERO = (0.0, 0.0, 0.0)
-N_EFFECTS = 12
-LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, PAYLOAD, LIFT = (
-    slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10, 11,
+N_EFFECTS = 11
+LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, LIFT = (
+    slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10,
 )  # fmt: skip
 
 
@@ -87,15 +86,18 @@ class Simplified(PlantEffects, PlantPart):
 
     former_kind = "simplified"
 
+    def recorded(self) -> dict[str, Any]:
+        """See Part; with a key of earlier versions, so that hashes and noise stay."""
+        return super().recorded() | {"payload": 0.0}
+
     def build(self, given: Given) -> SimplifiedPlant:
-        """See PlantPart."""
         return SimplifiedPlant(given.vehicle, part(PlantEffects, self), step=self.step, backend=self.backend)
 
 
 class SimplifiedPlant(SimulatedPlant):
     """The simplified simulation as a Plant.
 
-    vehicle: true vehicle (without payload). step: largest integration step (s); a control period is divided evenly.
+    vehicle: the true one. step: largest integration step (s); a control period is divided evenly.
     """
 
     def __init__(
@@ -106,7 +108,7 @@ class SimplifiedPlant(SimulatedPlant):
         super().__init__(vehicle, equations, parameters, step=step, backend=backend)
 
     def residual(self) -> Residual:
-        """See Plant.residual: drag, mean motor loss and payload; noise and clipping left out."""
+        """Drag and mean motor loss; noise and clipping left out."""
         n = self.vehicle.n_rotors
         z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_EFFECTS)
         command, delivered = z[6:], _delivered_thrust(z[6:], theta, self.vehicle)
@@ -129,7 +131,7 @@ def _body_acceleration(
     force = linear_drag_force(body_velocity, effects[LINEAR_DRAG])
     force += quadratic_drag_force(body_velocity, effects[QUADRATIC_DRAG])
     lift = effects[LIFT] * ca.sumsqr(body_velocity[:2])
-    return (force + ca.vertcat(0, 0, ca.sum1(delivered) + lift)) / (vehicle.mass + effects[PAYLOAD])
+    return (force + ca.vertcat(0, 0, ca.sum1(delivered) + lift)) / vehicle.mass
 
 
 def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
@@ -140,7 +142,7 @@ def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
     scaled = noise / ca.sqrt(step) if noisy else ca.SX.zeros(n + 6)
     motor = effects[MOTOR_NOISE] * ca.sqrt(u * vehicle.thrust_max) * scaled[:n]
     delivered = ca.fmin(ca.fmax(_delivered_thrust(u, effects, vehicle) - motor, 0), vehicle.thrust_max)
-    force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / (vehicle.mass + effects[PAYLOAD])
+    force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / vehicle.mass
     torque_noise = effects[TORQUE_NOISE] * scaled[n + 3 :]
 
     def specific_force(state: Expression) -> Expression:
@@ -148,13 +150,10 @@ def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
         return _body_acceleration(body_velocity, delivered, effects, vehicle) + force_noise
 
     def slope(state: Expression) -> Expression:
-        """The rigid body is told what goes beyond the delivered thrust: drag, payload and noise."""
+        """The rigid body is told what goes beyond the delivered thrust: drag, lift and noise."""
         nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)
         return state_derivative(state, delivered, vehicle, ca.vertcat(specific_force(state) - nominal, torque_noise))
 
     after = integrate("rk4", slope, x, step)
     results = ca.cse([after, specific_force(after)])
-    return Equations(
-        ca.Function("plant_step", [x, u, noise, effects, step], results, STEP_INPUTS, STEP_OUTPUTS),
-        mass=ca.Function("mass", [effects], [vehicle.mass + effects[PAYLOAD]]),
-    )
+    return Equations(ca.Function("plant_step", [x, u, noise, effects, step], results, STEP_INPUTS, STEP_OUTPUTS))

@@ -126,36 +126,31 @@ class SlungLoad(Payload):
 
     @property
     def part(self) -> str:
-        """See Effect.part."""
         return "payload"
 
     def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
-        """See Effect.true_vehicle: the vehicle itself, if it can hover with the load."""
+        """The vehicle itself, if it can hover with the load."""
         with_payload(vehicle, self.mass, np.zeros(3))
         return vehicle
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(inner=6, parameters=9)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start: the load hangs at rest."""
+        """The load hangs at rest."""
         made = cable(self, start.vehicle.gravity)
         check_step(made, start.clock.step, start.vehicle.mass)
         return hanging(made, start.x), np.hstack(made)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
-        """See Effect.columns."""
         return {f"load_{axis}": i for i, axis in enumerate("xyz")}
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        """See Effect.wrench."""
         made = self._cable(at)
         force = cable_force(made, at.x, at.inner, at.step)
         return force, cable_torque(made, at.x[ATTITUDE], force)
 
     def advance(self, at: Moment) -> Expression:
-        """See Effect.advance."""
         made = self._cable(at)
         return advanced(made, at.inner, cable_force(made, at.x, at.inner, at.step), at.wind, at.step)
 

@@ -50,7 +50,6 @@ class StatedEstimate(Effect):
 
     @property
     def loop_delay(self) -> float:
-        """See Effect.loop_delay."""
         return self.delay
 
     def _late(self, clock: Clock) -> tuple[int, float]:
@@ -59,16 +58,13 @@ class StatedEstimate(Effect):
         return late, late - self.delay / clock.step
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(N_STATE * self._late(clock)[0], parameters=4, drawn=(Sampled(AXES, (clock.period,)),))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
         return np.tile(start.x, self._late(start.clock)[0]), noise
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
-        """See Effect.measure."""
         late, share = self._late(at.clock)
         kept = ca.horzcat(ca.reshape(at.inner, N_STATE, late), at.states[:, 1:])[:, -late - 1 :]
         x = kept[:, 0]
@@ -88,6 +84,5 @@ class StatedEstimate(Effect):
 
     @property
     def idle(self) -> bool:
-        """See WorldPartConfig."""
         noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
         return not any((*noise, self.delay))

@@ -93,26 +93,21 @@ class TrueVehicle(Effect):
     stage = "truth"
 
     def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
-        """See Effect.true_vehicle."""
         return with_factors(vehicle, self.mass, np.array(self.inertia), np.array(self.center_of_mass))
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes."""
         return Sizes(parameters=4 * vehicle.n_rotors)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect.start."""
         factors = self.thrust_coefficient, self.torque_coefficient
         return (), coefficient_allocation(start.vehicle, *factors).ravel(order="F")
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        """See Effect.wrench."""
         wrench = ca.mtimes(ca.reshape(at.parameters, 4, at.thrust.numel()), at.thrust)
         return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, wrench[0])), wrench[1:]
 
     @property
     def idle(self) -> bool:
-        """See WorldPartConfig."""
         factors = (self.mass, *self.inertia, self.thrust_coefficient, self.torque_coefficient, self.drag)
         return set(factors) == {1.0} and not any(self.center_of_mass)
 
@@ -137,11 +132,9 @@ class FixedPayload(Payload):
 
     @property
     def part(self) -> str:
-        """See Effect.part."""
         return "payload"
 
     def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
-        """See Effect.true_vehicle."""
         return with_payload(vehicle, self.mass, np.array(self.point))
 
 

@@ -65,7 +65,7 @@ class WindFromFile(Effect):
         return read_wind(Path(self.path))
 
     def wind(self, at: Moment) -> Expression:
-        """See Effect.wind: that of the middle of the step."""
+        """That of the middle of the step."""
         return self.record.at(at.t + at.step / 2)
 
 
@@ -75,7 +75,7 @@ def read_wind(path: Path) -> WindRecord:
     Raises DataError, with the line or row, for a missing column, a value that is not a finite number, time that does
     not increase, no rows, or too many.
     """
-    columns = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
+    columns = _columns(path)
     missing = [name for name in COLUMNS if name not in columns]
     if missing:
         found = ", ".join(list(columns)[:20]) or "none"
@@ -94,23 +94,19 @@ def read_wind(path: Path) -> WindRecord:
     return WindRecord(values[0], np.stack(values[1:], axis=1))
 
 
-def _parquet(path: Path) -> dict[str, np.ndarray]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(path)
-        return {name: table[name].to_numpy().astype(float) for name in table.column_names if name in COLUMNS}
-    except (OSError, pa.ArrowException, ValueError, TypeError) as error:
-        raise DataError(f"{path}: not a readable Parquet file with numbers ({str(error).splitlines()[0]})") from None
-
-
-def _csv(path: Path) -> dict[str, np.ndarray]:
+def _columns(path: Path) -> dict[str, np.ndarray]:
+    """The columns of COLUMNS that a file has."""
     import pandas as pd
+    import pyarrow as pa
 
+    parquet = path.suffix.lower() == ".parquet"
     try:
-        table = pd.read_csv(path, comment="#", skipinitialspace=True, encoding="utf-8-sig")
+        if parquet:
+            table = pd.read_parquet(path)
+        else:
+            table = pd.read_csv(path, comment="#", skipinitialspace=True, encoding="utf-8-sig")
         table.columns = [str(name).strip() for name in table.columns]
         return {name: table[name].to_numpy(dtype=float) for name in table.columns if name in COLUMNS}
-    except (OSError, ValueError, pd.errors.ParserError) as error:
-        raise DataError(f"{path}: not a readable CSV file with numbers ({str(error).splitlines()[0]})") from None
+    except (OSError, ValueError, TypeError, pa.ArrowException) as error:
+        kind = "Parquet" if parquet else "CSV"
+        raise DataError(f"{path}: not a readable {kind} file with numbers ({str(error).splitlines()[0]})") from None

@@ -59,7 +59,7 @@ class World(SimulatedPlant):
 
     # ------------------------------------------------------------------------------------------------- a flight begins
     def reset(self) -> None:
-        """See Plant.reset: what is flown and what is believed; the flight itself begins with `begin`."""
+        """What is flown and what is believed; the flight itself begins with `begin`."""
         self.airframe.reset()
         self._believed.reset()  # which another flight may have flown
         self.time, self.inner = 0.0, np.empty(0)
@@ -105,7 +105,6 @@ class World(SimulatedPlant):
         return Streams([*self.own_noise(rng, period), *parts], period)
 
     def require_flight(self) -> None:
-        """See SimulatedPlant."""
         if not len(self.inner):
             raise UsageError(
                 "a flight in a world begins with plant.begin(x, period, duration, rng), which returns its noise, for"
@@ -136,7 +135,7 @@ class World(SimulatedPlant):
 
     # ------------------------------------------------------------------------------------------------------- one period
     def prepared(self, duration: float) -> BufferedFunction:
-        """See SimulatedPlant; noise and draws are two views of one array, in the order of `Streams`."""
+        """Noise and draws are two views of one array, in the order of `Streams`."""
         clock = self.clock(duration)
         if clock not in self._made:
             function = realise(self._period(self.equations, clock), self.backend)
@@ -153,12 +152,11 @@ class World(SimulatedPlant):
         return made
 
     def noise(self, function: BufferedFunction) -> np.ndarray:
-        """See SimulatedPlant."""
         assert isinstance(function, _Prepared)
         return function.buffer
 
     def parameters(self, step: float) -> np.ndarray:
-        """See SimulatedPlant: the airframe's, then each effect's."""
+        """The airframe's, then each effect's."""
         self.airframe.time = self.time
         return np.concatenate([self.airframe.parameters(step), self._own_parameters])
 
@@ -168,7 +166,6 @@ class World(SimulatedPlant):
         return self.airframe.next_change
 
     def settle(self, results: Mapping[str, np.ndarray]) -> None:
-        """See SimulatedPlant."""
         self.inner, self.measured = results["inner_next"].copy(), results["measured"].copy()
         if results["doubt"].any():
             self._check_ended()
@@ -183,17 +180,14 @@ class World(SimulatedPlant):
         return compose(equations, self.effects, self._layout(clock), clock, self.vehicle)
 
     def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:
-        """See SimulatedPlant."""
         assert isinstance(function, _Prepared)
         return self._period(equations, function.clock)
 
     @property
     def safe_equations(self) -> Equations | None:
-        """See SimulatedPlant."""
         return self.airframe.safe_equations
 
     def check_safe(self, found: dict[str, np.ndarray], step: float) -> None:
-        """See SimulatedPlant."""
         self.airframe.time = self.time
         self.airframe.check_safe(found, step)
 
@@ -228,11 +222,11 @@ class World(SimulatedPlant):
 
     @property
     def loop_lag(self) -> float:  # type: ignore[override]  # an attribute there
-        """See SimulatedPlant: the airframe's and the effects'."""
+        """The airframe's and the effects'."""
         return self.airframe.loop_lag + sum(effect.loop_lag for effect in self.effects)
 
     def residual(self) -> Residual:
-        """See Plant.residual: the airframe's own; it names what it does not know of the world."""
+        """The airframe's own; it names what it does not know of the world."""
         found: Residual = self._believed.residual()
         unknown = ", ".join(effect.part for effect in self.effects)
         return replace(found, source=f"{found.source}; does not know: {unknown}")
