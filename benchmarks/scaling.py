@@ -184,7 +184,7 @@ def rerun(cells: int) -> Record:
 def order() -> Record:
     """Eighty controllers of two flights each: more than a worker keeps."""
     masses = ",".join(f"{0.01 * i:g}" for i in range(1, 81))
-    cells = expand([*SHORT, "controller=perfect_mpc", f"plant.payload={masses}", "seed=range(4)"])
+    cells = expand([*SHORT, "controller=perfect_mpc", f"plant.lift={masses}", "seed=range(4)"])
     jobs = list(plan_cells(cells).values())
     found = {}
     for name, chosen in (("as planned", flying_order(jobs)), ("shuffled", random.Random(0).sample(jobs, len(jobs)))):

@@ -70,7 +70,7 @@ def collect(
     \b
     quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
     quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
-    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] plant.payload=0,0.2 --out data/worlds.parquet
+    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] payload=fixed payload.mass=0.1,0.2 --out data/worlds.parquet
     """
     from quadexp.experiment.collect import collect_dataset
     from quadexp.files.writer import check_output

@@ -47,7 +47,7 @@ _KEYS_ABOVE = re.compile(r"^[^=]*\.(?=[^=.]*=)")
 
 
 def split_variant(variant: str) -> tuple[str, str]:
-    """What varies within a sweep, as (of the controller, of the condition): "controller.nodes=20 plant.payload=0.1"."""
+    """What varies within a sweep, as (of the controller, of the condition): "controller.nodes=20 plant.lift=0.1"."""
     parts = _BEFORE_KEY.split(variant) if variant else []
     own = [part for part in parts if part.startswith("controller.")]
     return " ".join(own), " ".join(part for part in parts if part not in own)

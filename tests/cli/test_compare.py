@@ -32,12 +32,12 @@ def results(here, flown):
 class TestCompare:
     def test_two_flights(self, here):
         run("simulate", *QUICK, "--out", "a.parquet")
-        run("simulate", *QUICK, "plant.payload=0.1", "--out", "b.parquet")
+        run("simulate", *QUICK, "plant.lift=0.1", "--out", "b.parquet")
         code, out, _ = run("compare", "a.parquet", "b.parquet")
-        assert code == 0 and "configuration  1 setting differs" in out and "plant.payload  0  0.1" in out
+        assert code == 0 and "configuration  1 setting differs" in out and "plant.lift  0  0.1" in out
         assert len(out.splitlines()) < 30
         record = json.loads(run("compare", "a.parquet", "b.parquet", "--json")[1])
-        assert record["configuration"] == {"plant.payload": [0.0, 0.1]} and "lines" not in record
+        assert record["configuration"] == {"plant.lift": [0.0, 0.1]} and "lines" not in record
         assert record["metrics"]["rmse"]["difference"] > 0
 
     def test_a_flight_flown_twice_is_the_same_flight(self, here):
@@ -47,9 +47,9 @@ class TestCompare:
         assert "configuration  the same" in out and "are the same to the last bit" in out
 
     def test_two_results(self, results):
-        assert run("evaluate", *SWEEP, "plant.payload=0.05", "--out", "heavy")[0] == 0
+        assert run("evaluate", *SWEEP, "plant.lift=0.05", "--out", "heavy")[0] == 0
         code, out, _ = run("compare", "r", "heavy")
-        assert code == 0 and "plant.payload  0  0.05" in out and "6 ok" in out
+        assert code == 0 and "plant.lift  0  0.05" in out and "6 ok" in out
         record = json.loads(run("compare", "r", "heavy", "--json")[1])
         assert record["pairs"] == 6 and [one["pairs"] for one in record["metrics"]] == [3, 3]
 

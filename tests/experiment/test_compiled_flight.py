@@ -111,7 +111,7 @@ def draw(seed, vehicle):
     controller = PredictiveController(ModelPredictiveController(believed, residual, settings, backend="compiled"))
     kind = rng.choice(["simplified", "blade_element", "from_model"])
     if kind == "simplified":
-        effects = PlantEffects() if rng.integers(2) else PlantEffects(payload=rng.uniform(0, 0.3))
+        effects = PlantEffects() if rng.integers(2) else PlantEffects(lift=rng.uniform(0, 0.02))
         plant = SimplifiedPlant(vehicle, effects, step=1e-3, backend="compiled")
     elif kind == "blade_element":
         changes = [PlantChange(float(t), payload=float(rng.uniform(0, 0.2))) for t in rng.uniform(0, 1.5, 2)]

@@ -20,14 +20,14 @@ from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.constant_wind import ConstantWind
-from quadexp.world.eskf import N_COVARIANCE, N_NOMINAL
-from quadexp.world.inertial import ImuGnss, ImuMocap
-from quadexp.world.navigation import Navigation
+from quadexp.world.eskf import N_COVARIANCE, N_NOMINAL, Navigation
+from quadexp.world.gnss import ImuGnss
+from quadexp.world.motion_capture import ImuMocap
 from quadexp.world.world import World
 from tests.experiment.test_compiled_flight import both, compiled, draw
 from tests.models.residuals import make_residual, with_rotors
 from tests.world.aided_flights import errors, full
-from tests.world.test_world import AIRFRAMES, airframe
+from tests.world.airframes import AIRFRAMES, airframe
 
 SENSORS = {"imu_mocap": ImuMocap(), "imu_gnss": ImuGnss()}
 PATHS = {"hover": Hover(duration=1.5), "circle": Circle(speed=3.0, acceleration=1.5, radius=2.0)}

@@ -16,7 +16,7 @@ from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import PlantEffects, SimplifiedPlant
-from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
+from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
 
 RESIDUALS = (
     "none", "linear_drag", "gp_per_axis", "gp_thrust", "gp_with_mean", "plant", "blade_element", "blade_element_plant",
@@ -47,12 +47,13 @@ def make_residual(name: str, vehicle: Vehicle) -> Residual:
     if name == "linear_drag":
         return linear_drag_residual(vehicle, (0.5, 0.6, 0.1), (0.02, -0.01, 0.1), -0.015)
     if name == "plant":
-        return SimplifiedPlant(vehicle, PlantEffects(payload=0.2), backend="interpreted").residual()
+        return SimplifiedPlant(vehicle, PlantEffects(lift=0.02), backend="interpreted").residual()
     if name == "blade_element":
         return blade_element_residual(with_rotors(vehicle), BLADE)
     if name == "blade_element_plant":
-        effects = BladeElementEffects(rotor_local_velocity=True, payload=0.2)
-        return BladeElementPlant(with_rotors(vehicle), BLADE, effects, backend="interpreted").residual()
+        effects, change = BladeElementEffects(rotor_local_velocity=True), PlantChange(0.0, payload=0.2)
+        plant = BladeElementPlant(with_rotors(vehicle), BLADE, effects, schedule=[change], backend="interpreted")
+        return plant.residual()
     if name == "neural":
         return neural_residual(vehicle, network())
     if name == "sum":

@@ -39,7 +39,7 @@ def hovering(vehicle, rng, effects, *, velocity=0.0, rate=0.0, attitude=0.0):
 def test_what_the_plant_does_not_explain_is_the_known_noise(vehicle, rng, told):
     effects = PlantEffects(
         (0.0,) * 3, (0.0,) * 3, motor_noise_density=5e-4, force_noise_density=0.02, torque_noise_density=0.001,
-        motor_loss=0.05, payload=0.0,
+        motor_loss=0.05,
     )  # fmt: skip
     flight, plant = hovering(vehicle, rng, effects, **told)
     data = residual_dataset([flight], vehicle)

@@ -87,8 +87,8 @@ def test_unknown_features_are_refused(vehicle):
 
 
 def test_plant_residual_is_what_the_plant_does(vehicle, rng):
-    """Short noise-free step of the plant against the corrected rigid body, payload included."""
-    effects = PlantEffects(motor_noise_density=0, force_noise_density=0, torque_noise_density=0, payload=0.3)
+    """Short noise-free step of the plant against the corrected rigid body, lift included."""
+    effects = PlantEffects(motor_noise_density=0, force_noise_density=0, torque_noise_density=0, lift=0.03)
     plant = SimplifiedPlant(vehicle, effects, backend="interpreted")
     residual = plant.residual()
     corrected = corrected_function(vehicle, residual)

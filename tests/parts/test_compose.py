@@ -24,7 +24,7 @@ OVERRIDES = [
     ["trajectory=lemniscate", "trajectory.speed=12", "seed=3"],
     ["trajectory=random", "seed=7"],
     ["trajectory=random", "seed=7", "trajectory.seed=1"],
-    ["controller=gp_mpc", "controller.nodes=20", "model=models/a", "plant=ideal", "plant.payload=0.3"],
+    ["controller=gp_mpc", "controller.nodes=20", "model=models/a", "plant=ideal", "plant.lift=0.3"],
     ["gp=per_axis", "gp.features.a_z=[v_z,thrust]", "gp.inducing=40", "collect.duration=60"],
     ["trajectory=hover", "trajectory.position=[1,2,3]", "vehicle.inertia=[[1,0,0],[0,1,0],[0,0,1]]"],
     ["trajectory.radius=${trajectory.speed}", "controller.rate=${vehicle.thrust_max}"],
@@ -336,7 +336,7 @@ class TestNoise:
         )
 
     @pytest.mark.parametrize(
-        "other", ["seed=2", "trajectory.speed=4", "trajectory=lemniscate", "plant.payload=0.3", "vehicle.mass=1.1"]
+        "other", ["seed=2", "trajectory.speed=4", "trajectory=lemniscate", "plant.lift=0.3", "vehicle.mass=1.1"]
     )
     def test_it_is_another_for_whatever_else_differs(self, other):
         assert self.entropy("seed=1") != self.entropy("seed=1", other)

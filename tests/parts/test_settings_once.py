@@ -26,9 +26,7 @@ CONFIGURED = {"physics", "air", "reference", "models", "world", "control"}  # ro
 # What a part that is the object itself is given besides its keys.
 OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
 # Dataclasses that share three or more names with a node and configure nothing: why.
-NOT_SETTINGS = {
-    "BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options",
-}
+NOT_SETTINGS = {"BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options"}
 
 
 def dataclasses_of_the_package() -> list[type]:

@@ -27,7 +27,7 @@ LEARNED = ("gp_mpc", "linear_drag_mpc", "neural_mpc", "streaming_gp_mpc")  # of 
 BLADE = ("rls_feedback", "oracle_feedback", "literal_feedback", "static_feedback", "rls_mpc")
 SCHEDULE = "plant.schedule=[{t: 0.1, payload: 0.3}, {t: 0.2, lift_scale: [0.9, 1, 1, 1]}]"
 FAMILIES = (
-    ("torrente", (("simplified",), ("ideal",), ("simplified", "plant.payload=0.1")), LEARNED),
+    ("torrente", (("simplified",), ("ideal",), ("simplified", "plant.lift=0.1")), LEARNED),
     ("torrente", (("simplified",), ("from_model", "plant.model={models}/gp")), LEARNED),
     ("sun", (("sun",), ("ideal",)), ()),
     ("lei_li", (("blade_element",), ("blade_element", SCHEDULE), ("blade_element", "plant.motor_lag=0.03")), BLADE),

@@ -113,20 +113,20 @@ def make_features(rng: np.random.Generator, vehicle: Vehicle) -> np.ndarray:
 
 
 def make_effects(rng: np.random.Generator, *, noise: bool = False, isotropic: bool = False) -> PlantEffects:
-    """Drag, motor loss and payload of any size that flies.
+    """Drag, motor loss and lift of any size that flies.
 
     isotropic: the same along every horizontal direction; drag that is quadratic per axis, v_i |v_i|, never is.
     """
     linear, quadratic = rng.uniform(0, 0.4, 3), rng.uniform(0, 0.1, 3)
     if isotropic:
         linear[1], quadratic[:2] = linear[0], 0.0
-    effects = PlantEffects(tuple(linear), tuple(quadratic), rng.uniform(0, 0.08), payload=rng.uniform(0, 0.3))
+    effects = PlantEffects(tuple(linear), tuple(quadratic), rng.uniform(0, 0.08), lift=rng.uniform(0, 0.02))
     quiet = dict.fromkeys(("motor_noise_density", "force_noise_density", "torque_noise_density"), 0.0)
     return effects if noise else replace(effects, **quiet)
 
 
 def make_blade_effects(rng: np.random.Generator) -> BladeElementEffects:
-    return BladeElementEffects(bool(rng.integers(2)), bool(rng.integers(2)), payload=float(rng.uniform(0, 0.2)))
+    return BladeElementEffects(bool(rng.integers(2)), bool(rng.integers(2)))
 
 
 def make_gp_outputs(rng: np.random.Generator, points: int = 8) -> list[OutputPosterior]:

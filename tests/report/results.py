@@ -110,7 +110,7 @@ def many_results(root: Path, conditions: int, seeds: int = 2) -> Path:
             for seed in range(seeds):
                 off = error * 8 * (1 + 0.01 * seed + 0.001 * (i % 7)) * own_part(controller, seed)
                 row = {"plant": "simplified", "vehicle": "torrente", "trajectory": "circle", "speed": 8.0}
-                row |= {"controller": controller, "model": "", "variant": f"plant.payload={i / 1000:g}", "seed": seed}
+                row |= {"controller": controller, "model": "", "variant": f"plant.lift={i / 1000:g}", "seed": seed}
                 row |= {"rmse": off, "mean_error": off, "max_error": 2 * off, "attitude_rmse": 0.1}
                 row |= {"solve_time_median": TIMES[controller], "solve_time_p99": 2 * TIMES[controller]}
                 row |= {"backend": "compiled", "outcome": "ok", "cause": "", "key": f"{len(rows):020x}"}

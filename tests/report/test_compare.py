@@ -67,14 +67,14 @@ class TestFlights:
     def test_settings_outcome_figures_and_paths(self, tmp_path):
         a = flight(tmp_path / "a.parquet", "trajectory.speed=4", offset=0.1)
         b = tmp_path / "b.parquet"
-        config = compose(["trajectory.speed=6", "plant.payload=0.2"])
+        config = compose(["trajectory.speed=6", "plant.lift=0.2"])
         made = straight_flight(5, (0.3, 0.0, 0.0))
         made.columns["p_z"] = made["p_z"] + [0.0, 0.0, 0.5, 0.0, 0.0]
         made.metadata.update(describe(config, build_vehicle(config.vehicle), None), outcome="lost", cause="too far")
         made.metadata["row"] = result_row(config, made)
         write_flight(b, made)
         report = compare(a, b)
-        assert report["configuration"] == {"plant.payload": [0.0, 0.2], "trajectory.speed": [4.0, 6.0]}
+        assert report["configuration"] == {"plant.lift": [0.0, 0.2], "trajectory.speed": [4.0, 6.0]}
         assert report["outcome"] == ["ok", "lost"]
         assert "outcome  ok -> lost (too far)" in report["lines"]
         assert report["metrics"]["peak_speed"]["relative"] == 0.0

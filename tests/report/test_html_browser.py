@@ -113,7 +113,7 @@ def wide_page(tmp_path_factory):
     who += [("gp_mpc", f"controller.nodes={n} ") for n in (10, 20)]
     rows = [
         row(name, seed=seed, speed=speed, error=0.001 * (k + 1) * (1 + 0.01 * ((7 * seed + k) % 5)))
-        | {"variant": f"{own}plant.payload={payload}", "solve_time_median": 3e-5, "solve_time_p99": 6e-5}
+        | {"variant": f"{own}plant.lift={payload}", "solve_time_median": 3e-5, "solve_time_p99": 6e-5}
         for payload in ("0", "0.1")
         for speed in (4.0, 8.0)
         for k, (name, own) in enumerate(who)

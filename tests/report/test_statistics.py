@@ -116,7 +116,7 @@ class TestFailures:
 
 class TestConditions:
     def test_settings_of_the_plant_make_conditions_those_of_the_controller_contestants(self):
-        assert split_variant("controller.nodes=20 plant.payload=0.1") == ("controller.nodes=20", "plant.payload=0.1")
+        assert split_variant("controller.nodes=20 plant.lift=0.1") == ("controller.nodes=20", "plant.lift=0.1")
         assert split_variant("") == ("", "") and split_variant("trajectory.path=a b.csv") == (
             "",
             "trajectory.path=a b.csv",
@@ -124,10 +124,10 @@ class TestConditions:
         assert variant_parts("controller.position_weight=0.5") == ["position_weight=0.5"]
         rows = []
         for payload, scale in (("0", 1.0), ("0.1", 2.0)):
-            rows += errors("nominal_mpc", [0.2 * scale, 0.22 * scale], variant=f"plant.payload={payload}")
-            rows += errors("gp_mpc", [0.1, 0.1], variant=f"plant.payload={payload}")
+            rows += errors("nominal_mpc", [0.2 * scale, 0.22 * scale], variant=f"plant.lift={payload}")
+            rows += errors("gp_mpc", [0.1, 0.1], variant=f"plant.lift={payload}")
         statistics = compute_statistics(rows, metrics=["mean_error"])
-        assert [s.setting for s in statistics] == ["plant.payload=0"] * 2 + ["plant.payload=0.1"] * 2
+        assert [s.setting for s in statistics] == ["plant.lift=0"] * 2 + ["plant.lift=0.1"] * 2
         assert [s.reduction for s in statistics][1::2] == pytest.approx(
             [100 * (1 - 0.1 / 0.21), 100 * (1 - 0.1 / 0.42)]
         )

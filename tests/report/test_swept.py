@@ -70,7 +70,7 @@ def test_the_speed_is_a_key_like_the_others(tmp_path):
     [
         (["controller=nominal_mpc,perfect_mpc", "seed=0,1"], "lines", "controller"),
         (["world=clean,outdoor_breeze", "controller=nominal_mpc,perfect_mpc"], "lines", "world"),
-        (["controller.nodes=5,10", "vehicle.mass=1,2", "plant.payload=0,0.1"], "parallel", ""),
+        (["controller.nodes=5,10", "vehicle.mass=1,2", "plant.lift=0,0.1"], "parallel", ""),
     ],
 )
 def test_it_is_what_quadexp_plot_draws_without_keys(tmp_path, asked, kind, x):

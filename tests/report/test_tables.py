@@ -81,12 +81,12 @@ def test_many_worlds_are_rows():
 @pytest.mark.parametrize(
     ("settings", "headings", "lines"),
     [
-        (["plant.payload=0", "plant.payload=1"], ["payload (kg)"], [["0"], ["1"]]),
+        (["payload.mass=0.1", "payload.mass=0.2"], ["payload (kg)"], [["0"], ["1"]]),
         (["wind.velocity=[4,0,0]", "wind.velocity=[3,4,0]"], ["wind (m/s)"], [["4"], ["5"]]),
         (["wind.velocity=[4,0,0]", "wind.velocity=[0,4,0]"], ["wind (m/s)"], [["[4,0,0]"], ["[0,4,0]"]]),
         (["link.latency=0", "link.latency=0.03"], ["latency (ms)"], [["0"], ["30"]]),
         (["horizon=published", "horizon=robust"], ["horizon"], [["published"], ["robust"]]),
-        (["plant.payload=0 controller.nodes=5", "plant.payload=1 controller.nodes=10"], ["payload (kg)", "nodes"],
+        (["payload.mass=0.1 controller.nodes=5", "payload.mass=0.2 controller.nodes=10"], ["payload (kg)", "nodes"],
          [["0", "5"], ["1", "10"]]),
     ],
 )  # fmt: skip

@@ -46,7 +46,7 @@ SAID = "2 by quadexp 0.0.9, sources 0123456789ab; 1 by an earlier version that d
 def test_a_sweep_over_them_says_which_and_asks(mixed):
     before = contents(mixed)
     with pytest.raises(UsageError) as error:
-        fly(mixed, [*SWEEP, "plant.payload=0"])
+        fly(mixed, [*SWEEP, "plant.lift=0"])
     text = str(error.value)
     assert (
         f"3 of its cells were flown by other sources than these (quadexp 0.1.0, sources {provenance.sources()})" in text

@@ -138,8 +138,7 @@ def test_an_irrelevant_setting_flies_nothing(tmp_path, setting):
 
 
 @pytest.mark.parametrize(
-    "setting",
-    ["plant.payload=0.1", "vehicle.mass=1.01", "controller.nodes=11", "trajectory.speed=8.5", "sensor=lei_li"],
+    "setting", ["plant.lift=0.1", "vehicle.mass=1.01", "controller.nodes=11", "trajectory.speed=8.5", "sensor=lei_li"]
 )
 def test_a_relevant_setting_flies_everything(tmp_path, setting):
     fly(expand(["seed=range(3)"]), tmp_path / "r")

@@ -12,10 +12,8 @@ from scipy.spatial.transform import Rotation
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.world.effect import Clock, Readings, Start
-from quadexp.world.eskf import N_COVARIANCE, N_ERROR, N_NOMINAL
-from quadexp.world.imu import N_BIAS
-from quadexp.world.inertial import InertialSensors
-from quadexp.world.navigation import Navigation
+from quadexp.world.eskf import N_COVARIANCE, N_ERROR, N_NOMINAL, Navigation
+from quadexp.world.inertial import N_BIAS, InertialSensors
 from quadexp.world.streams import Streams, part_stream
 
 GRAVITY = 9.81

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.errors import UsageError
 from quadexp.experiment.build import build_sensor
 from quadexp.parts.compose import compose
 from quadexp.world.accelerometer import Accelerometer
@@ -32,9 +31,3 @@ def test_numbers_of_the_paper():
     """B_accel = (.001, -.001, .001) in FRD, deviation .05 m/s^2."""
     assert paper.flip(LEI_LI.bias) == pytest.approx([0.001, -0.001, 0.001])
     assert LEI_LI.noise_std == (0.05, 0.05, 0.05)
-
-
-@pytest.mark.parametrize("wrong", [{"noise_std": (0.1, -0.1, 0.1)}, {"bias": (np.nan, 0, 0)}])
-def test_refused(wrong):
-    with pytest.raises(UsageError, match="sensor.accelerometer"):
-        Accelerometer(**wrong)

@@ -11,17 +11,11 @@ from quadexp.errors import UsageError
 from quadexp.world.actuator import Actuator
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
 from quadexp.world.effect import Clock, Start
-from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.world import World
 from tests.models.residuals import BLADE, with_rotors
-from tests.world.test_world import AIRFRAMES, PERIOD, airframe, commands, fly, start
+from tests.world.airframes import AIRFRAMES, PERIOD, REST, airframe, commands, fly, ideal, start
 
-REST = np.r_[np.zeros(3), 1, np.zeros(9)]
 UP, DOWN = 0.0125, 0.025
-
-
-def ideal(vehicle, step=5e-4):
-    return SimplifiedPlant(vehicle, PlantEffects.none(), step=step, backend="interpreted")
 
 
 def readings(world, vehicle, command, periods, period):
@@ -115,13 +109,6 @@ def test_hover_takes_the_scaled_command(vehicle, kind):
     assert np.abs(tilted[-1, 10:]).max() > 0.1  # the uncorrected command turns it over
     speeds = np.diff(held[-20:, 10 : 12 if kind == "blade_element" else 13], axis=0)
     assert np.abs(speeds).max() < 1e-3 + 2 * np.abs(np.diff(expected[:, 10:], axis=0)).max()
-
-
-@pytest.mark.parametrize("kind", AIRFRAMES)
-def test_without_lag_limits_or_spread_it_changes_nothing(vehicle, kind):
-    u, x = commands(vehicle, 10), start(3)
-    flown, expected = fly(World(airframe(kind, vehicle), [Actuator()]), x, u)[0], fly(airframe(kind, vehicle), x, u)[0]
-    assert np.abs(flown - expected).max() < 1e-9
 
 
 def test_rotor_speeds_are_columns_where_they_are_known(vehicle, lei_li):

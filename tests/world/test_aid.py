@@ -11,13 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.world import eskf
-from quadexp.world.aid import Aid, sample
-from quadexp.world.gnss import GnssKeys, gnss
-from quadexp.world.heading import HeadingKeys, heading
-from quadexp.world.motion_capture import MotionCaptureKeys, motion_capture
+from quadexp.world.gnss import ImuGnss
+from quadexp.world.inertial import Aid, sample
+from quadexp.world.motion_capture import ImuMocap
 from tests.states import random_state
 
-AIDS = [motion_capture(MotionCaptureKeys()), gnss(GnssKeys()), heading(HeadingKeys())]
+AIDS = [*ImuMocap().aids, *ImuGnss().aids]
 each_aid = pytest.mark.parametrize("aid", AIDS, ids=[aid.name for aid in AIDS])
 
 

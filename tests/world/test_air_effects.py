@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.models.checkpoint import save_model
@@ -26,23 +26,23 @@ from quadexp.world.gust import Gust
 from quadexp.world.slung_load import SlungLoad
 from quadexp.world.true_vehicle import with_factors, with_payload
 from quadexp.world.world import World
+from tests.world.airframes import REST, ideal
 
-HOVER = ["trajectory=hover", "trajectory.duration=5", "controller=nominal_mpc", "plant.backend=interpreted"]
+HOVER = ["trajectory=hover", "trajectory.duration=4", "controller=nominal_mpc", "plant.backend=interpreted"]
 QUIET = [f"plant.{name}=0" for name in ("motor_loss", "motor_noise_density", "force_noise_density")]
 PLANTS = {
     "simplified": ["vehicle=torrente", *QUIET, "plant.torque_noise_density=0"],
     "blade_element": ["vehicle=lei_li", "plant=blade_element", "plant.method=rk4", "plant.step=2.5e-3"],
     "from_model": ["vehicle=torrente", "plant=from_model"],
 }
-AT_REST = np.r_[0.0, 0.0, 1.0, 1.0, np.zeros(9)]
+VEHICLE = build_vehicle(compose([]).vehicle)
 WINDS = [f"wind_{axis}" for axis in "xyz"]
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """A checkpoint of linear drag for the vehicle of Torrente et al."""
-    vehicle = build_vehicle(compose([]).vehicle)
-    zero = np.zeros(3)
+    vehicle, zero = VEHICLE, np.zeros(3)
     drag = LinearDrag(np.array([0.3, 0.3, 0.1]), zero, 0.0, zero, zero, 0.0, zero, zero, 100)
     told = msgspec.structs.replace(drag, vehicle={"name": vehicle.name, "fingerprint": vehicle.fingerprint})
     return save_model(tmp_path_factory.mktemp("models") / "drag", told)
@@ -158,11 +158,11 @@ def test_a_flight_meets_the_turbulence_asked_for(step, intensity):
     Scale lengths and airspeed are such that the turbulence forgets within a few periods.
     """
     keys = {"intensity": intensity, "length": (0.5, 0.3, 0.4), "airspeed": 20.0, "velocity": (0.0, 3.0, 0.0)}
-    plant = World(_ideal(step), [Dryden(**keys)])
-    noise = plant.begin(AT_REST, 0.02, 200.0, np.random.default_rng(3))
+    plant = World(ideal(VEHICLE, step), [Dryden(**keys)])
+    noise = plant.begin(REST, 0.02, 200.0, np.random.default_rng(3))
     u, winds = np.full(4, 2.4525), []
     for _ in range(12_000):
-        plant.advance(AT_REST, u, 0.02, noise)
+        plant.advance(REST, u, 0.02, noise)
         winds.append(plant.inner[-3:])
     found = (np.array(winds) - [0, 3, 0]) @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]).T
     assert np.sqrt((found**2).mean(axis=0)) == pytest.approx(np.array(intensity), rel=0.03)
@@ -171,19 +171,14 @@ def test_a_flight_meets_the_turbulence_asked_for(step, intensity):
     assert (found[1:] * found[:-1]).mean(axis=0) / np.array(intensity) ** 2 == pytest.approx(wanted, abs=0.03)
 
 
-def _ideal(step=1e-3, vehicle=None):
-    vehicle = vehicle or build_vehicle(compose([]).vehicle)
-    return SimplifiedPlant(vehicle, PlantEffects.none(), step=step, backend="interpreted")
-
-
 def test_turbulence_passes_at_the_airspeed():
     """Twice as fast through air whose turbulence is twice as long, it changes as much."""
 
     def changes(speed, length, period=4e-3):
         keys = {"intensity": (1.0, 1.0, 1.0), "velocity": (2.0, 0.0, 0.0), "length": (length, length, length)}
-        plant = World(_ideal(), [Dryden(**keys)])
-        noise = plant.begin(AT_REST, period, 1.0, np.random.default_rng(5))
-        x, winds = AT_REST.copy(), []
+        plant = World(ideal(VEHICLE), [Dryden(**keys)])
+        noise = plant.begin(REST, period, 1.0, np.random.default_rng(5))
+        x, winds = REST.copy(), []
         x[VELOCITY] = [2.0 + speed, 0.0, 0.0]
         for _ in range(20):
             plant.advance(x, np.full(4, 2.4525), period, noise)
@@ -199,11 +194,10 @@ def test_turbulence_passes_at_the_airspeed():
 def test_a_wind_is_held_for_5_ms_or_a_tenth_of_its_time_scale(length, winds):
     """A control period of several winds is as many shorter ones: the same flight."""
     keys = {"intensity": (1.0, 2.0, 0.5), "length": (2 * length, length, 3 * length), "airspeed": 8.0}
-    x, u, flown = np.r_[AT_REST[:7], [3.0, -2.0, 1.0], np.zeros(3)], np.full(4, 2.4525), []
+    x, u, flown = np.r_[REST[:7], [3.0, -2.0, 1.0], np.zeros(3)], np.full(4, 2.4525), []
     for parts in (1, winds):
-        vehicle = build_vehicle(compose([]).vehicle)
         effects = replace(PlantEffects.none(), linear_drag=(0.5, 0.4, 0.3))
-        plant = World(SimplifiedPlant(vehicle, effects, step=5e-4, backend="interpreted"), [Dryden(**keys)])
+        plant = World(SimplifiedPlant(VEHICLE, effects, step=5e-4, backend="interpreted"), [Dryden(**keys)])
         noise, now, states = plant.begin(x, 0.02 / parts, 1.0, np.random.default_rng(7)), x, []
         for i in range(10 * parts):
             now, _ = plant.advance(now, u, 0.02 / parts, noise)
@@ -227,9 +221,9 @@ def test_every_controller_and_world_meets_the_same_turbulence():
 def test_a_push_for_a_while_gives_its_impulse(step, onset):
     """m v = F D and J omega = tau D, whatever the step, for a push that begins and ends within steps."""
     push = Disturbance(force=(3.0, -2.0, 1.0), torque=(0.02, 0.03, -0.01), onset=onset, duration=0.0231)
-    airframe = _ideal(step)
+    airframe = ideal(VEHICLE, step)
     plant = World(airframe, [push])
-    x, noise = AT_REST.copy(), plant.begin(AT_REST, 0.02, 1.0, np.random.default_rng(0))
+    x, noise = REST.copy(), plant.begin(REST, 0.02, 1.0, np.random.default_rng(0))
     for _ in range(5):
         x, _ = plant.advance(x, np.zeros(4), 0.02, noise)
     fallen = x[VELOCITY] + [0, 0, 9.81 * 0.1]
@@ -240,9 +234,9 @@ def test_a_push_for_a_while_gives_its_impulse(step, onset):
 
 def test_load_and_vehicle_turn_each_other_without_gain():
     """In free fall: linear and angular momentum about the common centre stay, the cable's end far from the centre."""
-    airframe = _ideal(5e-4)
+    airframe = ideal(VEHICLE, 5e-4)
     vehicle, load = airframe.vehicle, SlungLoad(mass=0.4, length=0.6, point=(0.1, 0.05, -0.08), damping=0.0)
-    plant, x = World(airframe, [load]), AT_REST.copy()
+    plant, x = World(airframe, [load]), REST.copy()
     x[VELOCITY], x[RATE] = [1.5, -0.5, 0.0], [0.5, 1.0, -0.3]
     noise = plant.begin(x, 0.02, 3.0, np.random.default_rng(0))
     found = []
@@ -267,10 +261,10 @@ def test_load_and_vehicle_turn_each_other_without_gain():
 def test_gusts_of_the_plant_are_those_of_the_equation():
     """Over the flight the plant's wind is the mean of the gust in each last step, whatever the step."""
     gust = Gust(velocity=(1.0, 0.0, 0.0), amplitude=(0.0, 3.0, 0.0), onset=0.1, duration=0.5)
-    plant = World(_ideal(1e-3), [gust])
-    noise, winds = plant.begin(AT_REST, 0.02, 1.0, np.random.default_rng(0)), []
+    plant = World(ideal(VEHICLE), [gust])
+    noise, winds = plant.begin(REST, 0.02, 1.0, np.random.default_rng(0)), []
     for _ in range(40):
-        plant.advance(AT_REST, np.full(4, 2.4525), 0.02, noise)
+        plant.advance(REST, np.full(4, 2.4525), 0.02, noise)
         winds.append(plant.inner[-3:])
     t = 0.02 * np.arange(1, 41) - 5e-4
     share = np.clip((t - 0.1) / 0.5, 0, 1)
@@ -294,23 +288,17 @@ def test_compiled_and_interpreted_flights_are_the_same(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "kind", "said"),
+    ("given", "said"),
     [
-        (["ground=cheeseman_bennett"], UsageError, "ground.rotor_radius: needed, because vehicle=torrente has no"),
-        (["payload=slung", "payload.length=0.05", "plant.step=0.02"], UsageError, "plant.step must be at most"),
-        (["truth.mass=9"], UsageError, "truth: gives no vehicle that can fly: .*hovering takes"),
-        (["wind=file", "wind.path=nowhere.csv"], UsageError, "wind.path: there is no file 'nowhere.csv'"),
-        (["wind=dryden", "wind.intensity=[1,1,1]", "wind.wind_at_6m=3"], UsageError, "one of the two"),
-        (["payload=slung", "payload.mass=9"], UsageError, "payload: gives no vehicle that can fly: .*hovering takes"),
-        (["truth.mass=0"], UsageError, r"truth.mass=0.*: must be in \[0.1, 10\]"),
+        (["ground=cheeseman_bennett"], "ground.rotor_radius: needed, because vehicle=torrente has no"),
+        (["payload=slung", "payload.length=0.05", "plant.step=0.02"], "plant.step must be at most"),
+        (["truth.mass=9"], "truth: gives no vehicle that can fly: .*hovering takes"),
+        (["wind=file", "wind.path=nowhere.csv"], "wind.path: there is no file 'nowhere.csv'"),
+        (["wind=dryden", "wind.intensity=[1,1,1]", "wind.wind_at_6m=3"], "one of the two"),
+        (["payload=slung", "payload.mass=9"], "payload: gives no vehicle that can fly: .*hovering takes"),
+        (["truth.mass=0"], r"truth.mass=0.*: must be in \[0.1, 10\]"),
     ],
 )
-def test_wrong_requests_are_refused_before_the_flight(given, kind, said):
-    with pytest.raises(kind, match=said):
+def test_wrong_requests_are_refused_before_the_flight(given, said):
+    with pytest.raises(UsageError, match=said):
         fly_one(compose([*HOVER, *given]))
-
-
-def test_a_wind_file_without_wind_is_refused(tmp_path):
-    (tmp_path / "wind.csv").write_text("t,w_x,w_y,w_z\n0,1,2,3\n")
-    with pytest.raises(DataError, match="no column wind_x"):
-        fly_one(compose([*HOVER, "wind=file", f"wind.path={tmp_path / 'wind.csv'}"]))

@@ -11,11 +11,8 @@ from quadexp.physics.battery import open_circuit_voltage
 from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery
 from quadexp.world.rotor_loss import RotorLoss
-from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.world import World
-from tests.world.test_world import AIRFRAMES, PERIOD, airframe, commands, fly, start
-
-REST = np.r_[np.zeros(3), 1, np.zeros(9)]
+from tests.world.airframes import AIRFRAMES, PERIOD, REST, airframe, ideal
 
 
 def drained(world, u, *, seed=0):
@@ -28,10 +25,6 @@ def drained(world, u, *, seed=0):
         rows.append(world.inner[[places[name] for name in ("battery_voltage", "battery_current", "state_of_charge")]])
         force.append(reading[2])
     return np.array(rows), np.array(force)
-
-
-def ideal(vehicle):
-    return SimplifiedPlant(vehicle, PlantEffects.none(), step=1e-3, backend="interpreted")
 
 
 @pytest.mark.parametrize("kind", AIRFRAMES)
@@ -97,15 +90,6 @@ def test_without_a_reference_thrusts_are_as_commanded_in_the_first_hover(vehicle
     for charge in (1.0, 0.4):
         _, force = drained(World(ideal(vehicle), [Battery(state_of_charge=charge)]), u)
         assert force[0] == pytest.approx(9.81, rel=1e-4)
-
-
-@pytest.mark.parametrize("kind", AIRFRAMES)
-def test_a_stiff_battery_changes_nothing(vehicle, kind):
-    """No resistance and very much charge: the airframe's own flight."""
-    stiff = Battery(resistance=0.0, rc_resistance=0.0, capacity=1000.0)
-    u, x = commands(vehicle, 10), start(3)
-    flown, expected = fly(World(airframe(kind, vehicle), [stiff]), x, u)[0], fly(airframe(kind, vehicle), x, u)[0]
-    assert np.abs(flown - expected).max() < 1e-5
 
 
 @pytest.mark.parametrize("kind", AIRFRAMES)

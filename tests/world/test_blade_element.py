@@ -100,8 +100,8 @@ def test_the_state_says_it_all(plant, rng):
 @pytest.mark.parametrize("local", [False, True])
 @pytest.mark.parametrize("printed", [False, True])
 def test_residual_is_what_the_plant_does(lei_li, blade, rng, local, printed):
-    effects = BladeElementEffects(rotor_local_velocity=local, printed_coefficients=printed, payload=0.3)
-    change = PlantChange(0.0, lift_scale=(1, 1, 0.8, 1), profile_drag_scale=2.0)
+    effects = BladeElementEffects(rotor_local_velocity=local, printed_coefficients=printed)
+    change = PlantChange(0.0, payload=0.3, lift_scale=(1, 1, 0.8, 1), profile_drag_scale=2.0)
     plant = BladeElementPlant(lei_li, blade, effects, schedule=[change], backend="interpreted")
     residual, h = plant.residual(), 1e-6
     corrected = corrected_function(lei_li, residual)
@@ -126,14 +126,6 @@ def test_drag_brings_it_to_rest(plant, lei_li):
 
 
 class TestOptions:
-    def test_motor_lag(self, lei_li, blade):
-        """w(t) = w_1 + (w_0 - w_1) exp(-t / tau) after a step of the command."""
-        plant = BladeElementPlant(lei_li, blade, BladeElementEffects(motor_lag=0.05), backend="interpreted")
-        before, target = plant.rotor_speed.copy(), np.sqrt(4.0 / lei_li.thrust_coefficient)
-        for _ in range(3):
-            plant.advance(LEVEL, np.full(4, 4.0), 0.01)
-        assert plant.rotor_speed == pytest.approx(target + (before - target) * np.exp(-0.03 / 0.05), rel=1e-12)
-
     def test_payload_and_lost_lift(self, lei_li, blade):
         """At V = 0 the thrust of a rotor is k_T,static(C_la) w^2; the accelerometer sees force over the true mass."""
         schedule = [PlantChange(0.01, payload=0.3), PlantChange(0.02, lift_scale=(1, 1, 1, 0.8))]

@@ -30,13 +30,6 @@ def moving(velocity) -> np.ndarray:
     return x
 
 
-def test_begins_as_in_hover(lei_li, blade):
-    """k_T w^2 = m g / 4 and V_I = sqrt(m g / 4 / (2 rho pi r^2)) on every rotor, before anything is flown."""
-    plant = BladeElementPlant(lei_li, blade, backend="interpreted")
-    assert plant.rotor_speed == pytest.approx(np.full(4, np.sqrt(paper.M * paper.G / 4 / 8.66293500e-6)), rel=1e-8)
-    assert plant.induced_velocity == pytest.approx(np.full(4, paper.HOVER), rel=1e-8)
-
-
 @pytest.mark.parametrize("steps", [1, 2, 7])
 def test_rotors_follow_their_command_whatever_the_step(lei_li, blade, steps):
     """w(t) = w_1 + (w_0 - w_1) exp(-t / tau), exact for a held command; odd and even numbers of steps alike."""

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.physics.state import RATE
-from quadexp.world.imu import means, read
-from quadexp.world.inertial import ImuMocap
+from quadexp.world.inertial import means, read
+from quadexp.world.motion_capture import ImuMocap
 from tests.world.aided_flights import GRAVITY, AidedRun, motion, standing
 
 

@@ -15,7 +15,7 @@ from quadexp.world.battery import Battery
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.world import World
 from tests.models.residuals import with_rotors
-from tests.world.test_world import AIRFRAMES, airframe
+from tests.world.airframes import AIRFRAMES, airframe
 
 WORLDS = {
     "motors": [Actuator(time_constant_up=0.0125, time_constant_down=0.025, rotor_scale_std=0.03)],

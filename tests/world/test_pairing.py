@@ -7,8 +7,8 @@ import pytest
 
 from quadexp.physics.state import RATE, VELOCITY
 from quadexp.world.dryden import Dryden
-from quadexp.world.inertial import ImuMocap
 from quadexp.world.link import Latency
+from quadexp.world.motion_capture import ImuMocap
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.world import World

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.world.actuator import Actuator
-from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.world import World
-from tests.world.test_world import start
+from tests.world.airframes import ideal, start
 
 PERIOD, INERTIA, TAU = 0.02, 2e-4, 0.03  # kg m^2: large, so that the rotors' share is plain to see
 UP = np.array([0.0, 0.0, 1.0])
@@ -22,9 +21,8 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def flown(vehicle, u, step, lag_of="rotor_speed", inertia=INERTIA):
     """States (k + 1, 13) and the rotors' sum of s W (k + 1,) under commands (k, n)."""
-    plant = SimplifiedPlant(vehicle, PlantEffects.none(), step=step, backend="interpreted")
     lag = {"time_constant_up": TAU, "time_constant_down": TAU, "lag_of": lag_of}
-    world = World(plant, [Actuator(rotor_inertia=inertia, **lag)])
+    world = World(ideal(vehicle, step), [Actuator(rotor_inertia=inertia, **lag)])
     x = start(4)
     x[RATE] = [2.0, -1.5, 1.0]
     streams = world.begin(x, PERIOD, 1.0, np.random.default_rng(0))
@@ -91,9 +89,7 @@ def test_flights_are_those_of_momentum_integrated_by_itself(lei_li):
 
 
 def test_without_inertia_nothing_is_added(lei_li):
-    plant = SimplifiedPlant(lei_li, PlantEffects.none(), step=1e-3, backend="interpreted")
-    assert not World(plant, [Actuator(time_constant_up=TAU)]).effects[0].has("wrench")
-    unknown = replace(lei_li, thrust_coefficient=None)
-    plant = SimplifiedPlant(unknown, PlantEffects.none(), step=1e-3, backend="interpreted")
+    assert not World(ideal(lei_li), [Actuator(time_constant_up=TAU)]).effects[0].has("wrench")
+    unknown = ideal(replace(lei_li, thrust_coefficient=None))
     with pytest.raises(UsageError, match=r"actuator\.rotor_inertia=5e-06: needs vehicle\.thrust_coefficient"):
-        World(plant, [Actuator(rotor_inertia=5e-6)]).columns(PERIOD)
+        World(unknown, [Actuator(rotor_inertia=5e-6)]).columns(PERIOD)

@@ -8,7 +8,7 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.world import World
-from tests.world.test_world import AIRFRAMES, PERIOD, airframe, commands, fly, start
+from tests.world.airframes import AIRFRAMES, PERIOD, airframe, commands, fly, start
 
 
 @pytest.mark.parametrize("kind", AIRFRAMES)

@@ -1,4 +1,4 @@
-"""The simplified plant: noise as a density, drag's sign, motor loss, payload, accelerometer, both back ends."""
+"""The simplified plant: noise as a density, drag's sign, motor loss, accelerometer, both back ends."""
 
 from __future__ import annotations
 
@@ -47,13 +47,6 @@ def test_motor_loss_sinks_the_hover(vehicle, rng):
     assert x[9] == pytest.approx(-loss * 0.5, rel=1e-9)
 
 
-def test_payload_is_a_mass_at_the_centre(vehicle, rng):
-    effects = PlantEffects((0,) * 3, (0,) * 3, motor_loss=0, payload=0.3, **QUIET)
-    plant = SimplifiedPlant(vehicle, effects, backend="interpreted")
-    x, _ = plant.advance(HOVER, np.full(4, vehicle.hover_thrust), 0.5, rng)
-    assert x[9] == pytest.approx((9.81 / 1.3 - 9.81) * 0.5, rel=1e-9)
-
-
 @pytest.mark.parametrize("step", [5e-4, pytest.param(1e-4, marks=pytest.mark.slow), 2e-3])
 def test_noise_does_not_depend_on_the_step(vehicle, step):
     """After a time T white acceleration of density s leaves a velocity with standard deviation s sqrt(T) / m."""
@@ -63,14 +56,6 @@ def test_noise_does_not_depend_on_the_step(vehicle, step):
     x = np.array([plant.advance(HOVER, u, 0.04, rng)[0] for _ in range(1500)])
     assert x[:, VELOCITY].std(0) == pytest.approx(np.full(3, 0.02 * np.sqrt(0.04)), rel=0.07)
     assert x[:, RATE].std(0) == pytest.approx(0.001 * np.sqrt(0.04) / np.array([0.03, 0.03, 0.06]), rel=0.07)
-
-
-def test_noise_moves_a_loaded_vehicle_less(odd_vehicle):
-    """A force noise of density s, in N, moves the mass with its payload: s sqrt(T) / (m + payload)."""
-    effects = PlantEffects((0,) * 3, (0,) * 3, 0, 0, force_noise_density=0.02, torque_noise_density=0, payload=0.6)
-    plant, rng = SimplifiedPlant(odd_vehicle, effects, step=2e-3, backend="interpreted"), np.random.default_rng(2)
-    x = np.array([plant.advance(HOVER, np.zeros(6), 0.02, rng)[0] for _ in range(2000)])
-    assert x[:, VELOCITY].std(0) == pytest.approx(np.full(3, 0.02 * np.sqrt(0.02) / (1.7 + 0.6)), rel=0.06)
 
 
 def test_published_noise_amplitudes(vehicle):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,8 +70,8 @@ def test_from_nothing_it_learns_the_air_of_the_circle(vehicle, law):
 @pytest.mark.parametrize("payload", [0.15, 0.4])
 def test_an_unknown_mass_leaves_little_offset_at_hover(vehicle, payload):
     """The pull to the prior leaves (1 - rho) r of a constant; without forgetting nothing is left."""
-    effects, hover = PlantEffects(**QUIET, payload=payload), Hover(duration=6.0)
-    short, long = (errors(flown(vehicle, terms(vehicle, memory=m), effects, hover)) for m in (2.0, 1e6))
+    loaded, hover = replace(vehicle, mass=vehicle.mass + payload), Hover(duration=6.0)
+    short, long = (errors(flown(loaded, terms(vehicle, memory=m), trajectory=hover)) for m in (2.0, 1e6))
     assert short.max() > 4 * short[-1]
     assert short[-1] < 5e-4 and long[-1] < 5e-5
 
@@ -135,7 +137,6 @@ def test_a_sum_is_its_whole(vehicle, rng):
 
 
 def test_a_sum_knows_where_all_its_parts_were_fitted(vehicle):
-    from dataclasses import replace
 
     parts = [make_residual(name, vehicle) for name in ("linear_drag", "neural", "none")]
     ranges = ({"v_x": [-9.0, 8.0]}, {"v_x": [-5.0, 12.0], "thrust": [1.0, 30.0]}, None)
