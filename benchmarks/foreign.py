@@ -24,8 +24,7 @@ from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
 from benchmarks.machine import machine
-from quadexp.experiment.build import build_plant, build_vehicle
-from quadexp.experiment.kept import unshared
+from quadexp.experiment.build import build_plant, build_vehicle, unshared
 from quadexp.parts.compose import compose
 
 PERIOD, CALLS, ROUNDS = 0.02, 20, 5

@@ -33,9 +33,9 @@ MODULES = {
 
 # Folders (with all their files) and files whose content determines a flight and the figures of its row.
 DECIDING = (
-    "compile", "control", "models", "physics", "reference", "world", "experiment/build.py", "experiment/checkpoints.py",
+    "compile", "control", "models", "physics", "reference", "world", "experiment/build.py",
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
-    "experiment/identity.py", "experiment/kept.py", "experiment/loop_margins.py", "experiment/outside.py",
+    "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py",
     "experiment/rollout.py", "experiment/stability.py","log/outcome.py", "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")

@@ -19,9 +19,8 @@ import numpy as np
 import pytest
 
 from quadexp.cli.app import app
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, unshared
 from quadexp.experiment.evaluate import describe, result_row
-from quadexp.experiment.kept import unshared
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model

@@ -18,9 +18,8 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.readings import ReadingGate
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
-from quadexp.experiment.checkpoints import find_model
-from quadexp.experiment.kept import unshared
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, unshared
+from quadexp.experiment.identity import find_model
 from quadexp.experiment.rollout import Renewal, SampledReference
 from quadexp.parts.compose import compose
 from quadexp.physics.state import RATE

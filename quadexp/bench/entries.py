@@ -13,10 +13,9 @@ import yaml
 from quadexp.bench.protocol import Family, Protocol
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
-from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.experiment.identity import digest
+from quadexp.experiment.identity import digest, find_model
 from quadexp.files.writer import write_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies

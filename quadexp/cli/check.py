@@ -83,10 +83,10 @@ def _load(paths: list[Path]) -> dict[str, Any]:
 
 
 def _vehicle(flight: Any, name: str | None, conf: Path | None) -> Any:
-    from quadexp.experiment.identify import configured_vehicle, own_vehicle
+    from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
 
     if name is not None:
-        return configured_vehicle(name, conf)
+        return vehicle_named(name, conf)
     try:
         return own_vehicle(flight, conf)
     except (DataError, UsageError):  # a record of another version: the limits are then not known

@@ -31,8 +31,8 @@ def simulate(overrides: Overrides = None, out: OptionalOut = None, conf: Conf = 
     \b
     quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
     """
-    from quadexp.experiment.checkpoints import unused_model
     from quadexp.experiment.evaluate import fly_one
+    from quadexp.experiment.identity import unused_model
     from quadexp.files.writer import check_output
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import compose
@@ -70,7 +70,7 @@ def collect(
     \b
     quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
     quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
-    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] payload=fixed payload.mass=0.1,0.2 --out data/worlds.parquet
+    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] truth.mass=1,1.2 --out data/worlds.parquet
     """
     from quadexp.experiment.collect import collect_dataset
     from quadexp.files.writer import check_output
@@ -137,7 +137,7 @@ def evaluate(
     if sweep and first.engine.kind == "local" and not (out / "results.parquet").exists():
         start_server(preload)  # which imports these while the modules that follow are imported here
 
-    from quadexp.experiment.checkpoints import unused_model
+    from quadexp.experiment.identity import unused_model
     from quadexp.progress import Progress
     from quadexp.report.notes import invalid_text
     from quadexp.report.statistics_file import statistics_csv

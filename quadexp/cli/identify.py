@@ -68,13 +68,14 @@ def identify(
     quadexp identify runs/a.parquet --out data/estimates        # simulated with vehicle=lei_li plant=blade_element
     quadexp identify --method delays runs/a.parquet
     """
-    from quadexp.experiment.identify import choose_method, configured_vehicle, identify_files
+    from quadexp.experiment.identify import choose_method, identify_files
+    from quadexp.experiment.vehicle_of import vehicle_named
 
-    named = None if vehicle is None else configured_vehicle(vehicle, conf)
+    named = None if vehicle is None else vehicle_named(vehicle, conf)
     choice = choose_method(flights, method, named)
     _check_options(context, choice.method)
     if choice.method == "delays":
-        from quadexp.experiment.identify_delays import identify_delays
+        from quadexp.experiment.identify import identify_delays
 
         delays = identify_delays(flights, named, conf, figure)
         rows = [{**flight, "overrides": " ".join(flight["overrides"])} for flight in delays["flights"]]
@@ -87,7 +88,7 @@ def identify(
         rows = [row for flight in each for row in _of_flight(flight)]
         return Answer({"method": "rls", "out": out, "flights": each}, rows, lines)
 
-    from quadexp.experiment.identify_vehicle import identify_flights
+    from quadexp.experiment.identify import identify_flights
     from quadexp.models.vehicle_model import FitSettings
 
     if curve not in CURVES:

@@ -1,25 +1,30 @@
 """From a configuration to what it names: each part is made in its turn, and handed what it asks for.
 
 vehicle -> world (plant and effects) -> trajectory, controller with its model of the air -> remedies around it
+
+What is costly is made once per thread and kept: a worker flies many cells with few controllers. What is kept has a
+memory, and buffers that compiled code works on, so its thread is its only owner; a flight begins by resetting it.
 """
 
 from __future__ import annotations
 
-import hashlib
-import inspect
+import contextlib
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from quadexp.errors import UsageError
-from quadexp.experiment.checkpoints import ModelFile, load_checkpoint, model_hash, model_residual, residuals
-from quadexp.experiment.inputs import located
-from quadexp.experiment.kept import keep
-from quadexp.parts.part import TARGET, Given, Part, imported
-from quadexp.parts.schema import WORLD, Config, remedies, world_parts
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.identity import MODEL_FILE, ModelFile, content_hash, digest, located, model_hash
+from quadexp.models.settings import MAKERS
+from quadexp.parts.part import Given, Part
+from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.physics.plausible import plausible
 from quadexp.physics.vehicle import Vehicle
 
+T = TypeVar("T")
+KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
 # What of a seam is looked for, so that something else is refused before the flight and not in it.
 SEAMS = {
     "trajectory": ("duration", "peak_speed", "flat_output"),
@@ -29,6 +34,34 @@ SEAMS = {
         "forget", "reset", "step", "log",
     ),
 }  # fmt: skip
+
+
+class _Kept(threading.local):
+    def __init__(self) -> None:
+        self.things: dict[str, Any] = {}
+
+
+_kept = _Kept()
+
+
+def keep(record: Any, make: Callable[[], T]) -> T:
+    """What this thread made before of an equal record, else a new one."""
+    key, things = digest(record), _kept.things
+    made = things.pop(key) if key in things else make()
+    while len(things) >= KEPT:
+        del things[next(iter(things))]
+    things[key] = made
+    return made
+
+
+@contextlib.contextmanager
+def unshared() -> Iterator[None]:
+    """What is built inside is new, and nobody else gets it: parts have states, such as what a controller identified."""
+    kept, _kept.things = _kept.things, {}
+    try:
+        yield
+    finally:
+        _kept.things = kept
 
 
 def build_vehicle(config: Vehicle) -> Vehicle:
@@ -44,12 +77,9 @@ def build_plant(vehicle: Vehicle, config: Any, believed: Vehicle | None = None) 
     it is another.
     """
     believed = believed or vehicle
-
-    def plant_model(path: str, kind: str) -> Any:
-        model_hash(path)
-        return model_residual(believed, Path(path), kind)
-
-    given = Given(vehicle=vehicle, believed=believed, plant_model=plant_model)
+    given = Given(
+        vehicle=vehicle, believed=believed, plant_model=lambda path, kind: model_residual(believed, Path(path), kind)
+    )
     of_model = [believed.fingerprint] if hasattr(config, "model") else []
     return keep([*plant_record(vehicle, config), *of_model], lambda: checked("plant", config, config.build(given)))
 
@@ -75,7 +105,7 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
 
     _check_one_lag(config, believed)
     effects, true_vehicle = build_effects(vehicle, *parts.values())
-    read = [hashlib.sha256(Path(one.path).read_bytes()).hexdigest() for one in effects if hasattr(one, "path")]
+    read = [content_hash(one.path) for one in effects if hasattr(one, "path")]
     given = {group: one.recorded() for group, one in parts.items()}
     record = ["world", plant_record(vehicle, config.plant), given, read]
 
@@ -122,19 +152,14 @@ def _with_located_file(part: Any) -> Any:
 
 def _check_one_lag(config: Config, plant: Any) -> None:
     """Raise UsageError where the plant's own lag and that of the actuator would act one after the other."""
-    own = getattr(config.plant, "motor_lag", 0.0)
     if not max(getattr(config.actuator, f"time_constant_{way}", 0.0) for way in ("up", "down")):
         return
-    remedy = "the actuator's time constants to 0"
-    if own:
-        raise UsageError(
-            f"plant.motor_lag={own:g} and actuator={config.actuator.name}: both let the rotors lag; set"
-            f" plant.motor_lag=0, or {remedy}"
-        )
-    if lag := getattr(plant, "loop_lag", 0.0):
+    stated = getattr(config.plant, "motor_lag", 0.0)
+    if lag := stated or getattr(plant, "loop_lag", 0.0):
         raise UsageError(
             f"plant={config.plant.name} and actuator={config.actuator.name}: both let the rotors lag, the plant's own"
-            f" motors by {1e3 * lag:.0f} ms; set {remedy} (actuator.time_constant_up=0 actuator.time_constant_down=0)"
+            f" by {1e3 * lag:.0f} ms; set {'plant.motor_lag=0, or ' if stated else ''}actuator.time_constant_up=0"
+            " actuator.time_constant_down=0"
         )
 
 
@@ -226,7 +251,6 @@ def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
         one.check(vehicle, plant, config.controller, around)
 
 
-# ------------------------------------------------------------------------------------------------------ what decides it
 def checked(seam: str, part: Part, made: Any) -> Any:
     """What a part made; UsageError where it lacks what its seam asks for."""
     lacking = [name for name in SEAMS[seam] if not hasattr(made, name)]
@@ -237,34 +261,54 @@ def checked(seam: str, part: Part, made: Any) -> Any:
     return made
 
 
-def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
-    """Content hash of every file that a flight reads."""
-    hashes = {"model": model.sha256} if model else {}
-    hashes |= source_hashes(config)
-    if hasattr(config.plant, "model"):
-        hashes["plant"] = model_hash(config.plant.model)
-    for group, path in input_files(config).items():
-        if not Path(path).is_file():
-            raise UsageError(f"{group}.path={path}: no such file")
-        hashes[group] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    return hashes
+# --------------------------------------------------------------------------------------------------------- checkpoints
+def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
+    """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
+    from quadexp.models.checkpoint import load_model
+
+    folder = located(model.path)
+    if content_hash(folder / MODEL_FILE) != model.sha256:
+        raise DataError(f"{model.path}: has changed since this run began")
+    return load_model(folder, vehicle=vehicle)
 
 
-def input_files(config: Config) -> dict[str, str]:
-    """Files besides checkpoints that a flight reads, by the group whose key `path` names them."""
-    named = {group: getattr(getattr(config, group), "path", None) for group in ("trajectory", *WORLD)}
-    return {group: path for group, path in named.items() if path is not None}
+def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
+    """The models of the air of some kinds, each from its own checkpoint."""
+    files = iter(model.files if model else ())
+    return [_residual(kind, vehicle, next(files)) for kind in kinds if kind in MAKERS]
 
 
-def source_hashes(config: Config) -> dict[str, str]:
-    """sha256 of the file of every part that is a user's own, by "<group> source": one that was edited is flown anew."""
-    hashes = {}
-    for group in ("plant", "trajectory", "controller", *WORLD, *remedies(config)):
-        part = getattr(config, group)
-        named = getattr(part, TARGET, None)
-        if part.shipped:
-            continue
-        module = inspect.getmodule(type(part) if named is None else imported(group, named))
-        file = getattr(module, "__file__", None)
-        hashes[f"{group} source"] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
-    return hashes
+def _residual(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
+    return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
+
+
+def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
+    checkpoint = load_checkpoint(vehicle, model)
+    checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
+    if checkpoint.kind != kind:
+        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {MAKERS[kind]} makes")
+    return replace(checkpoint.residual(vehicle, model.path), ranges=checkpoint.feature_range)
+
+
+def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
+    """A checkpoint for this vehicle; one of flights that do not say their vehicle is taken as it is.
+
+    Raises UsageError where it was fitted for another vehicle.
+    """
+    from quadexp.models.checkpoint import load_model
+
+    model = load_model(located(path))
+    if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):
+        raise UsageError(
+            f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({model.vehicle.get('fingerprint')}), not for"
+            f" '{vehicle.name}' ({vehicle.fingerprint}): pass the vehicle=... of its flights"
+        )
+    return model
+
+
+def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
+    """The residual of a checkpoint. kind: which model of an identified vehicle, "best" for its own choice.
+
+    Raises UsageError where the checkpoint has none of that kind.
+    """
+    return load_identified(path, vehicle).residual(vehicle, str(path), kind)

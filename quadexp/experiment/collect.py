@@ -13,7 +13,6 @@ end where this takes at most 5 % longer than asked for, and ended in time otherw
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.checkpoints import find_model, load_identified
+from quadexp.experiment.build import build_vehicle, load_identified
 from quadexp.experiment.evaluate import build_loop, describe, thrust_excess
-from quadexp.experiment.identity import digest, flight_record
+from quadexp.experiment.identity import digest, find_model, flight_record
+from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
@@ -282,13 +281,10 @@ def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> Thrus
 
 def _check_unique(flights: Sequence[Path], save_flights: Path | None) -> None:
     """Raise UsageError for a repeated flight, which could be held out and fitted, and for equal names to be saved."""
-    twice = [path for path, count in Counter(path.resolve() for path in flights).items() if count > 1]
-    if twice:
-        raise UsageError(f"collect: {twice[0]} is given twice")
-    stems = Counter(path.stem for path in flights)
-    if save_flights is not None and len(stems) < len(flights):
-        name = stems.most_common(1)[0][0]
-        raise UsageError(f"collect --save-flights: two flights named {name} would both be written to {save_flights}")
+    refuse_repeated("collect", [path.resolve() for path in flights])
+    if save_flights is not None:
+        said = f"two flights named {{path}} would both be written to {save_flights}"
+        refuse_repeated("collect --save-flights", [Path(path.stem) for path in flights], said)
 
 
 def collect_dataset(

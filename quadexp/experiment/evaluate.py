@@ -20,8 +20,7 @@ from quadexp.experiment.build import (
     build_world,
     check_remedies,
 )
-from quadexp.experiment.checkpoints import ModelFile, find_model
-from quadexp.experiment.identity import digest, flight_entropy, flight_record
+from quadexp.experiment.identity import ModelFile, digest, find_model, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.outside import outside_data
 from quadexp.experiment.stability import instability

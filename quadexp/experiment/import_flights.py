@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.experiment.vehicle_of import refuse_repeated, vehicle_named
 from quadexp.files.writer import check_output
 from quadexp.log.check import Finding, check_flight
 from quadexp.log.importers import Options, checked, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
-from quadexp.physics.vehicle import Vehicle
 from quadexp.progress import doing
 
 
@@ -67,12 +66,11 @@ def import_files(
         if not log.exists():
             raise UsageError(f"import: {log}: no such file or folder")
     paths = {log: out / f"{log.stem}.parquet" for log in logs}
-    for path, count in Counter(out / f"{log.stem}.parquet" for log in logs).items():
-        if count > 1:
-            raise UsageError(f"import: {count} logs would be written to {path}: give them one by one, with other --out")
+    said = "several logs would be written to {path}: give them one by one, with other --out"
+    refuse_repeated("import", [out / f"{log.stem}.parquet" for log in logs], said)
     for path in paths.values():
         check_output(path, force=force)
-    named = None if vehicle is None else _vehicle(vehicle, conf)
+    named = None if vehicle is None else vehicle_named(vehicle, conf)
     mapping = checked(options)
     seen: dict[str, str] = {}
     for place, (log, path) in enumerate(paths.items(), 1):
@@ -123,10 +121,3 @@ def _summary(flight: Flight) -> str:
     if "cropped" in source:
         text += f" (log {source['cropped'][0]:.1f} to {source['cropped'][1]:.1f} s)"
     return f"{text}, {len(flight.columns)} columns"
-
-
-def _vehicle(name: str, conf: Path | None) -> Vehicle:
-    from quadexp.experiment.build import build_vehicle
-    from quadexp.parts.compose import compose
-
-    return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.experiment.checkpoints import ModelFile
+from quadexp.experiment.identity import ModelFile
 from quadexp.log.schema import Flight
 
 UNKNOWN = "the checkpoint has no ranges of its data (fitted by an older version); fit it again"

@@ -12,7 +12,7 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller
-from quadexp.experiment.checkpoints import ModelFile
+from quadexp.experiment.identity import ModelFile
 from quadexp.experiment.loop_margins import unmodelled
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle

@@ -11,8 +11,7 @@ import numpy as np
 from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.checkpoints import load_identified
+from quadexp.experiment.build import build_vehicle, load_identified
 from quadexp.files.writer import check_output, write_text
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight

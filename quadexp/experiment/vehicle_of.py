@@ -1,14 +1,45 @@
-"""The configuration with the vehicle recorded in flights."""
+"""The vehicle of flights: recorded in them, or named; and what is asked of several files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
+from quadexp.log.schema import Flight
 from quadexp.log.store import read_metadata
 from quadexp.parts.schema import Config
+from quadexp.parts.settings import made
+from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
+
+
+def own_vehicle(flight: Flight, conf: Path | None = None) -> Vehicle | None:
+    """The vehicle described in a flight's metadata, or named there if the configuration's is identical; else None."""
+    if (flight.metadata.get("config") or {}).get("vehicle"):
+        return recorded_vehicle(flight, Path(str(flight.metadata.get("name", "flight"))))
+    record = flight.metadata.get("vehicle") or {}
+    try:
+        named = vehicle_named(str(record["name"]), conf) if record.get("name") else None
+    except UsageError:
+        return None
+    return named if named is not None and named.fingerprint == record.get("fingerprint") else None
+
+
+def vehicle_named(name: str, conf: Path | None) -> Vehicle:
+    """A vehicle of the configuration, or of the folder `conf`; raises UsageError for an unknown name."""
+    from quadexp.parts.compose import compose
+
+    return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)
+
+
+def recorded_vehicle(flight: Flight, path: Path) -> Vehicle:
+    """The vehicle described in a flight's metadata; DataError where there is none."""
+    record = (flight.metadata.get("config") or {}).get("vehicle")
+    if not record:
+        raise DataError(f"{path}: has no record of its vehicle: pass --vehicle NAME")
+    current = {former: name for name, former in FORMER_NAMES.items()}  # flights of earlier versions
+    return build_vehicle(made(Vehicle, {current.get(key, key): value for key, value in record.items()}))
 
 
 def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Path | None = None) -> Config:
@@ -36,3 +67,9 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Pat
             f" {vehicle.name} ({vehicle.fingerprint}): pass the vehicle=... it was imported with"
         )
     return config
+
+
+def refuse_repeated(command: str, paths: Sequence[Path], said: str = "{path} is given twice") -> None:
+    """UsageError where a path is there twice, in these words."""
+    if twice := next((path for path in paths if paths.count(path) > 1), None):
+        raise UsageError(f"{command}: {said.format(path=twice)}")

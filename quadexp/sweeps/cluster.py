@@ -32,9 +32,7 @@ from distributed import Client, Future, LocalCluster, WorkerPlugin, get_worker
 from distributed.security import Security
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import input_files, source_hashes
-from quadexp.experiment.checkpoints import MODEL_FILE
-from quadexp.experiment.inputs import use_copies
+from quadexp.experiment.identity import MODEL_FILE, input_files, source_hashes, use_copies
 from quadexp.files.cache import cache_folder
 from quadexp.files.writer import written
 from quadexp.parts.plugins import own_folders

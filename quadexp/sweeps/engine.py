@@ -29,7 +29,7 @@ from pebble.pool.base_pool import Task as PoolTask
 from pebble.pool.process import TaskManager
 
 from quadexp.errors import ModuleError, QuadexpError, UsageError, WriteError, stops_all
-from quadexp.experiment.checkpoints import ModelFile
+from quadexp.experiment.identity import ModelFile
 from quadexp.parts.plugins import import_from, own_folders
 from quadexp.parts.schema import Config
 from quadexp.provenance import identity, package_folder

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle, input_hashes
-from quadexp.experiment.checkpoints import ModelFile, find_model
-from quadexp.experiment.identity import canonical, digest, flight_record
+from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle
+from quadexp.experiment.identity import ModelFile, canonical, digest, find_model, flight_record, input_hashes
 from quadexp.parts.cells import Cell, Grid, refuse_mistakes
 from quadexp.parts.schema import world_parts
 from quadexp.report.inference import least_seeds

@@ -12,10 +12,10 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.experiment import rollout
+from quadexp.experiment.build import unshared
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import flight_entropy
-from quadexp.experiment.kept import unshared
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import compose, expand

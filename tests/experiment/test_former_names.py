@@ -9,8 +9,8 @@ from dataclasses import asdict
 import numpy as np
 
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.identify import own_vehicle
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
+from quadexp.experiment.vehicle_of import own_vehicle
 from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose
 

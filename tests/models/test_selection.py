@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.experiment.identify_vehicle import chosen_curve, identify_vehicle
+from quadexp.experiment.identify import chosen_curve, identify_vehicle
 from quadexp.log.schema import Flight
 from quadexp.models import selection as ladder
 from quadexp.models.samples import gather

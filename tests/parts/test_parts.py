@@ -9,8 +9,8 @@ import pytest
 
 import quadexp
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_trajectory, source_hashes
-from quadexp.experiment.identity import digest, flight_entropy, flight_record
+from quadexp.experiment.build import build_trajectory
+from quadexp.experiment.identity import digest, flight_entropy, flight_record, source_hashes
 from quadexp.parts.compose import compose, expand
 from quadexp.parts.option_files import OptionFiles
 from quadexp.parts.part import Part

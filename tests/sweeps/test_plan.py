@@ -8,9 +8,7 @@ from dataclasses import fields, is_dataclass, replace
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.experiment.build import input_hashes
-from quadexp.experiment.checkpoints import find_model
-from quadexp.experiment.identity import FLIGHT_GROUPS
+from quadexp.experiment.identity import FLIGHT_GROUPS, find_model, input_hashes
 from quadexp.log.store import read_table, write_table
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import compose, expand, session

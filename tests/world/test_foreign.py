@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_plant, build_vehicle, build_world
+from quadexp.experiment.build import build_plant, build_vehicle, build_world, unshared
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.kept import unshared
 from quadexp.models.residual import feature_names
 from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
@@ -338,8 +337,11 @@ def test_rotors_without_a_lag_have_the_commanded_speed_at_once():
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["plant=rotorpy", "vehicle=hummingbird"], r"plant\.motor_lag=0\.005 and actuator=.*: both let the rotors lag"),
-        (["plant=drone_models", "vehicle=cf2x_L250"], "the plant's own motors by 136 ms; set the actuator's"),
+        (
+            ["plant=rotorpy", "vehicle=hummingbird"],
+            r"both let the rotors lag, the plant's own by 5 ms; set plant\.motor_lag=0, or actuator",
+        ),
+        (["plant=drone_models", "vehicle=cf2x_L250"], "the plant's own by 136 ms; set actuator\.time_constant_up=0"),
     ],
 )
 def test_rotors_do_not_lag_twice(overrides, words):

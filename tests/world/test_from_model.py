@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.experiment.checkpoints import model_residual
+from quadexp.experiment.build import model_residual
 from quadexp.models.checkpoint import save_model
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model

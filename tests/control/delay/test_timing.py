@@ -14,7 +14,7 @@ from quadexp.control.delay.sent_commands import SentCommands
 from quadexp.control.delay.timing import LARGEST, SMALL_STEP, Search, Stream, find_delays, moments_of
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.identify_delays import told
+from quadexp.experiment.identify import told
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, VELOCITY
 

@@ -13,8 +13,8 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
-from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.identity import find_model
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import adapting_drag, linear_drag_residual
 from quadexp.models.residual import sum_residual
