@@ -46,10 +46,6 @@ class TestFlight:
         fly_one(compose([*SHORT, "controller=perfect_mpc"]))
         same_flight(first, fly_one(compose(SHORT)))
 
-    def test_another_seed_is_another_flight(self):
-        a, b = fly_one(compose(SHORT)), fly_one(compose([*SHORT, "seed=1"]))
-        assert not np.array_equal(a["p_z"], b["p_z"])
-
     def test_controllers_meet_the_same_noise(self):
         draws = [
             generator(compose(["seed=4", f"controller={name}"])).standard_normal(20)
@@ -79,17 +75,6 @@ class TestFlight:
         ) as caught:
             fly_one(compose(["trajectory.speed=30"]))
         assert isinstance(caught.value, UsageError)
-
-    def test_it_can_be_flown_all_the_same(self):
-        overrides = ["trajectory=random", "trajectory.speed=16", "trajectory.allow_infeasible=true", *INTERPRETED]
-        assert fly_one(compose(overrides)).outcome in ("ok", "lost", "solver_failed")
-
-    def test_a_file_can_be_flown(self, tmp_path):
-        t = np.arange(0, 3.01, 0.1)
-        rows = [f"{a:.2f},{np.sin(a):.9f},0,1" for a in t]
-        (tmp_path / "track.csv").write_text("\n".join(["t,p_x,p_y,p_z", *rows]))
-        flight = fly_one(compose(["trajectory=file", f"trajectory.path={tmp_path}/track.csv", *INTERPRETED]))
-        assert flight.outcome == "ok" and flight.metadata["row"]["mean_error"] < 0.3
 
 
 class TestSweepOfFlights:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadexp.control.base import Measurement, Window
-from quadexp.errors import ModelDomainError, UsageError
+from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
@@ -84,11 +84,10 @@ def test_altitude_of_the_examples():
 @pytest.mark.parametrize("trajectory", ["rectangle", "lei_li_circle"])
 def test_default_safety_options(trajectory):
     """Nothing is lost, nothing is not finite, and at the paper's speeds the cone is never needed."""
-    for seed in (10, 11):
-        flight = flown(f"trajectory={trajectory}", "controller=rls_feedback", f"seed={seed}")
-        assert flight.outcome in COMPLETED
-        assert all(np.isfinite(values).all() for values in flight.columns.values())
-        assert not flight["cone"].any() and not flight["floored"].any()
+    flight = flown(f"trajectory={trajectory}", "controller=rls_feedback", "seed=10")
+    assert flight.outcome in COMPLETED
+    assert all(np.isfinite(values).all() for values in flight.columns.values())
+    assert not flight["cone"].any() and not flight["floored"].any()
 
 
 @pytest.mark.slow
@@ -114,10 +113,10 @@ def test_above_the_paper_s_speeds_the_cone_saves_the_baseline():
 
 
 def test_example_1_interpreted():
-    arguments = ("trajectory=rectangle", "controller=rls_feedback")
+    arguments = ("trajectory=rectangle", "trajectory.duration=8", "controller=rls_feedback")
     backends = ("controller.backend=interpreted", "plant.backend=interpreted")
     flight = flown(*arguments, *backends)
-    assert flight.metadata["backend"] == "interpreted" and len(flight) == 6001
+    assert flight.metadata["backend"] == "interpreted" and len(flight) == 801
 
 
 class TestCorners:
@@ -164,15 +163,6 @@ class TestCorners:
         assert all(np.isfinite(values).all() for values in flight.columns.values())
         assert flight.outcome in COMPLETED and position_error(flight)[-1] < 2.0
 
-    def test_a_rotor_that_stands_still(self, lei_li, blade):
-        """Allowed at rest only: in moving air its advance ratio does not exist."""
-        from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
-
-        plant = BladeElementPlant(lei_li, blade, BladeElementEffects(rotor_speed_min=0.0), backend="interpreted")
-        x, u = self.start(velocity=[5.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
-        with pytest.raises(ModelDomainError, match="it is stopped in moving air"):
-            plant.advance(x, u, 0.01, None)
-
     def test_the_controller_never_asks_for_that(self):
         config = compose([*BENCH, "controller=rls_feedback", *self.HOVER])
         vehicle = build_vehicle(config.vehicle)
@@ -200,11 +190,6 @@ class TestHeading:
         assert np.degrees(attitude_error(flight)[late]).max() < 0.1
         assert position_error(flight)[late].max() < (0.15 if variant == "rls" else 0.01)
 
-    @pytest.mark.parametrize("trajectory", ["rectangle", "lei_li_circle"])
-    def test_the_examples_do_not_turn(self, trajectory):
-        flat = build_trajectory(compose([*BENCH, f"trajectory={trajectory}"]).trajectory).flat_output(np.arange(60.0))
-        assert np.ptp(flat.yaw[:, 0]) == 0 and not flat.yaw[:, 1:].any()
-
 
 class TestIdentifyingMPC:
     def late_rmse(self, controller, *overrides, after=10.0):
@@ -229,7 +214,7 @@ class TestIdentifyingMPC:
         """
         path = (f"trajectory={trajectory}", f"trajectory.speed={speed}")
         perfect, nominal = (self.late_rmse(name, *path) for name in ("perfect_mpc", "nominal_mpc"))
-        found = np.mean([self.late_rmse("rls_mpc", *path, f"seed={seed}") for seed in range(3)])
+        found = np.mean([self.late_rmse("rls_mpc", *path, f"seed={seed}") for seed in range(2)])
         assert found < 1.10 * perfect
         if speed == 9:
             floor = self.late_rmse("nominal_mpc", *path, "plant=ideal")

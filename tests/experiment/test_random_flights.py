@@ -33,7 +33,7 @@ def clean(flight, controller):
 
 
 @pytest.mark.parametrize("controller", SATURATED)
-@pytest.mark.parametrize("seed", [0, 1, 7, 23])
+@pytest.mark.parametrize("seed", [0, 7])
 def test_the_default_is_clean(controller, seed):
     clean(fly(seed, controller), controller)
 
@@ -82,7 +82,7 @@ class TestFlownByAll:
         fit_checkpoint("gp", config, folder / "residuals.parquet", folder / "gp", figures=False)
         return folder / "gp"
 
-    @pytest.mark.parametrize(("extent", "seed"), [(20, 2), (40, 3), (20, 6)])
+    @pytest.mark.parametrize(("extent", "seed"), [(20, 2), (40, 3)])
     def test_fast_random_paths(self, model, extent, seed):
         self.compare(model, extent, seed)
 

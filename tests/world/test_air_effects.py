@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -15,14 +14,11 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
-from quadexp.models.checkpoint import save_model
-from quadexp.models.linear_drag import LinearDrag
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.disturbance import Disturbance
 from quadexp.world.dryden import Dryden
-from quadexp.world.gust import Gust
 from quadexp.world.slung_load import SlungLoad
 from quadexp.world.true_vehicle import with_factors, with_payload
 from quadexp.world.world import World
@@ -33,30 +29,17 @@ QUIET = [f"plant.{name}=0" for name in ("motor_loss", "motor_noise_density", "fo
 PLANTS = {
     "simplified": ["vehicle=torrente", *QUIET, "plant.torque_noise_density=0"],
     "blade_element": ["vehicle=lei_li", "plant=blade_element", "plant.method=rk4", "plant.step=2.5e-3"],
-    "from_model": ["vehicle=torrente", "plant=from_model"],
 }
 VEHICLE = build_vehicle(compose([]).vehicle)
 WINDS = [f"wind_{axis}" for axis in "xyz"]
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    """A checkpoint of linear drag for the vehicle of Torrente et al."""
-    vehicle, zero = VEHICLE, np.zeros(3)
-    drag = LinearDrag(np.array([0.3, 0.3, 0.1]), zero, 0.0, zero, zero, 0.0, zero, zero, 100)
-    told = msgspec.structs.replace(drag, vehicle={"name": vehicle.name, "fingerprint": vehicle.fingerprint})
-    return save_model(tmp_path_factory.mktemp("models") / "drag", told)
-
-
 @pytest.fixture(params=PLANTS)
-def settled(request, model):
+def settled(request):
     """Flies a hover on one of the plants; returns the vehicle, and thrusts (n,) (N), R and flight at its end."""
 
     def fly(*overrides):
-        given = [*HOVER, *PLANTS[request.param], *overrides]
-        if request.param == "from_model":
-            given.append(f"plant.model={model}")
-        config = compose(given)
+        config = compose([*HOVER, *PLANTS[request.param], *overrides])
         flight = fly_one(config)
         assert flight.outcome == "ok", flight.metadata["cause"]
         last = flight.t > flight.t[-1] - 1.0
@@ -256,19 +239,6 @@ def test_load_and_vehicle_turn_each_other_without_gain():
     assert found[:, 2] == pytest.approx(found[0, 2] - 9.81 * 0.02 * np.arange(100), abs=1e-9)
     assert found[:, 3:] == pytest.approx(np.tile(found[0, 3:], (100, 1)), abs=2e-3 * np.abs(found[0, 3:]).max())
     assert np.abs(x[RATE] - [0.5, 1.0, -0.3]).max() > 0.3
-
-
-def test_gusts_of_the_plant_are_those_of_the_equation():
-    """Over the flight the plant's wind is the mean of the gust in each last step, whatever the step."""
-    gust = Gust(velocity=(1.0, 0.0, 0.0), amplitude=(0.0, 3.0, 0.0), onset=0.1, duration=0.5)
-    plant = World(ideal(VEHICLE), [gust])
-    noise, winds = plant.begin(REST, 0.02, 1.0, np.random.default_rng(0)), []
-    for _ in range(40):
-        plant.advance(REST, np.full(4, 2.4525), 0.02, noise)
-        winds.append(plant.inner[-3:])
-    t = 0.02 * np.arange(1, 41) - 5e-4
-    share = np.clip((t - 0.1) / 0.5, 0, 1)
-    assert np.array(winds)[:, 1] == pytest.approx(1.5 * (1 - np.cos(2 * np.pi * share)), abs=1e-12)
 
 
 def test_compiled_and_interpreted_flights_are_the_same(tmp_path):
