@@ -78,8 +78,16 @@ def flat_reference(
         motion, share = path.with_largest_share(AirModel(residual, backend))
     else:
         motion = path.under(None)
-    quaternion = motion.frame.body_quaternion(motion.chi)
-    return as_reference(t, demand.path[0].T, quaternion.T, demand.path[1].T, motion.rate.T, motion.thrusts.T, share)
+    quaternion = continuous(motion.frame.body_quaternion(motion.chi).T)
+    state = np.concatenate([demand.path[0].T, quaternion, demand.path[1].T, motion.rate.T], axis=1)
+    return Reference(t, state, np.ascontiguousarray(motion.thrusts.T), share)
+
+
+def continuous(quaternion: np.ndarray) -> np.ndarray:
+    """Quaternions (k, 4) with a continuous sign, which starts with w >= 0."""
+    flips = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    first = np.where(quaternion[:1, 0] < 0, -1.0, 1.0)
+    return quaternion * np.cumprod(np.concatenate([first, flips]))[:, None]
 
 
 @dataclass(frozen=True)
@@ -174,27 +182,6 @@ class _Path:
             return consistent_air(demand, self.vehicle, model, rough, loose, start=guess)[0].outputs
         except UsageError:
             return None
-
-
-def as_reference(
-    t: np.ndarray,
-    position: np.ndarray,
-    quaternion: np.ndarray,
-    velocity: np.ndarray,
-    rate: np.ndarray,
-    thrusts: np.ndarray,
-    residual: float = math.nan,
-) -> Reference:
-    """A Reference from its parts, with a continuous sign of the quaternion.
-
-    t: (k,), s. position, velocity: (k, 3), world. quaternion: (k, 4). rate: (k, 3), body. thrusts: (k, n), N.
-    residual: see Reference.
-    """
-    flips = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-    first = np.where(quaternion[:1, 0] < 0, -1.0, 1.0)
-    quaternion = quaternion * np.cumprod(np.concatenate([first, flips]))[:, None]
-    state = np.concatenate([position, quaternion, velocity, rate], axis=1)
-    return Reference(t, state, np.ascontiguousarray(thrusts), residual)
 
 
 @dataclass(frozen=True)

@@ -186,7 +186,9 @@ class FileTrajectory(LimitedTrajectory):
                     f"trajectory.speed={self.speed:g}: {self.path} is a sampled track, which has its own times;"
                     " leave the speed out, or name the columns x, y, z for waypoints"
                 )
-            return SampledTrack(positions), ""
+            assert positions.times is not None
+            yaw = np.zeros(len(positions.times)) if positions.yaw is None else positions.yaw
+            return SampledTrack(positions.times - positions.times[0], np.column_stack([positions.points, yaw])), ""
         try:
             return self._through(positions)
         except ValueError as error:
@@ -216,13 +218,14 @@ class FileTrajectory(LimitedTrajectory):
 
 @dataclass(frozen=True)
 class SampledTrack:
-    """A spline through the rows of a track."""
+    """A spline through the rows of a track. times: (k,), s, from zero on. points: (k, 4), x, y, z (m) and yaw (rad)."""
 
-    positions: Positions
+    times: np.ndarray
+    points: np.ndarray
 
-    @cached_property
+    @property
     def duration(self) -> float:
-        return float(self._times[-1])
+        return float(self.times[-1])
 
     @cached_property
     def peak_speed(self) -> float:
@@ -233,14 +236,8 @@ class SampledTrack:
         values = np.stack([derivative(t) for derivative in self._derivatives], axis=1)
         return flat_output_held(values[:, :, :3].copy(), values[:, :3, 3].copy(), inside)
 
-    @property
-    def _times(self) -> np.ndarray:
-        assert self.positions.times is not None
-        return self.positions.times - self.positions.times[0]
-
     @cached_property
     def _derivatives(self) -> tuple[BSpline, ...]:
-        """The splines of [x, y, z, yaw] with their derivatives up to the fourth."""
-        yaw = np.zeros(len(self._times)) if self.positions.yaw is None else self.positions.yaw
-        spline = make_interp_spline(self._times, np.column_stack([self.positions.points, yaw]), k=DEGREE)
+        """The splines of the points with their derivatives up to the fourth."""
+        spline = make_interp_spline(self.times, self.points, k=DEGREE)
         return tuple(spline.derivative(order) if order else spline for order in range(N_DERIVATIVES))

@@ -327,7 +327,7 @@ class _Parts:
     def measured(
         self, states: Any, own: Any, parameters: Any, draws: Any, t: Any, step: Any, clock: Clock, told: Told
     ) -> tuple[Any, Told]:
-        """Own after the period, and what the controller is told."""
+        """`own` after the period, and what the controller is told."""
         found = []
         cut = [self._cut(value, kind) for value, kind in ((own, "inner"), (parameters, "parameters"), (draws, "draws"))]
         for effect, inner, theta, drawn in zip(self._effects, *cut, strict=True):

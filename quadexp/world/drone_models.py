@@ -120,7 +120,7 @@ class DroneModelsPlant(RotorSpeedPlant):
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
 
     def residual(self) -> Residual:
-        """drag, reaction torque and rotors as gyroscopes at the commanded speeds.
+        """Drag, reaction torque and rotors as gyroscopes at the commanded speeds.
 
         The lag of the motors, which controller.motor_lag says, is left out, and with it the torque of spinning up.
         """

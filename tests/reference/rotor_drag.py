@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import Trajectory
-from quadexp.reference.flatness import Reference, as_reference
+from quadexp.reference.flatness import Reference, continuous
 from quadexp.reference.motion import rotor_thrusts
 
 
@@ -73,7 +73,8 @@ def rotor_drag_reference(trajectory: Trajectory, t: np.ndarray, vehicle: Vehicle
     w_dot = np.linalg.solve(system, right[..., None])[..., 0]
     thrusts = rotor_thrusts(vehicle, vehicle.mass * collective, w.T, w_dot.T, np.zeros_like(w.T)).T
     quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
-    return as_reference(t, flat.position[:, 0], quaternion, velocity, w, thrusts)
+    state = np.concatenate([flat.position[:, 0], continuous(quaternion), velocity, w], axis=1)
+    return Reference(t, state, thrusts)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
