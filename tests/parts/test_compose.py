@@ -336,7 +336,7 @@ class TestNoise:
         )
 
     @pytest.mark.parametrize(
-        "other", ["seed=2", "trajectory.speed=4", "trajectory=lemniscate", "plant.lift=0.3", "vehicle.mass=1.1"]
+        "other", ["seed=2", "trajectory.speed=4", "trajectory=lemniscate", "plant.motor_loss=0.3", "vehicle.mass=1.1"]
     )
     def test_it_is_another_for_whatever_else_differs(self, other):
         assert self.entropy("seed=1") != self.entropy("seed=1", other)

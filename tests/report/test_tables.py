@@ -81,13 +81,13 @@ def test_many_worlds_are_rows():
 @pytest.mark.parametrize(
     ("settings", "headings", "lines"),
     [
-        (["payload.mass=0.1", "payload.mass=0.2"], ["payload (kg)"], [["0"], ["1"]]),
+        (["payload.mass=0.1", "payload.mass=0.2"], ["mass (kg)"], [["0.1"], ["0.2"]]),
         (["wind.velocity=[4,0,0]", "wind.velocity=[3,4,0]"], ["wind (m/s)"], [["4"], ["5"]]),
         (["wind.velocity=[4,0,0]", "wind.velocity=[0,4,0]"], ["wind (m/s)"], [["[4,0,0]"], ["[0,4,0]"]]),
         (["link.latency=0", "link.latency=0.03"], ["latency (ms)"], [["0"], ["30"]]),
         (["horizon=published", "horizon=robust"], ["horizon"], [["published"], ["robust"]]),
-        (["payload.mass=0.1 controller.nodes=5", "payload.mass=0.2 controller.nodes=10"], ["payload (kg)", "nodes"],
-         [["0", "5"], ["1", "10"]]),
+        (["payload.mass=0.1 controller.nodes=5", "payload.mass=0.2 controller.nodes=10"], ["mass (kg)", "nodes"],
+         [["0.1", "5"], ["0.2", "10"]]),
     ],
 )  # fmt: skip
 def test_a_swept_key_has_a_column_with_its_unit_above_and_its_values_down(settings, headings, lines):
