@@ -54,7 +54,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_mechanics.py",
     ),
     "quadexp/world/blade_element*.py": (
-        "tests/world/test_blade_element_flight.py",
         "tests/world/test_blade_element.py",
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",

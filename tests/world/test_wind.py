@@ -1,4 +1,4 @@
-"""Dryden turbulence: exact filters, spectrum and intensity as asked for, the formulas of the standard."""
+"""Winds: gusts, Dryden's turbulence and recorded ones, as asked for; bad files in one line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,36 @@ import pytest
 from scipy.integrate import quad
 from scipy.linalg import expm, solve_continuous_lyapunov
 
+from quadexp.errors import DataError
+from quadexp.log.schema import Flight
+from quadexp.log.store import write_flight
 from quadexp.world import dryden
+from quadexp.world.gust import one_minus_cosine
+from quadexp.world.wind_record import COLUMNS, read_wind
+
+AMPLITUDE = ca.DM([3.0, -2.0, 0.5])
+
+
+@pytest.mark.parametrize(("start", "duration"), [(0.0, 2.0), (1.3, 0.4), (5.0, 11.0)])
+def test_the_integral_is_half_the_amplitude_times_the_duration(start, duration):
+    for axis in range(3):
+        found, _ = quad(
+            lambda t, axis=axis: float(one_minus_cosine(t, start, duration, AMPLITUDE)[axis]), 0, 20, limit=200,
+            points=(start, start + duration),
+        )  # fmt: skip
+        assert found == pytest.approx(float(AMPLITUDE[axis]) * duration / 2, rel=1e-9)
+
+
+def test_it_begins_and_ends_smoothly_and_peaks_in_the_middle():
+    t = ca.SX.sym("t")
+    gust = ca.Function("gust", [t], [one_minus_cosine(t, 1.0, 2.0, AMPLITUDE)])
+    assert gust(2.0).full().ravel() == pytest.approx(AMPLITUDE.full().ravel(), rel=1e-14)
+    assert gust(1.5).full().ravel() == pytest.approx(AMPLITUDE.full().ravel() / 2, rel=1e-12)
+    for when in (-3.0, 0.999, 1.0, 3.0, 3.001, 50.0):
+        assert np.abs(gust(when).full()).max() < 1e-12
+    for edge in (1.0, 3.0):
+        slope = (gust(edge + 1e-4) - gust(edge - 1e-4)) / 2e-4
+        assert np.abs(slope.full()).max() < 1e-2
 
 
 def filter_matrices(time_scale):
@@ -133,3 +162,59 @@ def test_axes_follow_the_mean_wind():
     turned = dryden.axes(np.array([-3.0, 4.0, 7.0]))
     assert turned[:, 0] == pytest.approx([-0.6, 0.8, 0])
     assert turned.T @ turned == pytest.approx(np.eye(3)) and np.linalg.det(turned) == pytest.approx(1)
+
+
+def evaluated(record, times):
+    t = ca.MX.sym("t")
+    function = ca.Function("wind", [t], [record.at(t)])
+    return np.array([function(when).full().ravel() for when in times])
+
+
+@pytest.fixture
+def rows(rng):
+    t = np.cumsum(rng.uniform(0.02, 0.5, 40)) + 1.0
+    return np.column_stack([t, rng.normal(size=(40, 3))])
+
+
+def test_rows_are_joined_by_lines_and_held_outside(tmp_path, rows):
+    file = tmp_path / "wind.csv"
+    np.savetxt(file, rows, delimiter=",", header="t, wind_x, wind_y, wind_z", comments="", fmt="%.17g")
+    times = np.linspace(0, rows[-1, 0] + 2, 301)
+    wanted = np.stack([np.interp(times, rows[:, 0], rows[:, i]) for i in (1, 2, 3)], axis=1)
+    assert evaluated(read_wind(file), times) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_a_flight_with_its_wind_is_a_wind_file_too(tmp_path, rows):
+    """Other columns are ignored; w_x of a flight is an angular velocity and not taken for wind."""
+    columns = dict(zip(COLUMNS, rows.T.copy(), strict=True)) | {"w_x": rows[:, 1] * 0 + 99}
+    file = write_flight(tmp_path / "flight.parquet", Flight(columns, {}))
+    assert read_wind(file).wind == pytest.approx(rows[:, 1:])
+
+
+def test_one_row_is_a_constant_wind(tmp_path):
+    (tmp_path / "wind.csv").write_text("# calm\nt,wind_z,wind_x,wind_y\n0,3,1,2\n")
+    assert evaluated(read_wind(tmp_path / "wind.csv"), [-1.0, 0.0, 9.0]) == pytest.approx(np.array([[1, 2, 3]] * 3))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,w_x,w_y,w_z\n0,1,2,3\n", "no column wind_x, wind_y, wind_z"),
+        ("t,wind_x,wind_y,wind_z\n", "0 rows"),
+        ("t,wind_x,wind_y,wind_z\n0,1,2,3\n0,1,2,3\n", "t = 0 s in row 1 is not after 0 s"),
+        ("t,wind_x,wind_y,wind_z\n0,1,2,3\n1,1,nan,3\n", "column 'wind_y' holds nan in row 1"),
+        ("t,wind_x,wind_y,wind_z\n0,1,2,north\n", "not a readable CSV file with numbers"),
+        ("", "not a readable CSV file"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(tmp_path, text, said):
+    (tmp_path / "wind.csv").write_text(text)
+    with pytest.raises(DataError, match="wind.csv") as caught:
+        read_wind(tmp_path / "wind.csv")
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_is_no_parquet_file_is_refused(tmp_path):
+    (tmp_path / "wind.parquet").write_bytes(b"PAR1 nothing")
+    with pytest.raises(DataError, match="wind.parquet: not a readable Parquet file"):
+        read_wind(tmp_path / "wind.parquet")
