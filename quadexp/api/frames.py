@@ -113,12 +113,14 @@ class Flight(Frame):
 
     def plot(self, *columns: str) -> Any:
         """A matplotlib figure: the named columns over time, or path, position error and thrusts."""
-        from quadexp.report.log_figures import over_time, overview
+        from quadexp.report.flight_figures import flights_figure, over_time
 
         missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
         if missing:
             raise UsageError(f"the flight has no column {missing[0]!r} to draw")
-        return over_time(self, columns) if columns else overview(self)
+        if columns:
+            return over_time(self.arrays(), columns, self.attrs.get("units", {}))
+        return flights_figure({str(self.record.get("controller") or "flown"): self.arrays()})
 
 
 class Dataset(Frame):
@@ -177,7 +179,7 @@ class Results(Frame):
         x: str | None = None,
         by: str | Sequence[str] | None = None,
         facet: str | Sequence[str] | None = None,
-        kind: Literal["lines", "heat", "parallel"] | None = None,
+        kind: Literal["lines", "heat"] | None = None,
     ) -> Any:
         """A matplotlib figure with any keys as axes, as `quadexp plot`: results.plot(x="controller.nodes").
 

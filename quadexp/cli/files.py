@@ -53,10 +53,10 @@ def compare_two(
         out = check_path(out, force, ("png", "pdf", "svg"))
     report = compare(first, *others)
     if out is not None:
-        from quadexp.report.compare_picture import picture
-        from quadexp.report.draw import save_figure
+        from quadexp.report.draw import comparison_figure
+        from quadexp.report.style import save_figure
 
-        save_figure(picture(report["kind"], [first, *others]), out, force=force)
+        save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
     checked = {str(p): check_flights(*rows_of(p)) for p in (first, *others) if report["kind"] == "results"}
     wrong = [f"{results}: {line}" for results, found in checked.items() for line in found.lines(beside=False)]
     for line in wrong:
@@ -135,7 +135,7 @@ def animate(
     end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
     force: Force = False,
 ) -> Answer:
-    """Draw flights over one reference as a moving picture in real time: GIF, WebP, or MP4 by ffmpeg.
+    """Draw flights over one reference as a moving picture in real time: GIF, or MP4 by ffmpeg.
 
     \b
     quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif

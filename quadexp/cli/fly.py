@@ -15,7 +15,7 @@ from quadexp.files.names import file_name
 
 FIGURES = 5  # of a usual sweep
 SAMPLED = 200  # cells that are looked at for what their flights import
-DRAWING = ("quadexp.report.figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
 NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
     "random": ("quadexp.reference.random_polynomial", "quadexp.reference.minimum_snap", "quadexp.reference.time_scale"),
     "file": ("quadexp.reference.from_file",),

@@ -100,8 +100,8 @@ def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, A
 
 
 def _draw(fit: Fit, folder: Path) -> dict[str, str]:
-    from quadexp.report.figures import save
     from quadexp.report.model_figures import calibration_figure, fit_figure
+    from quadexp.report.style import save
 
     made = {"fit": fit_figure(fit.held_out_model, fit.train if fit.test is None else fit.test)}
     if fit.test is not None:

@@ -14,10 +14,9 @@ from typing import Any, Literal, NamedTuple
 
 from quadexp.files.writer import write_text
 from quadexp.report.draw import line_figure
-from quadexp.report.figures import save
 from quadexp.report.points import Place, Point
 from quadexp.report.statistics import Statistic, compute_statistics
-from quadexp.report.style import Figure
+from quadexp.report.style import Figure, save
 from quadexp.report.table import Table
 from quadexp.report.tables import course_labels, plant_labels
 from quadexp.report.text import speed_text

@@ -2,7 +2,7 @@
 
     one key        it is x, the controllers are lines, the trajectories panels
     two keys       the longer one is x, the other one lines, or panels beside the controllers; and a heat map of both
-    more           parallel coordinates: a line a combination, from the values of its keys to its error
+    more           the longest one is x, the next one lines, or a panel for each; panels of all values of the others
 
 A figure shows every panel, or says which it leaves out.
 """
@@ -22,7 +22,7 @@ from quadexp.report.points import SUCCESS, Place, Point, points, shown_column
 from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
 
-Kind = Literal["lines", "heat", "parallel"]
+Kind = Literal["lines", "heat"]
 WHO = ("controller", "model")
 FLOWN = (*WHO, "trajectory")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
@@ -80,7 +80,6 @@ class View:
     by: tuple[str, ...] = ()
     facet: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
-    along: tuple[Axis, ...] = ()
     confidence: float = 0.95
     notes: tuple[str, ...] = ()
     places: dict[Place, Point] = field(default_factory=dict)
@@ -98,14 +97,11 @@ class View:
         for name in names:
             if name not in known:
                 raise UsageError(f"--label {name}: no key or value of this figure{suggestion(name, sorted(known))}")
-        along = tuple(replace(axis, names=names) for axis in self.along)
-        return replace(self, names=names, x=replace(self.x, names=names), along=along)
+        return replace(self, names=names, x=replace(self.x, names=names))
 
     @property
     def keys(self) -> tuple[str, ...]:
         """What a place has a value of, in this order."""
-        if self.kind == "parallel":
-            return tuple(axis.key for axis in self.along)
         return (*self.facet, *self.by, self.x.key)
 
     @property
@@ -125,8 +121,6 @@ class View:
     @property
     def file_name(self) -> str:
         """What a file of this figure is called: "against_nodes", "map_of_nodes_and_horizon"."""
-        if self.kind == "parallel":
-            return "over_all_keys"
         x, *others = (key.rpartition(".")[2] for key in (self.x.key, *self.by))
         return f"map_of_{x}_and_{others[0]}" if self.kind == "heat" else f"against_{x}"
 
@@ -190,8 +184,6 @@ def view(
         return automatic(frame, y, confidence)[0]
     given_x, given_by, given_facet = (_checked(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
     given = [*given_x, *given_by, *given_facet]
-    if kind == "parallel":
-        return _made(frame, kind, "", _parallel(frame, [*given_x, *given_by]), [], y, confidence)
     for key in given:
         if given.count(key) > 1:
             raise UsageError(f"{key}: stands twice among --x, --by and --facet")
@@ -221,16 +213,14 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
     if "trajectory.speed" in axes:  # plants and vehicles are panels beside it
         course += [key for key in ("plant", "vehicle") if key in axes]
         axes = [key for key in axes if key not in course]
-    if len(axes) > 2:
-        return [_made(frame, "parallel", "", _parallel(frame, [*who, *course, *axes]), [], y, confidence)]
     x = _longest(frame, axes) if axes else [*who, *course, "seed"][0]
     who, course, rest = ([key for key in keys if key != x] for keys in (who, course, axes))
     if not rest:
         return [_made(frame, "lines", x, who, course, y, confidence)]
     few = not who and len(frame.values(rest[0])) <= MOST_LINES
-    by, facet = (rest, course) if few else (who, [*course, *rest])
+    by, facet = (rest[:1], [*course, *rest[1:]]) if few else (who, [*course, *rest])
     views = [_made(frame, "lines", x, by, facet, y, confidence)]
-    if all(len(frame.values(key)) > 2 for key in axes):
+    if len(axes) == 2 and all(len(frame.values(key)) > 2 for key in axes):
         views.append(_made(frame, "heat", x, rest, [*who, *course], y, confidence))
     return views
 
@@ -238,32 +228,26 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
 def _made(
     frame: SweepFrame, kind: Kind, x: str, by: Sequence[str], facet: Sequence[str], y: str, confidence: float
 ) -> View:
-    """The view of these keys. by: of parallel coordinates all of them."""
-    parallel = kind == "parallel"
+    """The view of these keys."""
     others = _beside(frame, [*by, *facet, x])
-    if not parallel:
-        facet = [*facet, *(key for key in WHO if key in others)]
-        others = [key for key in others if key not in WHO]
-    keys = [*by] if parallel else [*facet, *by, x]
+    facet = [*facet, *(key for key in WHO if key in others)]
+    others = [key for key in others if key not in WHO]
+    keys = [*facet, *by, x]
     places = points(frame, keys, y, others=others, confidence=confidence)
     if not any(point.is_shown for point in places.values()):
         if any(row["outcome"] == "ok" for row in frame.rows):
             raise UsageError(f"no completed flight has {y} and a value of {listed(keys)}")
         flights = count(len(frame.rows), "flight")
         raise UsageError(f"none of the {flights} was completed: there is no {y} to draw (--y success draws that)")
-    axes = {
-        key: Axis.of(key, list(dict.fromkeys(shown_column(frame, key, keys))) if key in WHO else frame.values(key))
-        for key in keys
-    }
+    values = list(dict.fromkeys(shown_column(frame, x, keys))) if x in WHO else frame.values(x)
     alone = {}  # what all flights share of who flew and what, without what the figure shows
     for key in ("controller", "trajectory", "trajectory.speed"):
-        values = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
-        if key not in (*keys, *others) and len(set(values)) == 1 and values[0] is not None:
-            alone[key] = values[0]
+        column = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
+        if key not in (*keys, *others) and len(set(column)) == 1 and column[0] is not None:
+            alone[key] = column[0]
     return View(
-        kind, y, axes[by[0] if parallel else x], () if parallel else tuple(by), tuple(facet), tuple(others),
-        tuple(axes.values()) if parallel else (), confidence, tuple(_notes(frame, keys, others, y, places)), places,
-        alone,
+        kind, y, Axis.of(x, values), tuple(by), tuple(facet), tuple(others), confidence,
+        tuple(_notes(frame, keys, others, y, places)), places, alone,
     )  # fmt: skip
 
 
@@ -271,13 +255,6 @@ def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
     """What was swept beside these keys; a setting of the fit tells the checkpoints apart."""
     aside = {"seed", *keys, *(["model"] if any(key.startswith("model.") for key in keys) else [])}
     return [key for key in frame.swept if key not in aside]
-
-
-def _parallel(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
-    chosen = [*(keys or (key for key in frame.swept if key != "seed")), *(key for key in WHO if key in frame.swept)]
-    if len(chosen := list(dict.fromkeys(chosen))) < 2:
-        raise UsageError("--kind parallel: needs two keys or more that take several values")
-    return chosen
 
 
 def _notes(

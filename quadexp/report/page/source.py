@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -42,6 +42,7 @@ from quadexp.report.winner import Verdict, verdicts
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
 Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
+Record = Mapping[str, Any]  # metadata of a flight
 
 AIR = {  # baseline -> controllers that are the same but for what they know of the air
     "nominal_mpc": {"linear_drag_mpc", "gp_mpc", "rls_mpc", "neural_mpc", "sum_mpc", "online_mpc", "streaming_gp_mpc"},
@@ -261,6 +262,13 @@ class Comparison:
         except (UsageError, DataError):
             return None
         return flight if len(flight) > 1 else None
+
+
+def machines(flights: Iterable[Record]) -> list[str]:
+    """Processor and system of each machine."""
+    about = (flight.get("provenance", {}) for flight in flights)
+    texts = {", ".join(str(record[k]) for k in ("cpu", "platform") if record.get(k)) for record in about}
+    return sorted(texts - {""})
 
 
 def read_comparison(path: str | Path, *, baseline: str | None = None) -> Comparison:
