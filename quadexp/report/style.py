@@ -326,7 +326,8 @@ def save(figure: Figure, path: Path, inside: Path | None = None) -> Path:
 def figure_html(figure: Figure, label: str) -> str:
     """A figure inside a page: a drawing (SVG), or where it has too many marks a picture (PNG). label: its description
     for screen readers."""
-    form, drawn = "svg+xml", drawing(figure, format="svg", transparent=True, metadata={"Date": None})
+    with matplotlib.rc_context({**STYLE, "svg.fonttype": "none"}):
+        form, drawn = "svg+xml", drawing(figure, format="svg", transparent=True, metadata={"Date": None})
     if len(drawn) > LARGEST_DRAWING:
         form, drawn = "png", drawing(figure, format="png", dpi=DOTS)
     source = f"data:image/{form};base64,{base64.b64encode(drawn).decode()}"
@@ -335,6 +336,6 @@ def figure_html(figure: Figure, label: str) -> str:
 
 def drawing(figure: Figure, **how: Any) -> bytes:
     """A figure as a file. how: keywords of `savefig`."""
-    with matplotlib.rc_context(STYLE), io.BytesIO() as stream:
-        figure.savefig(stream, **how)
-        return stream.getvalue()
+    stream = io.BytesIO()
+    figure.savefig(stream, **how)
+    return stream.getvalue()

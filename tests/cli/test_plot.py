@@ -89,7 +89,7 @@ class TestPlot:
         [
             (("--out", "a.jpg"), "a figure is a file .png, .pdf, .svg, .html"),
             (("--x", "controller.node"), "controller.node: no such key; did you mean controller.nodes?"),
-            (("--kind", "pie"), "--kind pie: must be one of lines, heat, parallel"),
+            (("--kind", "pie"), "--kind pie: must be one of lines, heat"),
             (("--where", "speed > 100"), "--where 'speed > 100': no flight fulfils it"),
             (("--kind", "heat", "--x", "seed", "--by", "a,b"), "a: no such key"),
         ],
@@ -158,7 +158,7 @@ class TestCompare:
         assert len(found) == 4
 
     def test_the_picture_of_results_has_a_line_a_folder_and_a_panel_a_controller(self, results):
-        from quadexp.report.compare_picture import results_figure
+        from quadexp.report.draw import results_figure
 
         figure = results_figure([Path("r"), Path("heavy"), Path("lossy")])
         panels = [panel for panel in figure.axes if panel.axison]

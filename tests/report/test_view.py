@@ -175,7 +175,7 @@ class TestChoice:
     @pytest.mark.parametrize(
         ("overrides", "expected"),
         [
-            (["vehicle.mass=1,2", "controller.nodes=5,10", "plant.payload=0,0.1"], "over_all_keys"),
+            (["vehicle.mass=1,2", "controller.nodes=5,10", "plant.payload=0,0.1"], "against_mass"),
             (["trajectory.speed=4"], "against_seed"),
             (["controller=nominal_mpc,perfect_mpc"], "against_controller"),
             (["plant=simplified,ideal", "trajectory.speed=4,6"], "against_speed"),
@@ -197,7 +197,7 @@ class TestChoice:
             (["plant=simplified,ideal"], ["mean_error_against_plant"]),
             (["controller.nodes=5,10", "trajectory.speed=4,6,8"], ["mean_error_against_speed"]),
             (["controller.nodes=5,10,20"], ["mean_error_against_nodes"]),
-            (["vehicle.mass=1,2", "controller.nodes=5,10", "plant.payload=0,0.1"], ["mean_error_over_all_keys"]),
+            (["vehicle.mass=1,2", "controller.nodes=5,10", "plant.payload=0,0.1"], ["mean_error_against_mass"]),
         ],
     )
     def test_the_figures_of_a_sweep(self, tmp_path, overrides, names):
