@@ -5,8 +5,8 @@ runs, a leaderboard, a table that sorts and filters. What a section holds is a r
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -64,15 +64,13 @@ class PageTable:
 
 @dataclass(frozen=True)
 class Block:
-    """What stands together in a section, or on one of its tabs. figures: HTML of `style.figure_html`. lines:
-    label of a contestant -> sentence. facts: (term, text). folded: only its title is seen at first. progress: (flights
+    """What stands together in a section, or on one of its tabs. figures: HTML of `style.figure_html`. facts: (term, text). folded: only its title is seen at first. progress: (flights
     that are there, of all, the same in words)."""
 
     title: str = ""
     tab: str = ""
     lead: str = ""
     figures: Sequence[str] = ()
-    lines: Mapping[str, str] = field(default_factory=dict)
     tables: Sequence[PageTable] = ()
     facts: Sequence[tuple[str, str]] = ()
     code: Sequence[str] = ()

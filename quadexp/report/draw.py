@@ -142,8 +142,10 @@ def line_figure(view: View) -> Figure:
     elif all(point.mean >= 0 for point in shown):
         largest = max(max(point.mean, point.high, 0) for point in shown)
         first.set_ylim(0, 1.08 * view.factor * largest or 1.0)
-    if len(shown) < len(view.places):
-        _make_room(first, len(lines), log)
+    if len(shown) < len(view.places):  # the upper edge is left to crosses
+        low, high = first.get_ylim()
+        share = 1.0 / (0.92 - 0.055 * min(len(lines), 5))
+        first.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
     if log:
         plain_log(first.yaxis, minor=True)
     elif view.y == SUCCESS:
@@ -279,13 +281,6 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
                 panel.annotate(text, at, xycoords=edge, color=look[line].colour, **beside)
 
 
-def _make_room(panel: Any, lines: int, log: bool) -> None:
-    """Leave the upper edge to the crosses of places where no flight was completed."""
-    low, high = panel.get_ylim()
-    share = 1.0 / (0.92 - 0.055 * min(lines, 5))
-    panel.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
-
-
 @_drawn
 def heat_figure(view: View) -> Figure:
     """The figure of a view of kind "heat"."""
@@ -310,7 +305,9 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
     panel.imshow(np.ma.masked_invalid(values), cmap=ERROR_COLOURS, norm=norm, aspect="auto", origin="lower")
     panel.grid(False)
     for axis, place in ((view.x, panel.xaxis), (down_axis, panel.yaxis)):
-        place.set_ticks(range(len(axis.values)), [_shortened(axis.text(v)) for v in axis.values])
+        texts = [axis.text(value) for value in axis.values]
+        texts = [text if len(text) <= LONGEST_TICK else f"{text[: LONGEST_TICK - 3]}..." for text in texts]
+        place.set_ticks(range(len(texts)), texts)
     if sum(map(len, map(view.x.text, view.x.values))) > 5 * len(view.x.values):
         panel.tick_params(axis="x", rotation=30)
     for (j, i), value in np.ndenumerate(values):
@@ -326,10 +323,6 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
             panel.add_patch(hatch)
         if values.size <= MOST_LETTERS:
             panel.text(i, j, "\n".join(lines), ha="center", va="center", fontsize=7, color=colour)
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= LONGEST_TICK else f"{text[: LONGEST_TICK - 3]}..."
 
 
 FIGURES = {"lines": line_figure, "heat": heat_figure}

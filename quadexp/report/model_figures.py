@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import LogNorm
-from matplotlib.ticker import PercentFormatter
 from msgspec.structs import replace
 
 from quadexp.models.base import AXIS, Prediction
@@ -23,21 +22,7 @@ from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.report.model_lines import MODES, QUANTITIES, error_of, mean_of
-from quadexp.report.style import (
-    BLUE,
-    COLOURS,
-    COUNTS,
-    GREY,
-    HUES,
-    MARKERS,
-    ORANGE,
-    Figure,
-    Look,
-    entries,
-    looks,
-    mathematics,
-    styled,
-)
+from quadexp.report.style import BLUE, COLOURS, COUNTS, HUES, ORANGE, Figure, Look, entries, looks, mathematics, styled
 
 CURVE_POINTS = 300
 MAX_COLUMNS = 4
@@ -200,35 +185,6 @@ def _legend_above(figure: Figure) -> None:
     """One legend of all panels."""
     handles, labels = entries(figure.axes)
     figure.legend(handles, labels, loc="outside upper center", ncols=min(6, len(labels)))
-
-
-@styled
-def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
-    """Share of held-out samples inside the central interval against the probability the model gives that interval."""
-    from scipy.special import ndtr
-
-    figure = Figure(figsize=(4.4, 4.2), layout="constrained")
-    panel = figure.subplots()
-    inside = {sigma: 2 * ndtr(sigma) - 1 for sigma in (1, 2)}
-    panel.plot([0, 1], [0, 1], color=GREY, linewidth=1, linestyle=(0, (4, 3)))
-    for x, y, text, side in ((0.97, 0.04, "overconfident", "right"), (0.03, 0.96, "too careful", "left")):
-        panel.text(x, y, text, ha=side, va="center", color=GREY, fontsize=8.5)
-    for k, (name, prediction) in enumerate(model.predict(data).items()):
-        error = np.abs(data.matrix([name])[:, 0] - prediction.mean) / prediction.std
-        probability = np.sort(2 * ndtr(error) - 1)
-        at = [max(int(np.searchsorted(probability, share)) - 1, 0) for share in inside.values()]
-        look = {"color": COLOURS[(k + 1) % len(COLOURS)], "marker": MARKERS[k], "markersize": 5, "markevery": at}
-        panel.plot(probability, np.arange(1, len(error) + 1) / len(error), label=symbol(name), **look)
-    for sigma, at in inside.items():
-        panel.axvline(at, color="#BBBBBB", linewidth=0.8, zorder=0)
-        panel.text(at, 1.01, f"{sigma} σ", ha="center", va="bottom", fontsize=8.5, color="#444444")
-    panel.set(xlabel="predicted probability of the central interval", ylabel="held-out samples inside")
-    panel.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
-    panel.legend(loc="center right", bbox_to_anchor=(0.94, 0.27))
-    mathematics(panel)
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_formatter(PercentFormatter(1.0))
-    return figure
 
 
 def identification_figures(model: VehicleModel, samples: Samples) -> dict[str, Figure]:

@@ -71,7 +71,7 @@ def render(comparison: Comparison, swept: Swept, pareto: Pareto, command: str) -
         _replay_section(packed),
         shown,
         swept_section(swept),
-        pareto_section(pareto, comparison, flights),
+        pareto_section(pareto),
         worst(comparison, bad, {case: i for i, case in enumerate(cases)}),
         origin(comparison, flights, command, left_out),
     ]

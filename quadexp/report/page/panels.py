@@ -13,17 +13,17 @@ from quadexp.errors import UsageError
 from quadexp.report.document import Block, Section
 from quadexp.report.draw import figure_of
 from quadexp.report.frame import SweepFrame
-from quadexp.report.page.source import TABLED, Comparison, machines
+from quadexp.report.page.source import TABLED, Comparison
 from quadexp.report.points import SUCCESS
 from quadexp.report.style import Figure, figure_html, plain_log, styled
 from quadexp.report.tables import TITLES
-from quadexp.report.text import duration, percent, shown, typeset
+from quadexp.report.text import duration, shown, typeset
 from quadexp.report.view import View, automatic
 
 BUDGET = 800_000  # characters of all figures over what was swept
 TIME = (
-    "For a controller on the line, no other one has both a shorter step and a smaller error. Bounds are left out. Wall"
-    " time of the control step{}: medians over the flights of their median and 99th percentile. Other load on the"
+    "For a controller on the line, no other one has both a shorter step and a smaller error; bounds are never on it."
+    " Wall time of the control step: medians over the flights of their median and 99th percentile. Other load on the"
     " machine increases the latter."
 )
 SWEPT = (
@@ -163,24 +163,7 @@ def pareto_figure(pareto: Pareto) -> Figure:
     return figure
 
 
-def pareto_section(pareto: Pareto, comparison: Comparison, flights: Sequence[Mapping[str, Any]]) -> Section:
-    """The figure, and a line for every contestant in it. flights: metadata."""
-    backends = sorted({row["backend"] for row in comparison.rows if row["backend"]})
-    on = ", ".join(filter(None, (" and ".join(backends), "; ".join(machines(flights)))))
-    lines = {label: _standing(pareto, label) for label in pareto.points}
+def pareto_section(pareto: Pareto) -> Section:
+    """The figure."""
     drawn = [figure_html(figure, "Error against computing time") for figure in pareto.figures().values()]
-    lead = TIME.format(f" ({on})" if on else "")
-    return Section(
-        "time", "Time", "Error against computing time", lead, [Block(figures=drawn, lines=lines)] if drawn else []
-    )
-
-
-def _standing(pareto: Pareto, label: str) -> str:
-    """Where a contestant stands, its error against the baseline's, and the load of its step."""
-    comparison, points, front = pareto
-    where = "a bound" if label in comparison.bounds else "on the front" if label in front else "behind the front"
-    size = f"{percent(points[label].error)[0]} of {comparison.reference}'s error, in " if comparison.reference else ""
-    size = "the baseline, in " if label == comparison.reference else size
-    share = 100 * points[label].time / comparison.period(label)
-    load = f", {percent(share)[0] if share >= 0.05 else 'under 0.1 %'} of its period" if math.isfinite(share) else ""
-    return f"{where}: {size}{duration(points[label].time)}{load}."
+    return Section("time", "Time", "Error against computing time", TIME, [Block(figures=drawn)] if drawn else [])

@@ -20,7 +20,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
 from quadexp.report.animation import rotors_of
 from quadexp.report.page.source import Comparison
-from quadexp.report.pairing import condition_of
+from quadexp.report.pairing import Condition, condition_of
 from quadexp.report.text import speed_text
 
 BUDGET = 900_000  # characters of packed tracks
@@ -31,7 +31,7 @@ MAX_SAMPLES = 1500
 LEAST_STEP = 0.02  # s
 INT16 = 32767
 
-Case = tuple[tuple[Any, ...], int]  # condition, seed
+Case = tuple[Condition, int]  # condition, seed
 
 
 def case_of(row: Mapping[str, Any]) -> Case:
@@ -40,35 +40,26 @@ def case_of(row: Mapping[str, Any]) -> Case:
 
 def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
     """The fastest condition with the largest error first, the cases of the worst flights, then all other conditions,
-    then other seeds."""
-    cases = ordered_cases(comparison)
-    cases[1:1] = [case_of(row) for row in worst[:3]]
-    flown = dict.fromkeys(case_of(row) for row in comparison.rows if row["outcome"] == "ok")
-    place = {condition: i for i, (condition, _) in enumerate(reversed(cases))}
-    others = sorted(flown, key=lambda case: (case[1], -place[case[0]]))  # the other seeds, of the first cases first
-    return list(dict.fromkeys([*cases[:MAX_CASES], *others]))[:MAX_FLOWN]
-
-
-def ordered_cases(comparison: Comparison) -> list[Case]:
-    """Every condition that flew, with the seed that most completed: those of the main world first, then the fastest,
-    then those with the largest error."""
-    seeds: dict[tuple[Any, ...], dict[int, int]] = {}
-    largest: dict[tuple[Any, ...], float] = {}
+    then their other seeds. Conditions of the main world stand before others, and of a condition the seeds that most
+    completed."""
+    completed: dict[Case, int] = {}
+    largest: dict[Condition, float] = {}
     for row in comparison.rows:
+        if row["outcome"] != "infeasible":
+            completed[case_of(row)] = completed.get(case_of(row), 0) + (row["outcome"] == "ok")
         if row["outcome"] == "ok":
             largest[condition_of(row)] = max(largest.get(condition_of(row), 0.0), row["max_error"])
-        if row["outcome"] != "infeasible":
-            found = seeds.setdefault(condition_of(row), {})
-            found[int(row["seed"])] = found.get(int(row["seed"]), 0) + (row["outcome"] == "ok")
 
-    def first(condition: tuple[Any, ...]) -> tuple[Any, ...]:
-        return condition[:2] != comparison.world, -(condition[3] or 0.0), -largest.get(condition, 0.0)
+    def place(case: Case) -> tuple[Any, ...]:
+        condition, seed = case
+        aside, speed = condition[:2] != comparison.world, condition[3] or 0.0
+        return aside, -speed, -largest.get(condition, 0.0), str(condition), -completed[case], seed
 
-    cases: list[Case] = []
-    for condition in sorted(seeds, key=first):
-        found = seeds[condition]
-        cases.append((condition, max(found, key=lambda seed: (found[seed], -seed))))
-    return cases
+    ordered = sorted(completed, key=place)
+    leading = list({case[0]: case for case in reversed(ordered)}.values())[::-1]
+    leading[1:1] = [case_of(row) for row in worst[:3]]
+    others = sorted(ordered, key=lambda case: case[1])
+    return list(dict.fromkeys([*leading[:MAX_CASES], *others]))[:MAX_FLOWN]
 
 
 def case_title(comparison: Comparison, case: Case) -> str:
@@ -76,13 +67,6 @@ def case_title(comparison: Comparison, case: Case) -> str:
     (plant, vehicle, trajectory, speed, setting), seed = case
     rate = "" if speed is None else f" at {speed_text(speed)}"
     return f"{comparison.course_title((plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
-
-
-def by_rank(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Rows of a case: least error, baseline and bounds first, then in the order of the page."""
-    rank = {label: k for k, label in enumerate(comparison.look)}
-    first = [comparison.verdict.least, comparison.reference, *comparison.bounds]
-    return sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))
 
 
 def pack_replay(
@@ -108,9 +92,11 @@ def pack_replay(
 
 def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     rank = {label: k for k, label in enumerate(comparison.look)}
-    ordered = by_rank(comparison, rows)
-    rows = ordered[:MAX_TRACKS]
-    flights = [(comparison.label(row), flight) for row in rows if (flight := comparison.flight(row)) is not None]
+    first = [comparison.verdict.least, comparison.reference, *comparison.bounds]  # where there are too many
+    labelled = {comparison.label(row): row for row in rows}
+    ordered = sorted(labelled, key=lambda label: (label not in first, rank[label]))
+    read = [(label, comparison.flight(labelled[label])) for label in ordered[:MAX_TRACKS]]
+    flights = [(label, flight) for label, flight in read if flight is not None]
     flights = [(label, flight) for label, flight in flights if "ref_p_x" in flight.columns]
     if not flights:
         return None
@@ -128,7 +114,7 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
         "rotors": rotors_of(longest).tolist(),
         "centre": centre.tolist(),
         **_integers("reference", reference - centre),
-        "left_out": [comparison.label(row) for row in ordered[MAX_TRACKS:]],
+        "left_out": ordered[MAX_TRACKS:],
         "tracks": sorted(tracks, key=lambda track: rank[track["label"]]),
     }
 

@@ -21,7 +21,7 @@ from quadexp.report.margin_line import margin_line
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.replay import Case, case_of, case_title
-from quadexp.report.page.source import TABLED, Comparison, Record, machines
+from quadexp.report.page.source import TABLED, Comparison, Record
 from quadexp.report.pairing import Condition, condition_of
 from quadexp.report.statistics import Statistic
 from quadexp.report.table import Table
@@ -143,19 +143,13 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapp
             largest = f"{number(1e3 * row['max_error'])} mm"
             if "thinned" not in flight.metadata:
                 when = f"at {flight.t[int(np.argmax(position_error(flight)))]:.1f} s"
-        lost = (
-            ""
-            if row["outcome"] == "ok"
-            else ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
-        )
+        why = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
+        lost = "" if row["outcome"] == "ok" else why
         flown = Cell(case_title(comparison, case), lost=lost, replay=cases.get(case))
-        lines.append([Cell(label, mark=label), Cell(largest, (when,)), flown])
+        lines.append([Cell(label, mark=label), flown, Cell(largest, (when,))])
     commands = [f"quadexp simulate {shlex.join(asked)}" for row in rows if (asked := comparison.asked(row))]
-    table = PageTable("worst", "", [*map(Cell, ("controller", "largest error", "flight"))], lines)
-    blocks = [
-        Block(tables=[table]),
-        *([Block("Commands that fly them again", code=commands, folded=True)] if commands else []),
-    ]
+    blocks = [Block(tables=[PageTable("worst", "", [*map(Cell, ("controller", "flight", "largest error"))], lines)])]
+    blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
     return Section("worst", "Worst", "Worst flights", lead, blocks)
 
 
@@ -170,11 +164,9 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
     sweep = sweep_command(comparison.grids, portable(comparison.root))
     blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
-    varied, common = settings(flights)
-    titles = {"Settings that differ between the flights": varied, "Settings of all flights": common}
-    for i, (title, rows) in enumerate(titles.items()):
-        table = PageTable.of(Table(["setting", "value"], rows), f"settings-{i}")
-        blocks += [Block(title, tables=[table], folded=True)] if rows else []
+    if rows := settings(flights):
+        table = PageTable.of(Table(["setting", "value"], rows), "settings")
+        blocks.append(Block("Settings of the flights, those that differ first", tables=[table], folded=True))
     blocks.append(Block("Statistical methods", lead=METHODS.format(f"{comparison.confidence:.0%}"), folded=True))
     lead = "Data, versions and commands that make every figure again."
     return Section("provenance", "Provenance", "Provenance", lead, blocks)
@@ -182,17 +174,19 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
 
 def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, str]]:
     """(term, text) of the origin; several of one term."""
-    git = [flight.get("provenance", {}).get("git") or {} for flight in flights]
+    about = [flight.get("provenance", {}) for flight in flights]
+    git = [made.get("git") or {} for made in about]
     commits = {f"{g['commit'][:12]}{' with changes' if g.get('dirty') else ''}" for g in git if g.get("commit")}
+    machines = {", ".join(str(made[k]) for k in ("cpu", "platform") if made.get(k)) for made in about} - {""}
     models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
     created = comparison.record.get("provenance", {}).get("created", "")
     versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
     entries = [
         ("Results", f"{len(comparison.rows)} flights, sha256 {comparison.digest}"),
         ("Files", " ".join(filter(None, (f"{comparison.checked.text()}.", *comparison.checked.lines())))),
-        ("Seeds", ranges(sorted({int(row["seed"]) for row in comparison.rows}))),
+        ("Seeds", ", ".join(map(str, sorted({int(row["seed"]) for row in comparison.rows})))),
         ("Made", ", commit ".join(filter(None, (created, ", ".join(sorted(commits)))))),
-        ("Machine", "; ".join(machines(flights))),
+        ("Machine", "; ".join(sorted(machines))),
         *(("Loop", line) for line in margins(flights)),
         *(("Checkpoint", model) for model in sorted(models)),
         ("Versions", versions),
@@ -206,21 +200,15 @@ def margins(flights: Iterable[Record]) -> list[str]:
     return list(dict.fromkeys(f"{name}: {line}" for name, line in lines if line))
 
 
-def settings(flights: Sequence[Record]) -> tuple[list[list[str]], list[list[str]]]:
-    """Those that differ between flights, with their values in order of appearance, and those that all share."""
+def settings(flights: Sequence[Record]) -> list[list[str]]:
+    """A line a setting with its values in order of appearance; those that differ between flights first."""
     values: dict[str, list[str]] = {}
     for flight in flights:
         for key, value in flat(flight.get("config", {})).items():
             values.setdefault(key, []).append(value if isinstance(value, str) else json.dumps(value))
-    varied, common = [], []
-    for key, texts in values.items():
-        different = list(dict.fromkeys(texts))
-        if len(different) == 1 and len(texts) == len(flights):
-            common += [[key, texts[0]]] if texts[0] != "null" else []
-        else:
-            more = ["…"] if len(different) > MOST_VALUES else []
-            varied.append([key, ", ".join(different[:MOST_VALUES] + more)])
-    return varied, common
+    different = {key: list(dict.fromkeys(texts)) for key, texts in values.items() if set(texts) != {"null"}}
+    lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
+    return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
 
 
 def portable(path: Path) -> str:
@@ -239,14 +227,3 @@ def sweep_command(grids: Sequence[Grid], out: str) -> str:
         named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
         words = sorted(named) if len(named) == 1 else []
     return f"quadexp evaluate --sweep {shlex.join(words)} --out {shlex.quote(out)}" if words else ""
-
-
-def ranges(numbers: Sequence[int]) -> str:
-    """Such as "0–4, 7"."""
-    parts: list[list[int]] = []
-    for n in numbers:
-        if parts and n == parts[-1][-1] + 1:
-            parts[-1].append(n)
-        else:
-            parts.append([n])
-    return ", ".join(f"{p[0]}\u2013{p[-1]}" if len(p) > 1 else str(p[0]) for p in parts)

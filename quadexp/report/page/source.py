@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -262,13 +262,6 @@ class Comparison:
         except (UsageError, DataError):
             return None
         return flight if len(flight) > 1 else None
-
-
-def machines(flights: Iterable[Record]) -> list[str]:
-    """Processor and system of each machine."""
-    about = (flight.get("provenance", {}) for flight in flights)
-    texts = {", ".join(str(record[k]) for k in ("cpu", "platform") if record.get(k)) for record in about}
-    return sorted(texts - {""})
 
 
 def read_comparison(path: str | Path, *, baseline: str | None = None) -> Comparison:

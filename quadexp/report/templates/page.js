@@ -10,7 +10,7 @@ for (const group of document.querySelectorAll(".tabs")) { // each switches the p
   choose(tabs[0].dataset.metricSwitch);
 }
 
-for (const table of document.querySelectorAll("table.sorts")) { // by a click on a heading; numbers as numbers, gaps last
+for (const table of document.querySelectorAll("table.sorts")) { // by a click on a heading; gaps last
   const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
   const key = (row, i) => {
     const text = row.cells[i].textContent.trim().replace("\u2212", "-");

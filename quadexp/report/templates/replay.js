@@ -78,7 +78,7 @@ function stroke(g, points, colour, width, alpha = 1, dash = []) { // a point tha
   points.forEach((p, i) => p && (points[i - 1] ? g.lineTo(p[0], p[1]) : g.moveTo(p[0], p[1])));
   g.stroke(); g.setLineDash([]); g.globalAlpha = 1;
 }
-const nice = v => { const p = 10 ** Math.floor(Math.log10(v)); return [1, 2, 5, 10].map(s => s * p).find(s => s >= v); };
+const nice = v => [1, 2, 5, 10].map(s => s * 10 ** Math.floor(Math.log10(v))).find(s => s >= v);
 function ground(g, floor) { // returns the width of a cell (m)
   const cell = nice(flown.radius / 5), n = 9, [cx, cy] = flown.centre.map(v => Math.round(v / cell) * cell);
   const every = Array.from({ length: 2 * n + 1 }, (_, k) => (k - n) * cell);
@@ -130,10 +130,12 @@ function drawScene() {
 }
 function drawTrace() {
   const [g, w, h] = surface(trace), sizes = flown.tracks.map(t => Float32Array.from(t.size).sort());
-  const most = Math.max(...sizes.map(s => s[s.length - 1])), least = Math.min(...sizes.map(s => s[Math.floor(0.05 * s.length)] || 1e-3));
-  const low = Math.max(least / 1.5, most * 1e-5, 1e-4), high = Math.max(most * 1.3, low * 10), span = Math.log(high / low);
+  const most = Math.max(...sizes.map(s => s[s.length - 1]));
+  const least = Math.min(...sizes.map(s => s[Math.floor(0.05 * s.length)] || 1e-3));
+  const low = Math.max(least / 1.5, most * 1e-5, 1e-4), high = Math.max(most * 1.3, low * 10);
   const x = t => MARGIN.left + t / flown.duration * (w - MARGIN.left - MARGIN.right);
-  const y = v => h - MARGIN.bottom - Math.log(Math.max(v, low) / low) / span * (h - MARGIN.top - MARGIN.bottom);
+  const share = v => Math.log(Math.max(v, low) / low) / Math.log(high / low);
+  const y = v => h - MARGIN.bottom - share(v) * (h - MARGIN.top - MARGIN.bottom);
   g.font = "11px system-ui,sans-serif"; g.fillStyle = MUTED; g.textBaseline = "middle"; g.textAlign = "right";
   for (let d = Math.ceil(Math.log10(low)); 10 ** d <= high; d++) {
     stroke(g, [[MARGIN.left, y(10 ** d)], [w - MARGIN.right, y(10 ** d)]], RULE, 1);
@@ -146,7 +148,9 @@ function drawTrace() {
   stroke(g, [[x(time), MARGIN.top - 4], [x(time), h - MARGIN.bottom]], INK, 1.2);
   for (const track of flown.tracks.filter(t => t.shown)) {
     const line = [], bin = Math.max(1, Math.floor(track.samples / w)), at = sampleOf(track);
-    for (let i = 0; i < track.samples; i += bin) line.push([x(i * flown.step), y(Math.max(...track.size.subarray(i, i + bin)))]);
+    for (let i = 0; i < track.samples; i += bin) {
+      line.push([x(i * flown.step), y(Math.max(...track.size.subarray(i, i + bin)))]);
+    }
     stroke(g, line, track.colour, 1.4, 0.9);
     stroke(g, Array(2).fill([x(at * flown.step), y(between(track.size, 1, at, track.samples)[0])]), track.colour, 6.4);
   }
@@ -189,14 +193,19 @@ function open(index) {
   chooser.value = index;
   scrub.max = flown.duration; scrub.step = flown.step;
   pilots.replaceChildren(...flown.tracks.map(track => {
-    const button = document.createElement("button"), [mark, name, now] = ["b", "span", "span"].map(t => document.createElement(t));
-    button.type = "button"; button.className = "pilot"; button.setAttribute("aria-pressed", String(track.shown));
-    button.title = track.cause || `show or hide ${track.label}`;
-    mark.className = "mark"; mark.textContent = track.glyph; mark.style.color = track.colour;
+    const [button, mark, name, now] = ["button", "b", "span", "span"].map(tag => document.createElement(tag));
+    Object.assign(button, { type: "button", className: "pilot", title: track.cause || `show or hide ${track.label}` });
+    Object.assign(mark, { className: "mark", textContent: track.glyph, style: `color:${track.colour}` });
     name.append(mark, track.label);
-    now.className = "now"; track.now = now;
+    now.className = "now";
+    track.now = now;
     button.append(name, now);
-    button.onclick = () => { track.shown = !track.shown; button.setAttribute("aria-pressed", String(track.shown)); draw(); };
+    const show = shown => {
+      track.shown = shown;
+      button.setAttribute("aria-pressed", String(shown));
+    };
+    button.onclick = () => { show(!track.shown); draw(); };
+    show(track.shown);
     return button;
   }));
   seek(0.42 * flown.duration);
@@ -239,9 +248,13 @@ scene.addEventListener("wheel", e => {
 }, { passive: false });
 scene.addEventListener("keydown", e => {
   const step = by => { play(false); seek(time + by); };
-  const keys = e.shiftKey
-    ? { ArrowLeft: () => orbit(-0.12, 0), ArrowRight: () => orbit(0.12, 0), ArrowUp: () => orbit(0, 0.1), ArrowDown: () => orbit(0, -0.1) }
-    : { " ": () => play(!playing), ArrowLeft: () => step(-0.1), ArrowRight: () => step(0.1), Home: () => seek(0), End: () => seek(flown.duration) };
+  const keys = e.shiftKey ? {
+    ArrowLeft: () => orbit(-0.12, 0), ArrowRight: () => orbit(0.12, 0),
+    ArrowUp: () => orbit(0, 0.1), ArrowDown: () => orbit(0, -0.1),
+  } : {
+    " ": () => play(!playing), ArrowLeft: () => step(-0.1), ArrowRight: () => step(0.1),
+    Home: () => seek(0), End: () => seek(flown.duration),
+  };
   if (e.altKey || e.ctrlKey || e.metaKey || !keys[e.key]) return;
   e.preventDefault();
   keys[e.key]();
