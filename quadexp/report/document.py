@@ -64,8 +64,8 @@ class PageTable:
 
 @dataclass(frozen=True)
 class Block:
-    """What stands together in a section, or on one of its tabs. figures: HTML of `style.figure_html`. facts: (term, text). folded: only its title is seen at first. progress: (flights
-    that are there, of all, the same in words)."""
+    """What stands together in a section, or on one of its tabs. figures: HTML of `style.figure_html`. facts: (term,
+    text). folded: only its title is seen at first. progress: (flights that are there, of all, the same in words)."""
 
     title: str = ""
     tab: str = ""

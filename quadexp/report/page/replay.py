@@ -23,7 +23,7 @@ from quadexp.report.page.source import Comparison
 from quadexp.report.pairing import Condition, condition_of
 from quadexp.report.text import speed_text
 
-BUDGET = 900_000  # characters of packed tracks
+BUDGET = 800_000  # characters of packed tracks
 MAX_TRACKS = 12
 MAX_CASES = 24
 MAX_FLOWN = 60  # with other seeds of these
