@@ -14,10 +14,9 @@ from quadexp.log.store import read_flight, read_table
 from quadexp.report.compare import names_of
 from quadexp.report.draw import line_figure
 from quadexp.report.frame import SweepFrame
-from quadexp.report.metrics import mean_error, position_error
-from quadexp.report.result_rows import ROW_COLUMNS, from_columns
+from quadexp.report.metrics import ROW_COLUMNS, from_columns, mean_error, position_error
 from quadexp.report.style import Figure, looks, plain_log, styled
-from quadexp.report.summary import MODEL_FILE, RESULTS_FILE
+from quadexp.report.summary import RESULTS_FILE
 from quadexp.report.view import view
 
 SOURCE = "results"  # key of the folder that a flight of several results comes from
@@ -81,12 +80,12 @@ def joined(paths: Sequence[Path]) -> SweepFrame:
 @styled
 def checkpoints_figure(paths: Sequence[Path]) -> Figure:
     """Held-out RMSE of every output, of each checkpoint and its predictors; a panel a unit."""
-    from quadexp.report.held_out import held_out_rows
+    from quadexp.report.summary import held_out_rows
 
     rows = [
         {**row, "label": f"{row['predictor'].replace('_', ' ')} {name}"}
         for path, name in zip(paths, names_of(paths), strict=True)
-        for row in held_out_rows(path.parent if path.name == MODEL_FILE else path)
+        for row in held_out_rows(path)
         if row["predictor"] != "zero"
     ]
     if not rows:

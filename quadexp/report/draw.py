@@ -34,11 +34,10 @@ from quadexp.errors import UsageError
 from quadexp.files.writer import check_output, write_text, written
 from quadexp.report.document import sortable_page
 from quadexp.report.figures import ERROR_COLOURS
-from quadexp.report.points import SUCCESS, Place, Point
 from quadexp.report.style import PLAIN, STYLE, Figure, Look, entries, looks, plain_log, styled
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
-from quadexp.report.view import Axis, View, value_text
+from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text
 
 SUFFIXES = ("png", "pdf", "svg", "html")
 ON_PAPER: Any = {"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2}

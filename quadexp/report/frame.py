@@ -22,8 +22,8 @@ from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
 from quadexp.parts.option_files import units
 from quadexp.parts.schema import PARTS, PRESETS, REMEDIES, WORLD
+from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 from quadexp.report.pairing import setting_pairs
-from quadexp.report.result_rows import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 
 RESULTS = "results.parquet"
 ALIASES = {"speed": "trajectory.speed"}
@@ -50,7 +50,7 @@ class SweepFrame:
         configs: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         self.rows, self.root, self.record = list(rows), Path(root), record or {}
-        self._own = configs or {}
+        self._read = configs or {}
         self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._gone: Counter[tuple[Any, ...]] = Counter()  # files of a group that could not be read
         self._columns: dict[str, list[Any]] = {}
@@ -75,7 +75,7 @@ class SweepFrame:
 
     def taken(self, order: Sequence[int]) -> SweepFrame:
         """The frame of the rows at these places, in this order."""
-        frame = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._own)
+        frame = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._read)
         frame._configs, frame._gone = self._configs, self._gone
         return frame
 
@@ -111,11 +111,9 @@ class SweepFrame:
     @cached_property
     def swept(self) -> list[str]:
         """The keys that take several values, the one that varies slowest first; the seed among them."""
-        texts: dict[str, set[str]] = {}
-        for text in (text for grid in self.record.get("grids") or () for several in grid for text in several):
-            texts.setdefault(text.partition("=")[0], set()).add(text)
-        asked = [key for key, values in texts.items() if len(values) > 1]
-        asked += [key for row in self.rows for key, _ in setting_pairs(row["variant"] or "")]
+        texts = dict.fromkeys(text for grid in self.record.get("grids") or () for axis in grid for text in axis)
+        asked = [key for key, count in Counter(text.partition("=")[0] for text in texts).items() if count > 1]
+        asked += [key for row in self.rows for key, _ in setting_pairs(row["variant"])]
         parts = {"plant": ("world", *WORLD), "controller": ("remedies", *REMEDIES), "trajectory.speed": ("speed",)}
         named = {key.partition(".")[0] for key in asked}
         asked += [key for key in ASKED if not named.intersection(parts.get(key, ()))]
@@ -147,7 +145,7 @@ class SweepFrame:
             return "+".join(self._remedies(row, REMEDIES)) or "none"
         if name.startswith("model."):
             return self._of_checkpoint(row["model"]).get(name.removeprefix("model."))
-        varied = dict(setting_pairs(row["variant"] or "")) if row["key"] not in self._own else {}
+        varied = dict(setting_pairs(row["variant"])) if row["key"] not in self._read else {}
         if name in varied:
             return read_value(varied[name])
         config = self._config(row)
@@ -174,14 +172,15 @@ class SweepFrame:
         on speed and seed, which are in its row: one file is read for all flights of a sweep that differ in these only.
         """
         key = row["key"]
-        overrides = None if key in self._own else self.record.get("without_flight", {}).get(key)
-        group = tuple(row.get(name) for name in SAME) if key not in self._own and overrides is None else (key,)
+        overrides = None if key in self._read else self.record.get("without_flight", {}).get(key)
+        group = (key,) if key in self._read or overrides is not None else tuple(row.get(name) for name in SAME)
         if group not in self._configs and self._gone[group] < MOST_GONE:
             try:
                 if overrides is not None:
-                    config = {name: read_value(value) for name, _, value in (one.partition("=") for one in overrides)}
-                elif key in self._own:
-                    config = dict(self._own[key])
+                    parts = (override.partition("=") for override in overrides)
+                    config: Mapping[str, Any] = {name: read_value(value) for name, _, value in parts}
+                elif key in self._read:
+                    config = self._read[key]
                 else:
                     config = read_metadata(CellStore(self.root).path(key), "flight").get("config") or {}
                 self._configs[group] = flat(config)
@@ -269,9 +268,8 @@ def setting_text(key: str, value: Any) -> str:
     value, unit = _magnitude(key, value), unit_of(key)
     if not is_number(value):
         return f"{setting_name(key)} {str(value).lower() if isinstance(value, bool) else value}"
-    if unit == "s" and 0 < value < MILLISECONDS:
-        value, unit = 1e3 * value, "ms"
-    return f"{setting_name(key)} {value:.6g} {unit}".strip()
+    factor, unit = (1e3, "ms") if unit == "s" and 0 < value < MILLISECONDS else (1, unit)
+    return f"{setting_name(key)} {factor * value:.6g} {unit}".strip()
 
 
 def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tuple[str, dict[str, str]]:
@@ -283,9 +281,9 @@ def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tup
     name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
     if not all(map(is_number, numbers.values())) or len(set(numbers.values())) < len(numbers):
         return with_unit(name, key), {text: text for text in texts}
-    if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS:
-        numbers, unit = {text: 1e3 * value for text, value in numbers.items()}, "ms"
-    return f"{name} ({unit})" if unit else name, {text: f"{value:.6g}" for text, value in numbers.items()}
+    factor, unit = (1e3, "ms") if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS else (1, unit)
+    columns = {text: f"{factor * value:.6g}" for text, value in numbers.items()}
+    return f"{name} ({unit})" if unit else name, columns
 
 
 def setting_name(key: str) -> str:

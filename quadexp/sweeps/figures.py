@@ -23,8 +23,8 @@ from quadexp.files.writer import clean, remove
 from quadexp.log.cell_store import CellStore
 from quadexp.provenance import source_hash
 from quadexp.report.frame import SweepFrame
+from quadexp.report.metrics import to_columns
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
-from quadexp.report.result_rows import to_columns
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.report.view import automatic

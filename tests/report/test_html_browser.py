@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 from quadexp.log.store import write_table
+from quadexp.report.metrics import to_columns
 from quadexp.report.page import make_report
-from quadexp.report.result_rows import to_columns
 from tests.report.results import make_results, weather
 from tests.report.test_tables import row
 

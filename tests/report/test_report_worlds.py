@@ -13,12 +13,12 @@ import pytest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table, write_flight, write_table
+from quadexp.report.metrics import from_columns, to_columns
 from quadexp.report.page import make_report
 from quadexp.report.page.over_time import binned, power_sheets
 from quadexp.report.page.replay import choose_cases, ordered_cases, pack_replay
 from quadexp.report.page.sections import worlds
 from quadexp.report.page.source import read_comparison
-from quadexp.report.result_rows import from_columns, to_columns
 from quadexp.report.summary import summarise
 from quadexp.report.text import number
 from tests.log.flights import straight_flight

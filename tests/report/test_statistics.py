@@ -11,9 +11,9 @@ import pytest
 
 from quadexp.log.store import read_metadata, read_table
 from quadexp.report import inference
-from quadexp.report.pairing import contestant_labels, split_variant, variant_parts
-from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics, overall
-from quadexp.report.statistics_file import comparison_texts, results_statistics, write_comparison
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of
+from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics, overall, results_statistics
+from quadexp.report.tables import comparison_texts, write_comparison
 from tests.report.test_tables import row
 
 
@@ -116,12 +116,9 @@ class TestFailures:
 
 class TestConditions:
     def test_settings_of_the_plant_make_conditions_those_of_the_controller_contestants(self):
-        assert split_variant("controller.nodes=20 plant.payload=0.1") == ("controller.nodes=20", "plant.payload=0.1")
-        assert split_variant("") == ("", "") and split_variant("trajectory.path=a b.csv") == (
-            "",
-            "trajectory.path=a b.csv",
-        )
-        assert variant_parts("controller.position_weight=0.5") == ["position_weight=0.5"]
+        both = row(variant="controller.nodes=20 plant.payload=0.1 trajectory.path=a b.csv")
+        assert contestant_of(both)[2] == "controller.nodes=20"
+        assert condition_of(both)[4] == "plant.payload=0.1 trajectory.path=a b.csv" and condition_of(row())[4] == ""
         rows = []
         for payload, scale in (("0", 1.0), ("0.1", 2.0)):
             rows += errors("nominal_mpc", [0.2 * scale, 0.22 * scale], variant=f"plant.payload={payload}")

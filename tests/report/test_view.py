@@ -13,9 +13,8 @@ from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
 from quadexp.report.draw import records
 from quadexp.report.frame import SweepFrame, read_value, setting_text, unit_of
-from quadexp.report.points import points
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.view import Axis, automatic, view
+from quadexp.report.view import Axis, automatic, points, view
 from quadexp.sweeps.figures import draw, drawings
 from tests.report.sweeps import noise, swept
 

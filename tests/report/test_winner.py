@@ -9,10 +9,10 @@ import pytest
 
 from quadexp.log.store import write_table
 from quadexp.report.inference import log_ratio
+from quadexp.report.metrics import to_columns
 from quadexp.report.page.answer import answer, odds
 from quadexp.report.page.sections import numbers
 from quadexp.report.page.source import read_comparison
-from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics
 from quadexp.report.tables import error_table
 from quadexp.report.winner import verdicts

@@ -16,6 +16,7 @@ from quadexp.files.names import file_name
 from quadexp.files.writer import check_output, write_text, written
 from quadexp.messages import script
 from quadexp.report.document import Block, PageTable, Section, document, template_text
+from quadexp.report.metrics import to_csv
 from quadexp.report.page.answer import answer
 from quadexp.report.page.learned import fit_sheets
 from quadexp.report.page.over_time import MAX_FLIGHTS, MAX_GROUPS, estimate_sheets, power_sheets
@@ -35,8 +36,7 @@ from quadexp.report.page.sheet import SHAPES, TOKENS, Sheet
 from quadexp.report.page.source import TABLED, Comparison, read_comparison
 from quadexp.report.page.swept import Swept, swept_figures
 from quadexp.report.pairing import condition_of
-from quadexp.report.result_rows import to_csv
-from quadexp.report.statistics_file import statistics_csv
+from quadexp.report.statistics import statistics_csv
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
 

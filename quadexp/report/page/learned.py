@@ -11,10 +11,10 @@ from quadexp.log.outcome import UNFLOWN
 from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report
 from quadexp.models.dataset import ResidualDataset, read_dataset
 from quadexp.models.gaussian_process import GPModel
-from quadexp.report.held_out import held_out_rows, held_out_table
 from quadexp.report.model_figures import fit_figure
 from quadexp.report.page.sheet import Sheet, sheet_name
 from quadexp.report.page.source import Comparison
+from quadexp.report.summary import held_out_rows, held_out_table
 
 
 def fit_sheets(comparison: Comparison) -> list[Sheet]:

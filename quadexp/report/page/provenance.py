@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.parts.cells import Grid
-from quadexp.report.flown_by import versions_of
+from quadexp.report.checked import versions_of
 from quadexp.report.frame import flat
-from quadexp.report.margin_line import margin_line
 from quadexp.report.page.source import Comparison
+from quadexp.report.summary import margin_line
 
 LOOKED_AT = 500  # flights whose settings are compared
 MOST_VALUES = 12  # of a setting

@@ -83,7 +83,7 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
     statistics, marks = comparison.select(metric), comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
-    table = error_table(comparison.rows, metric, **options).table()
+    table = error_table(comparison.rows, metric, **options)
     means = PageTable.of(table, metric)
     heads = [
         Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)

@@ -15,9 +15,8 @@ from quadexp.report.draw import figure_of
 from quadexp.report.frame import SweepFrame
 from quadexp.report.page.sheet import figure_html
 from quadexp.report.page.source import TABLED, Comparison
-from quadexp.report.points import SUCCESS
 from quadexp.report.style import Figure
-from quadexp.report.view import View, automatic
+from quadexp.report.view import SUCCESS, View, automatic
 
 BUDGET = 500_000  # characters of all figures
 
