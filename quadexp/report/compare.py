@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,9 +23,9 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
-from quadexp.report.frame import flat, setting_text
+from quadexp.report.frame import flat
 from quadexp.report.metrics import METRICS, SHOWN, from_columns
-from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown, setting_pairs
+from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.statistics import Statistic, corrected, overall
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, held_out_rows, summarise
 from quadexp.report.table import Table
@@ -33,11 +33,9 @@ from quadexp.report.tables import TITLES
 from quadexp.report.text import count, number, p_value, relative, shown, speed_text
 
 ABSENT = "-"
-MOST_ACROSS = 6  # columns of several side by side; with more each is a row
 MOST_LINES = 16  # settings shown; --json has all
 MOST_LETTERS = 36  # of a value
 MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
-MOST_CONDITIONS = 6  # lines of conditions, the largest changes first
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
 FIGURES = (
     "mean_error", "rmse", "max_error", "attitude_rmse", "saturated_share", "peak_speed", "duration",
@@ -157,40 +155,32 @@ def change(a: float, b: float) -> dict[str, float]:
     return {"a": a, "b": b, "difference": b - a, "relative": ratio}
 
 
-def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str], indent: str = "") -> Table:
+def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) -> Table:
     """The settings that differ, a row each, at most MOST_LINES."""
 
     def short(value: Any) -> str:
         text = "null" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
         return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
 
-    rows = [[f"{indent}{key}", *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
-    notes = [f"{indent}and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
-    return Table([f"{indent}setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
+    rows = [[key, *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
+    notes = [f"and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
+    return Table(["setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
 
 
-def _setting_lines(settings: Mapping[str, Sequence[Any]]) -> list[str]:
-    """The settings that differ between a and b, a line each."""
+def _setting_lines(settings: Mapping[str, Sequence[Any]] | None) -> list[str]:
+    """The settings that differ between a and b, a line each; None where they are not known."""
+    if settings is None:
+        return ["configuration  not compared: the cells are not beside both tables"]
     if not settings:
         return ["configuration  the same"]
     text = count(len(settings), "setting") + (" differ" if len(settings) > 1 else " differs")
-    return [f"configuration  {text}", *_setting_table(settings, "ab", "  ").lines()]
+    return [f"configuration  {text}", *(f"  {line}" for line in _setting_table(settings, "ab").lines())]
 
 
 def _number_row(name: str, values: Sequence[float]) -> list[str]:
     """Name and values of a number in its unit."""
     factor, unit = shown(name)
     return [f"{name} ({unit})" if unit else name, *(number(factor * value) for value in values)]
-
-
-def _narrow(table: Table) -> Table:
-    """The table turned, a row a path, where there are many paths."""
-    if len(table.columns) <= 1 + MOST_ACROSS:
-        return table
-    heads = ["", *(row[0] for row in table.rows)]
-    rows = list(zip(*[table.columns[1:], *(row[1:] for row in table.rows)], strict=True))
-    left = frozenset({0}) if table.columns[0] == "figure" else frozenset(range(len(heads)))
-    return Table(heads, rows, left=left, notes=table.notes)
 
 
 # ------------------------------------------------------------------------------------------------ flights, checkpoints
@@ -200,7 +190,7 @@ def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
     metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
     tables = [_setting_table(settings, names)] if settings else []
     tables.append(Table(["figure", *names], [_number_row(name, values) for name, values in metrics.items()]))
-    report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": [*map(_narrow, tables)]}
+    report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": tables}
     flights = [side.flight for side in sides if side.flight is not None]
     if flights:
         report["outcome"] = [flight.metadata["row"]["outcome"] for flight in flights]
@@ -263,59 +253,43 @@ def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
 def _results(paths: Sequence[Path]) -> dict[str, Any]:
     """Results folders; see the module. The metric is the first one's."""
     tables = [read_table(path / RESULTS_FILE, "results") for path in paths]
-    metric, confidence = tables[0][1].get("metric", "mean_error"), tables[0][1].get("confidence", 0.95)
+    metric = tables[0][1].get("metric", "mean_error")
     sides = matched(*(from_columns(columns) for columns, _ in tables))
     cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
     labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in cells)))
-    completed: dict[Any, set[Any]] = {who: set() for who in labels}
-    for key in (key for key, rows in cells.items() if all(map(is_flown, rows))):
-        completed[key[1]].add(key[::2])
-    compared, shared = common(completed)
+    completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
+    compared, shared = common({who: {key[::2] for key in completed if key[1] == who} for who in labels})
     means, lines = {}, []
     for who, label in labels.items():
         kept = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
         means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
         lines.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
-    table = Table([f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"], lines, notes=[NOTE])
-    report = {"metric": metric, "metrics": means, "tables": [table]}
+    heads = [f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"]
+    report: dict[str, Any] = {"metric": metric, "metrics": means, "tables": [Table(heads, lines, notes=[NOTE])]}
     if len(paths) > 2:
         return report
     a, b = sides
     only = {"a": _missing(a, b), "b": _missing(b, a)}
-    text = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)] + [""]
+    lines = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)] + [""]
     for name, missing in only.items():
         if missing:
-            text.append(f"only in {name}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
-    report |= {"pairs": len(cells), "only": only}
+            lines.append(f"only in {name}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
+    report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
     if not cells:
-        text.append("no cell is in both: nothing to compare")
-        return report | {"configuration": {}, "outcome": {}, "metrics": [], "lines": text}
+        return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}
     settings = _cell_settings(paths, cells)
-    unknown = ["configuration  not compared: the cells are not beside both tables"]
-    text += [*(unknown if settings is None else _setting_lines(settings)), ""]
     outcomes = Counter(tuple(row["outcome"] for row in pair) for pair in cells.values())
     ended = ", ".join(f"{n} {x if x == y else f'{x} -> {y}'}" for (x, y), n in outcomes.items())
     same = sum(
         all(x[n] == y[n] or (x[n] != x[n] and y[n] != y[n]) for n in ("outcome", *EXACT)) for x, y in cells.values()
     )
-    text += [
-        f"outcome  {ended}",
-        f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart",
-    ]
-    shared_cells = {key for key in cells if key[1] in compared and key[::2] in shared}
-    metrics = _contestants(cells, completed, shared_cells, labels, metric, confidence)
-    conditions = _conditions(cells, labels, metric)
-    text += ["", *_metric_lines(metrics, metric)]
-    if same < len(cells):
-        text += ["", "largest changes", *_condition_lines(conditions, metric)]
-    return report | {
-        "configuration": settings or {},
-        "outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()},
-        "identical": same,
-        "metrics": metrics,
-        "conditions": conditions,
-        "lines": text,
-    }
+    common_cells = {key for key in cells if key[1] in compared and key[::2] in shared}
+    metrics = _contestants(cells, labels, common_cells, tables[0][1])
+    lines += [*_setting_lines(settings), "", f"outcome  {ended}"]
+    lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
+    report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
+    report |= {"configuration": settings or {}, "metrics": metrics}
+    return report | {"lines": [*lines, *_metric_lines(metrics, metric)]}
 
 
 def _mean(rows: Sequence[Row], metric: str) -> float:
@@ -333,75 +307,48 @@ def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) 
     first: dict[Key, tuple[Row, ...]] = {}
     for key, pair in cells.items():
         first.setdefault(key[:2], pair)
-    values: dict[str, dict[str, list[Any]]] | None = None
+    differ: dict[str, list[dict[str, Any]]] | None = None  # key -> of each side: text -> value
     for pair in list(first.values())[:MOST_CONFIGURATIONS]:
         try:
             files = (CellStore(root).path(row["key"]) for root, row in zip(roots, pair, strict=True))
             records = [record_of(read_metadata(file, "flight")) for file in files]
         except QuadexpError:  # a failed cell has no file
             continue
-        values = values or {}
-        for key, sides in differing(*records).items():
-            values.setdefault(key, {})[repr(sides)] = sides
-    if values is None:
+        differ = differ or {}
+        for key, values in differing(*records).items():
+            for value, side in zip(values, differ.setdefault(key, [{}, {}]), strict=True):
+                side[str(value)] = value
+    if differ is None:
         return None
-    every = {key: list(zip(*several.values(), strict=True)) for key, several in values.items()}
     return {
-        key: [side[0] if len(side) == 1 else " | ".join(sorted(set(map(str, side)))) or ABSENT for side in sides]
-        for key, sides in every.items()
+        key: [next(iter(side.values())) if len(side) == 1 else " | ".join(sorted(side)) for side in sides]
+        for key, sides in differ.items()
     }
 
 
 def _contestants(
-    cells: Mapping[Key, tuple[Row, ...]],
-    completed: Mapping[Any, set[Any]],
-    shared: set[Key],
-    labels: Mapping[Any, str],
-    metric: str,
-    confidence: float,
+    cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], shared: Set[Key], record: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """For each contestant: completed flights, means of a and b over the common flights, and b against a."""
+    """For each contestant: completed flights, means of a and b over the shared flights, and b against a."""
+    metric, confidence = record.get("metric", "mean_error"), record.get("confidence", 0.95)
     pooled: list[Statistic] = []
     records: list[dict[str, Any]] = []
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
-        kept = [key for key in pairs if key in shared or key[::2] not in completed[contestant]]
-        rows = [dict(cells[key][i], controller="ab"[i], model="", variant=key[0][4]) for key in kept for i in (0, 1)]
+        kept = {key: pair for key, pair in pairs.items() if key in shared or not all(map(is_flown, pair))}
+        sides = [(at[4], side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
+        rows = [dict(row, controller=side, model="", variant=setting) for setting, side, row in sides]
         pooled += overall(rows, metric=metric, baseline="a", confidence=confidence)
         beyond = f"{len(pairs) - len(kept)} not completed by all" if len(kept) < len(pairs) else ""
         means = (_mean([pair[i] for key, pair in pairs.items() if key in shared], metric) for i in (0, 1))
         flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
         left_out = ", ".join(filter(None, (pooled[-1].left_out, beyond)))
         records.append({"label": label, "cells": len(pairs), "flown": flown, **change(*means), "left_out": left_out})
-    return [
-        record
-        | {
-            "pairs": s.pairs,
-            "seeds": s.units,
-            "ratio": -s.reduction,
-            "ratio_low": -s.reduction_high,
-            "ratio_high": -s.reduction_low,
-            "p": s.p,
-            "p_holm": s.p_holm,
-            "distinguishable": s.significant,
-            "testable": s.testable,
-        }
-        for record, s in zip(records, corrected(pooled), strict=True)
-    ]
-
-
-def _conditions(cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], metric: str) -> list[dict[str, Any]]:
-    """Means over the seeds that completed on both sides, for every condition and contestant."""
-    groups: dict[Key, list[tuple[Row, ...]]] = {}
-    for key, pair in cells.items():
-        if all(map(is_flown, pair)):
-            groups.setdefault(key[:2], []).append(pair)
-    names = ("plant", "vehicle", "trajectory", "speed", "setting", "label")
-    return [
-        dict(zip(names, (*condition, labels[who]), strict=True))
-        | change(*(_mean(side, metric) for side in zip(*pairs, strict=True)))
-        for (condition, who), pairs in groups.items()
-    ]
+    for made, s in zip(records, corrected(pooled), strict=True):
+        made |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
+        made |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
+        made["distinguishable"] = s.significant
+    return records
 
 
 def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
@@ -414,26 +361,10 @@ def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str
         verdict = "not distinguishable" if record["testable"] else f"{count(record['seeds'], 'seed')} cannot tell"
         verdict = ("smaller" if ratio < 0 else "larger") if record["distinguishable"] else verdict
         verdict = {"-": "-", "same": "the same"}.get(text, verdict)
-        flown = [f"{k} of {n}" for k, n in (record["flown"][side] for side in "ab")]
+        flown = [f"{k} of {n}" for k, n in record["flown"].values()]
         numbers = [number(factor * record[name]) for name in ("a", "b", "difference")]
         p = p_value(record["p_holm"] if record["testable"] else math.nan)
         rows.append([record["label"], *flown, str(record["pairs"]), str(record["seeds"]), *numbers, text, p, verdict])
         if record["left_out"]:
             left_out.append(f"  {record['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', record['left_out'])}")
     return Table([*heading, "p (Holm)", "b is"], rows, notes=left_out).lines()
-
-
-def _condition_lines(conditions: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
-    factor, unit = SHOWN[metric]
-    changed = [record for record in conditions if record["difference"]]
-    changed.sort(key=lambda record: -abs(record["relative"]) if not math.isnan(record["relative"]) else -math.inf)
-    plants = {record["plant"] for record in conditions}
-    lines = []
-    for record in changed[:MOST_CONDITIONS]:
-        world = f"@{record['plant']}" if len(plants) > 1 else ""
-        where = " ".join(filter(None, (record["trajectory"], speed_text(record["speed"]), world)))
-        where = ", ".join([where, *(setting_text(*pair) for pair in setting_pairs(record["setting"]))])
-        numbers = f"{number(factor * record['a'])} -> {number(factor * record['b'])} {unit}"
-        lines.append(f"  {record['label']} on {where}: {numbers} ({relative(record['relative'])})")
-    rest = len(changed) - len(lines)
-    return lines + ([f"  and {rest} more (--json has all)"] if rest > 0 else [])

@@ -173,15 +173,6 @@ class TestResults:
         report = self.compared(tmp_path, [row()], [row(speed=4.0)])
         assert report["pairs"] == 0 and report["lines"][-1] == "no cell is in both: nothing to compare"
 
-    def test_the_largest_changes_come_first(self, tmp_path):
-        sides = ([row(speed=v, error=e) for v, e in own] for own in (
-            ((4.0, 0.1), (8.0, 0.1), (12.0, 0.1)), ((4.0, 0.11), (8.0, 0.3), (12.0, 0.1)),
-        ))  # fmt: skip
-        assert self.compared(tmp_path, *sides)["lines"][-2:] == [
-            "  nominal_mpc on circle 8 m/s: 100.0 -> 300.0 mm (+200 %)",
-            "  nominal_mpc on circle 4 m/s: 100.0 -> 110.0 mm (+10 %)",
-        ]
-
 
 def test_checkpoints_differ_in_parameters_and_held_out_errors(tmp_path):
     vehicle = {"name": "torrente", "fingerprint": "abc"}
