@@ -50,10 +50,3 @@ def test_files(rows, tmp_path):
     files = draw(rows, tmp_path)
     assert (tmp_path / "ladder.md").read_text().count("\n| ") >= 4 and files["figure_ladder"].endswith("ladder.svg")
     assert (tmp_path / "figures" / "ladder.png").stat().st_size > 5_000
-
-
-def test_settings_of_a_controller_and_of_a_condition_are_not_merged(rows):
-    more = [row | {"variant": f"controller.nodes={n} wind.x={x}"} for row in rows for n in (10, 30) for x in (0, 1)]
-    table = ladder_table(more)
-    assert set(table.columns[3:]) == {f"{name} nodes={n}" for n in (10, 30) for name in CONTROLLERS}
-    assert len(table.rows) == 2 * len(ERRORS) and all(all(line) for line in table.rows)
