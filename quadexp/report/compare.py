@@ -27,7 +27,7 @@ from quadexp.report.frame import flat
 from quadexp.report.metrics import METRICS, SHOWN, from_columns
 from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.statistics import Statistic, corrected, overall
-from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, held_out_rows, summarise
+from quadexp.report.summary import RESULTS_FILE, held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES
 from quadexp.report.text import count, number, p_value, relative, shown, speed_text
@@ -108,19 +108,6 @@ def compare(*files: str | Path) -> dict[str, Any]:
     if len(paths) > 2:
         report["lines"] = [line for table in report["tables"] for line in ("", *table.lines())][1:]
     return report
-
-
-def kind_of(path: Path) -> str:
-    """ "flight", "results", "checkpoint", or another kind that the file records."""
-    if not path.exists():
-        raise UsageError(f"{path}: no such file or folder")
-    if path.name == MODEL_FILE or (path / MODEL_FILE).is_file():
-        return "checkpoint"
-    if path.is_dir():
-        if not (path / RESULTS_FILE).is_file():
-            raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
-        return "results"
-    return read_metadata(path)["kind"]
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:

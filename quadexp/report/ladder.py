@@ -37,11 +37,9 @@ class Means(NamedTuple):
 
 def draw(rows: Sequence[Row], out: Path) -> dict[str, str]:
     """Table and figure of the ladder into <out>; returns name -> path."""
-    figure = means_figure(means_by_place(rows, "world"))
-    return {
-        "table_ladder": str(write_text(out / "ladder.md", ladder_table(rows).markdown())),
-        "figure_ladder": str(save(figure, out / "figures" / "ladder", inside=out)),
-    }
+    table = write_text(out / "ladder.md", ladder_table(rows).markdown())
+    figure = save(means_figure(means_by_place(rows, "world")), out / "figures" / "ladder", inside=out)
+    return {"table_ladder": str(table), "figure_ladder": str(figure)}
 
 
 def ladder_table(rows: Sequence[Row]) -> Table:
@@ -93,10 +91,8 @@ def means_figure(means: Means) -> Figure:
                 shown = {} if s.failures else {"mean": s.mean, "low": s.low, "high": s.high}
                 counts = {"flights": s.n, "seeds": s.n, "ended": s.flown.ended, "trials": s.flown.trials}
                 places[at] = Point(**shown, **counts, method=s.interval)
-    x, facet = (
-        Axis("world", tuple(dict.fromkeys(at[0] for at in means.places)), "group"),
-        ("trajectory", "trajectory.speed"),
-    )
+    worlds, speeds = dict.fromkeys(at[0] for at in means.places), sorted({at[2] for at in means.places})
+    x, facet = Axis("world", tuple(worlds), "group"), ("trajectory", "trajectory.speed")
     if means.first == "plant":
-        x, facet = Axis.of("trajectory.speed", sorted({at[2] for at in means.places})), ("plant", "trajectory")
+        x, facet = Axis.of("trajectory.speed", speeds), ("plant", "trajectory")
     return line_figure(View("lines", "mean_error", x, ("controller",), facet, places=places))

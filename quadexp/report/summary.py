@@ -35,17 +35,22 @@ def summarise(path: str | Path) -> dict[str, Any]:
     Raises UsageError if there is no such file, DataError if it is none of these or damaged.
     """
     path = Path(path)
+    if kind_of(path) == "checkpoint":
+        return _checkpoint(path.parent if path.name == MODEL_FILE else path)
+    return _table(path / RESULTS_FILE if path.is_dir() else path)
+
+
+def kind_of(path: Path) -> str:
+    """ "flight", "results", "checkpoint", or another kind that the file records."""
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
-    if path.name == MODEL_FILE:
-        return _checkpoint(path.parent)
+    if path.name == MODEL_FILE or (path / MODEL_FILE).is_file():
+        return "checkpoint"
     if not path.is_dir():
-        return _table(path)
-    if (path / RESULTS_FILE).is_file():
-        return _table(path / RESULTS_FILE)
-    if (path / MODEL_FILE).is_file():
-        return _checkpoint(path)
-    raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
+        return read_metadata(path)["kind"]
+    if not (path / RESULTS_FILE).is_file():
+        raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
+    return "results"
 
 
 def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[str]:
@@ -139,15 +144,7 @@ def _milliseconds(time: float) -> str:
     return "over 500 ms" if time > LONG else f"{1e3 * time:.0f} ms"
 
 
-def world_line(record: Mapping[str, Any]) -> list[str]:
-    """The world of a flight and its parts; nothing where the flight does not tell."""
-    if not (world := record.get("world")):
-        return []
-    parts = ", ".join(world_options(record))
-    return [f"world       {world}" + ("" if parts.replace(", ", ",") in ("", world) else f": {parts}")]
-
-
-def world_options(record: Mapping[str, Any]) -> list[str]:
+def _world_options(record: Mapping[str, Any]) -> list[str]:
     """The parts of a flight's world that do something, such as "wind=dryden"; a flight records no others."""
     config = record.get("config") or {}
     names = {group: config[group].get("name") for group in WORLD if isinstance(config.get(group), Mapping)}
@@ -185,14 +182,15 @@ def _table(path: Path) -> dict[str, Any]:
 
 
 def _flight_lines(record: Mapping[str, Any], samples: int, summary: dict[str, Any]) -> list[str]:
-    outcome = record.get("outcome")
+    outcome, world, parts = record.get("outcome"), record.get("world"), _world_options(record)
     row = record["row"] | errors_none(outcome)
     metrics = {name: row.get(name) for name in METRICS}
     table = [{"figure": name, "value": metrics[name], "unit": describe(name, "results").unit} for name in METRICS]
     summary |= {"metrics": metrics, "outcome": outcome, "tables": [records_table(table)]}
-    summary["world"] = {"name": record.get("world"), "parts": world_options(record)}
-    flown = flight_lines(record, always=True) if samples else [f"outcome     {outcome}: {record.get('cause')}"]
-    return flown + world_line(record)
+    summary["world"] = {"name": world, "parts": parts}
+    lines = flight_lines(record, always=True) if samples else [f"outcome     {outcome}: {record.get('cause')}"]
+    beside = "" if ",".join(parts) in ("", world) else f": {', '.join(parts)}"
+    return lines + ([f"world       {world}{beside}"] if world else [])
 
 
 def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
@@ -214,14 +212,13 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
         f"flights     {len(flights)}, {float(np.sum(columns['dt'])):.0f} s",
     ]
     check_finite(columns, [name for name in columns if columns[name].dtype.kind == "f"], "data set")
-    table = []
+    rows = []
     for name in ("v_x", "v_y", "v_z", "a_x", "a_y", "a_z"):
-        unit = _unit(name)
         numbers = {kind: float(getattr(columns[name], kind)()) for kind in ("mean", "std", "min", "max")}
-        table.append({"column": name, **numbers, "unit": unit})
-        mean, std, low, high = numbers.values()
-        lines.append(f"{name:<12}mean {mean:8.3f}  std {std:7.3f}  min {low:8.3f}  max {high:8.3f} {unit}")
-    summary |= {"flights": flights, "tables": [records_table(table)]}
+        rows.append({"column": name, **numbers, "unit": _unit(name)})
+        text = "  ".join(f"{kind} {value:8.3f}" for kind, value in numbers.items())
+        lines.append(f"{name:<12}{text} {_unit(name)}")
+    summary |= {"flights": flights, "tables": [records_table(rows)]}
     return lines
 
 
