@@ -148,14 +148,14 @@ class Results(Frame):
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows as the library's own functions take them."""
-        from quadexp.report.result_rows import from_columns
+        from quadexp.report.metrics import from_columns
 
         if not self._is_whole():
             raise UsageError("tables and figures need all columns of results, and a row at least")
         return from_columns(self.columns_as_arrays())
 
     def _is_whole(self) -> bool:
-        from quadexp.report.result_rows import ROW_COLUMNS
+        from quadexp.report.metrics import ROW_COLUMNS
 
         return len(self) > 0 and set(ROW_COLUMNS) <= set(self)
 
@@ -276,7 +276,7 @@ class Leaderboard(Frame):
         """Name of a family of tasks -> the table of its ranks, best first."""
         from quadexp.bench.board import board_table, families_of
         from quadexp.bench.protocol import read_protocol
-        from quadexp.report.result_rows import from_columns
+        from quadexp.report.metrics import from_columns
 
         protocol = read_protocol()
         options: Any = {"metric": protocol.metric, "baseline": protocol.baseline}

@@ -59,8 +59,7 @@ def plot(
     from quadexp.errors import UsageError
     from quadexp.report.checked import check_flights
     from quadexp.report.draw import FIGURES, check_path, records, save_view
-    from quadexp.report.frame import SweepFrame
-    from quadexp.report.query import chosen
+    from quadexp.report.frame import SweepFrame, chosen
     from quadexp.report.view import view
 
     form = format_of(format, json)

@@ -32,8 +32,7 @@ from quadexp.log.store import read_flight, read_table
 from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame
-from quadexp.report.points import SUCCESS, Place, Point
-from quadexp.report.result_rows import ROW_COLUMNS, from_columns
+from quadexp.report.metrics import ROW_COLUMNS, from_columns
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,
@@ -50,7 +49,7 @@ from quadexp.report.style import (
 from quadexp.report.summary import RESULTS_FILE
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
-from quadexp.report.view import Axis, View, value_text, view
+from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text, view
 
 SOURCE = "results"  # key of the folder that a flight of several results comes from
 SUFFIXES = ("png", "pdf", "svg", "html")

@@ -49,7 +49,7 @@ class Live:
         if not rows:
             return Table(["trajectory", "m/s"], [], title)
         known = [{**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]} for row in rows]
-        table = error_table(known, self.metric, baseline="").table()
+        table = error_table(known, self.metric, baseline="")
         return replace(table, title=title, notes=table.notes[:1])
 
 

@@ -1,8 +1,18 @@
-"""What to draw of a sweep: which keys are x, lines and panels; chosen by what was swept where nobody says.
+"""What to draw of a sweep: which keys are x, lines and panels, and the number at each of their places.
+
+Keys are chosen by what was swept where nobody says:
 
     one key        it is x, the controllers are lines, the trajectories panels
     two keys       the longer one is x, the other one lines, or panels beside the controllers; and a heat map of both
     more           the longest one is x, the next one lines, or a panel for each; panels of all values of the others
+
+A place is one value of every key that the figure shows (x, lines, panels). Its mean is over the common flights, by the
+one rule of every table (pairing.py): places that differ in keys of the controller stand beside each other, and are over
+the flights that all of them completed. Settings that the figure does not show are averaged, seed by seed:
+
+    mean      over the seeds, of the mean over the other settings of that seed
+    interval  of the mean over the seeds, as in tables (inference.mean_interval); of a share, where each flight has a
+              seed of its own
 
 A figure shows every panel, or says which it leaves out.
 """
@@ -10,23 +20,109 @@ A figure shows every panel, or says which it leaves out.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
+from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_controller, setting_text, with_unit
+from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
-from quadexp.report.points import SUCCESS, Place, Point, points, shown_column
+from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
 from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
 
 Kind = Literal["lines", "heat"]
+Place = tuple[Any, ...]  # a value of each key that is shown
+SUCCESS = "success"  # the share of completed flights
 WHO = ("controller", "model")
 FLOWN = (*WHO, "trajectory")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
 MOST_VALUES = 6  # of a key that is averaged, named in a note
+
+
+@dataclass(frozen=True)
+class Point:
+    """mean, low, high: NaN where there is no common flight. flights, seeds: in the mean. ended: flights that ended
+    well, of trials. lost: outcome -> number of the others. method: of the interval. invalid: why there was nothing to
+    fly."""
+
+    mean: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    flights: int = 0
+    seeds: int = 0
+    ended: int = 0
+    trials: int = 0
+    lost: Mapping[str, int] = field(default_factory=dict)
+    method: str = "none"
+    invalid: str = ""
+
+    @property
+    def is_shown(self) -> bool:
+        return math.isfinite(self.mean)
+
+
+def points(
+    frame: SweepFrame, keys: Sequence[str], y: str, *, others: Sequence[str] = (), confidence: float = 0.95
+) -> dict[Place, Point]:
+    """Place -> point, in the order of the rows. keys: what a place has a value of. y: a number of the flights, or
+    "success". others: keys that vary beside them, which are averaged. A flight without a value of a key has no place.
+    """
+    columns = [shown_column(frame, key, keys) for key in keys]
+    others_columns = [frame.column(key) for key in others]
+    values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
+    flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
+    well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
+    places: dict[Place, list[int]] = {}  # place -> rows
+    groups: dict[Place, list[Place]] = {}  # what is flown -> places
+    for i, place in enumerate(zip(*columns, strict=True)):
+        if None not in place:
+            places.setdefault(place, []).append(i)
+    for place in places:
+        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
+        groups.setdefault(flown, []).append(place)
+    used: dict[Place, list[int]] = {}
+    for group in groups.values():
+        ended = {
+            place: {flights[i] for i in places[place] if well[i]} - {flights[i] for i in places[place] if not well[i]}
+            for place in group
+        }
+        compared, shared = common(ended)
+        used |= {place: [i for i in places[place] if flights[i] in shared] for place in compared}
+    made = {}
+    for place, numbers in places.items():
+        rows = [frame.rows[i] for i in numbers]
+        outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
+        trials, completed = outcomes.total(), outcomes.pop("ok", 0)
+        point = Point(ended=completed, trials=trials, lost=outcomes, invalid="" if trials else str(rows[0]["cause"]))
+        if y == SUCCESS:
+            single = len({row["seed"] for row in rows}) == len(rows)
+            low, high = success_interval(completed, trials, confidence) if single else (math.nan, math.nan)
+            share = completed / trials if trials else math.nan
+            point = replace(point, mean=share, low=low, high=high, flights=trials, method="Clopper-Pearson")
+        elif place in used:
+            errors: dict[tuple[Place, int], list[float]] = {}
+            for i in used[place]:
+                errors.setdefault(flights[i], []).append(float(values[i]))
+            means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
+            low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
+            limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}
+            point = replace(point, **limits, flights=len(used[place]), seeds=len(means))
+        made[place] = point
+    return made
+
+
+def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
+    """The column of a key as a figure of these keys shows it: a flight without a checkpoint has an empty one, and the
+    name of a controller has no remedy in it that is a key of its own."""
+    if key == "controller":
+        return frame.controllers(keys)
+    return [row["model"] or "" for row in frame.rows] if key == "model" else frame.column(key)
 
 
 @dataclass(frozen=True)
@@ -246,9 +342,17 @@ def _made(
         if key not in (*keys, *others) and len(set(column)) == 1 and column[0] is not None:
             alone[key] = column[0]
     return View(
-        kind, y, Axis.of(x, values), tuple(by), tuple(facet), tuple(others), confidence,
-        tuple(_notes(frame, keys, others, y, places)), places, alone,
-    )  # fmt: skip
+        kind=kind,
+        y=y,
+        x=Axis.of(x, values),
+        by=tuple(by),
+        facet=tuple(facet),
+        others=tuple(others),
+        confidence=confidence,
+        notes=tuple(_notes(frame, keys, others, y, places)),
+        places=places,
+        alone=alone,
+    )
 
 
 def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
@@ -258,15 +362,15 @@ def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
 
 
 def _notes(
-    frame: SweepFrame, keys: Sequence[str], others: Sequence[str], y: str, places: dict[Place, Point]
+    frame: SweepFrame, keys: Sequence[str], others: Sequence[str], y: str, places: Mapping[Place, Point]
 ) -> list[str]:
     notes = []
     for key in keys:
         values = frame.values(key)
         if len(values) == 1 and key not in ("seed", *FLOWN):
             notes.append(f"{key} is {value_text(key, values[0])} in all flights that have it")
-        shown = shown_column(frame, key, keys)
-        lacking = [row["controller"] for row, value in zip(frame.rows, shown, strict=True) if value is None]
+        column = shown_column(frame, key, keys)
+        lacking = [row["controller"] for row, value in zip(frame.rows, column, strict=True) if value is None]
         if lacking:
             names = listed(list(dict.fromkeys(lacking)))
             notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({names})")
@@ -277,8 +381,8 @@ def _notes(
     trials, ended = (sum(getattr(point, name) for point in places.values()) for name in ("trials", "ended"))
     if y != SUCCESS and ended < trials:
         notes.append(f"{trials - ended} of {trials} flights were not completed: marked k/n where k of n were")
-    if wrong := sum(bool(point.invalid) for point in places.values()):
-        notes.append(f"{count(wrong, 'place')} invalid: settings that contradict each other")
+    if invalid := sum(bool(point.invalid) for point in places.values()):
+        notes.append(f"{count(invalid, 'place')} invalid: settings that contradict each other")
     return notes
 
 

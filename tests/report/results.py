@@ -12,8 +12,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
 from quadexp.report.draw import figure_of
 from quadexp.report.frame import SweepFrame
-from quadexp.report.metrics import flight_metrics
-from quadexp.report.result_rows import to_columns
+from quadexp.report.metrics import flight_metrics, to_columns
 from quadexp.report.view import automatic
 from tests.log.flights import straight_flight
 

@@ -162,7 +162,7 @@ def _families(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
     means = means_by_place(rows, "plant", FAMILIES)
     return {
         "table_families": str(write_text(out / "families.md", families_table(rows).markdown())),
-        "figure_families": str(save(means_figure(means, "plant"), out / "figures" / "families")),
+        "figure_families": str(save(means_figure(means), out / "figures" / "families")),
     }
 
 
@@ -199,7 +199,7 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
 
 def families_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Mean position error (mm) by condition and controller; bold by the rule of report/winner.py."""
-    return means_table(means_by_place(rows, "plant", FAMILIES), "plant", FAMILIES_TITLE, bold=True)
+    return means_table(means_by_place(rows, "plant", FAMILIES), FAMILIES_TITLE, bold=True)
 
 
 def _truth(flight: Flight) -> dict[str, float]:

@@ -14,11 +14,10 @@ from quadexp.report.document import Block, Section
 from quadexp.report.draw import figure_of
 from quadexp.report.frame import SweepFrame
 from quadexp.report.page.source import TABLED, Comparison
-from quadexp.report.points import SUCCESS
 from quadexp.report.style import Figure, figure_html, plain_log, styled
 from quadexp.report.tables import TITLES
 from quadexp.report.text import duration, shown, typeset
-from quadexp.report.view import View, automatic
+from quadexp.report.view import SUCCESS, View, automatic
 
 BUDGET = 650_000  # characters of all figures over what was swept
 TIME = (

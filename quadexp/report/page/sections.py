@@ -14,16 +14,16 @@ import numpy as np
 
 from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
+from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, PageTable, Section
-from quadexp.report.flown_by import versions_of
 from quadexp.report.frame import flat
-from quadexp.report.margin_line import margin_line
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.replay import Case, case_of, case_title
 from quadexp.report.page.source import TABLED, Comparison, Record
 from quadexp.report.pairing import Condition, condition_of
 from quadexp.report.statistics import Statistic
+from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES, comparison_table, error_table
 from quadexp.report.text import duration, number, percent, probability, shown
@@ -94,7 +94,7 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
     statistics, marks = comparison.select(metric), comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
-    table = error_table(comparison.rows, metric, **options).table()
+    table = error_table(comparison.rows, metric, **options)
     means = PageTable.of(table, metric)
     heads = [
         Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)

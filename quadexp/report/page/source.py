@@ -19,6 +19,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_record, read_table
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.checked import Checked, check_flights
+from quadexp.report.metrics import from_columns
 from quadexp.report.notes import notes
 from quadexp.report.pairing import (
     Condition,
@@ -32,9 +33,7 @@ from quadexp.report.pairing import (
     is_bound,
     is_invalid,
 )  # fmt: skip
-from quadexp.report.result_rows import from_columns
-from quadexp.report.statistics import CONFIDENCE, Statistic, overall
-from quadexp.report.statistics_file import results_statistics
+from quadexp.report.statistics import CONFIDENCE, Statistic, overall, results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdicts
