@@ -215,9 +215,9 @@ class _Picture:
         self._moving = [self._clock, *(artist for flown in self._flown for artist in flown.moving)]
         for artist in self._moving:
             artist.set_animated(True)
-        self._canvas: Any = FigureCanvasAgg(figure)
-        self._canvas.draw()
-        self._ground = self._canvas.copy_from_bbox(figure.bbox)
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.draw()
+        self._canvas, self._ground = canvas, canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, t: float) -> Image.Image:
         """The picture at a time (s)."""

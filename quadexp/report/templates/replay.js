@@ -31,7 +31,7 @@ function decode(packed) {
   packed.centre = packed.low.map((low, a) => (low + packed.high[a]) / 2);
   packed.radius = Math.max(0.5, Math.hypot(...packed.low.map((low, a) => packed.high[a] - low)) / 2);
   packed.arm = Math.max(...packed.rotors.map(r => Math.hypot(...r)));
-  packed.grown = Math.max(1, 0.075 * packed.radius / packed.arm); // how much larger a vehicle is drawn than it is
+  packed.grown = Math.max(1, 0.09 * packed.radius / packed.arm); // how much larger a vehicle is drawn than it is
   packed.duration = (packed.samples - 1) * packed.step;
   return packed;
 }
