@@ -39,7 +39,7 @@ def number(value: float) -> str:
     return "-" if not math.isfinite(value) else f"{value:.2e}" if 0 < abs(value) < 1e-5 else significant(value)
 
 
-def with_interval(value: float, low: float, high: float) -> tuple[str, str]:
+def with_interval(value: float, low: float = math.nan, high: float = math.nan) -> tuple[str, str]:
     """Such as ("240.6", " [239.9, 241.2]"): as many decimals as the interval needs; ("240.6", "") without one."""
     half = (high - low) / 2
     text = significant(value, max(1, -math.floor(math.log10(half))) if half > 0 and math.isfinite(half) else 1)
