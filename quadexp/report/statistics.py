@@ -188,7 +188,7 @@ def compute_statistics(
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
     for condition, among in groups.lines.items():
         plant, vehicle, trajectory, speed, setting = condition
-        where = {"plant": plant, "vehicle": vehicle, "trajectory": trajectory, "setting": setting}
+        where: dict[str, Any] = {"plant": plant, "vehicle": vehicle, "trajectory": trajectory, "setting": setting}
         where |= {"speed": NAN if speed is None else speed}
         for contestant, flown in groups.flights([condition]).items():
             at, rival = (condition, contestant), groups.baseline(contestant)
