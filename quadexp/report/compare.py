@@ -30,7 +30,7 @@ from quadexp.report.statistics import Statistic, corrected, overall
 from quadexp.report.summary import RESULTS_FILE, held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES
-from quadexp.report.text import count, number, p_value, relative, shown, speed_text
+from quadexp.report.text import count, number, p_value, plain, relative, shown, speed_text
 
 ABSENT = "-"
 MOST_LINES = 16  # settings shown; --json has all
@@ -146,7 +146,7 @@ def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) 
     """The settings that differ, a row each, at most MOST_LINES."""
 
     def short(value: Any) -> str:
-        text = "null" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+        text = "null" if value is None else plain(value)
         return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
 
     rows = [[key, *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
@@ -332,10 +332,10 @@ def _contestants(
         flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
         left_out = ", ".join(filter(None, (pooled[-1].left_out, beyond)))
         records.append({"label": label, "cells": len(pairs), "flown": flown, **change(*means), "left_out": left_out})
-    for made, s in zip(records, corrected(pooled), strict=True):
-        made |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
-        made |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
-        made["distinguishable"] = s.significant
+    for line, s in zip(records, corrected(pooled), strict=True):
+        line |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
+        line |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
+        line["distinguishable"] = s.significant
     return records
 
 
