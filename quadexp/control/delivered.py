@@ -16,8 +16,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Measurement
-from quadexp.control.instant import Operation, call, copy, move
+from quadexp.control.instant import Operation, Told, call, copy, move
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
@@ -88,11 +87,11 @@ def _commands_function(rotors: int, pending: int, backend: str) -> ca.Function:
 
 
 class DeliveredThrust:
-    """Call `reset`, then at every control instant `now` and `record`, in this order, also where speeds are measured.
+    """Its operations stand `before` and `after` the controller's, at every control instant; `reset` begins a flight.
 
     dead_time, lag: what is known of the commands' delay and of the rotors' time constant (s).
-    thrust: by the commands, at the control instant, (n,) (N). mean: the same over the last control period; where rotor
-    speeds are measured, and lag is not 0, of the measured thrusts at its two ends.
+    thrust: at the control instant, just before the new command, (n,) (N). mean: over the last control period; where
+    rotor speeds are measured, and lag is not 0, of the measured thrusts at its two ends.
     """
 
     def __init__(
@@ -107,51 +106,35 @@ class DeliveredThrust:
         self._coefficient, self._lag = vehicle.thrust_coefficient, lag
         self._on = commands_function(vehicle.n_rotors, Delays(control_period, dead_time, lag), backend)
         given, self._next = self._on.arguments, self._on.results
-        self._commands, self.thrust, self._sent = given["commands"], given["thrust"], given["sent"]
-        self.mean = self._next["mean"]
-        self._measured, self._before = np.zeros((2, vehicle.n_rotors))
-        self._turning = False  # whether `_before` was measured
+        self._commands, self._by_commands, self._sent = given["commands"], given["thrust"], given["sent"]
+        self.mean, self.thrust = self._next["mean"], self._by_commands
+        if self._coefficient is not None:
+            self.thrust, self._before = np.zeros((2, vehicle.n_rotors))
+            self._turned, self._both = np.zeros((2, 1))  # whether `before` was measured, and thrust is too
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
-        self._commands[...] = self.thrust[...] = self.mean[...] = thrust
-        self._turning = False
+        self._commands[...] = self._by_commands[...] = self.mean[...] = thrust
+        if self._coefficient is not None:
+            self._turned[...] = 0.0
 
-    def now(self, measurement: Measurement) -> np.ndarray:
-        """Thrusts at the control instant, just before the new command, (n,) (N)."""
-        if measurement.rotor_speed is None or self._coefficient is None:
-            self._turning = False
-            return self.thrust
-        self._measured[...] = self._coefficient * measurement.rotor_speed**2
-        both = self._lag and self._turning
-        self.mean[...] = (self._before + self._measured) / 2 if both else self._measured
-        self._before[...], self._turning = self._measured, True
-        return self._measured
-
-    def record(self, command: np.ndarray) -> None:
-        """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
-        self._sent[...] = command
-        self._on()
-        self.thrust[...] = self._next["thrust_next"]
-        self._commands[...] = self._next["commands_next"]
-
-    def before(self, speed: np.ndarray | None) -> tuple[list[Operation], np.ndarray]:
-        """`now` for C, and the array that has the thrusts then. speed: where rotor speeds are found; None: they are not
-        measured."""
-        if speed is None or self._coefficient is None:
-            return [], self.thrust
-        now = [Operation("square", self._measured, speed, factor=self._coefficient)]
+    def before(self, told: Told) -> list[Operation]:
+        """Leaves `thrust` and `mean`."""
+        if self._coefficient is None:
+            return []
+        square = Operation("square", self.thrust, told.speed, factor=self._coefficient, when=told.turning)
+        now = [copy(self.thrust, self._by_commands), square, copy(self.mean, self.thrust, told.turning)]
         if self._lag:
-            now.append(Operation("mean", self.mean, self._before, self._measured))
-        else:
-            now.append(copy(self.mean, self._measured))
-        return [*now, move(self._before, self._measured)], self._measured
+            now += [copy(self._both, self._turned), copy(self._both, told.turning, self._turned)]
+            now.append(Operation("mix", self.mean, self._before, self.thrust, factor=0.5, when=self._both))
+        return [*now, move(self._before, self.thrust, told.turning), move(self._turned, told.turning)]
 
     def after(self, command: np.ndarray) -> list[Operation]:
-        """`record` for C, of the command that is found there."""
-        results = [copy(self.thrust, self._next["thrust_next"]), copy(self._commands, self._next["commands_next"])]
-        return [copy(self._sent, command), call(self._on), *results]
-
-    def ready(self, speed: np.ndarray | None) -> bool:
-        """Whether these operations hold: what they need of the period before was measured."""
-        return self._turning or speed is None or self._coefficient is None
+        """Goes on by one control period under the command that is found there, (n,) (N)."""
+        thrust, commands = self._next["thrust_next"], self._next["commands_next"]
+        return [
+            copy(self._sent, command),
+            call(self._on),
+            copy(self._by_commands, thrust),
+            copy(self._commands, commands),
+        ]

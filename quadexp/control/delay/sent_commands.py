@@ -27,7 +27,7 @@ NO_LAG = 1e-18  # s
 
 
 class SentCommands:
-    """The last commands, (m, n) (N), the oldest first; `reset`, then `record` at every control instant.
+    """The last commands, (m, n) (N), the oldest first; `reset` begins a flight.
 
     reach: how far back spans may begin (s), dead time and lags included.
     """
@@ -42,13 +42,8 @@ class SentCommands:
         """Begin a flight: this command, (n,) (N), has been sent for a long time."""
         self.values[...] = thrust
 
-    def record(self, command: np.ndarray) -> None:
-        """Add the command, (n,) (N), of this control instant, and go on by one control period."""
-        self._older[...] = self._newer
-        self._newest[...] = command
-
-    def operations(self, command: np.ndarray) -> list[Operation]:
-        """`record` for C, of the command that is found there."""
+    def after(self, command: np.ndarray) -> list[Operation]:
+        """Adds the command that is found there, (n,) (N), and goes on by one control period."""
         return [copy(self._older, self._newer), copy(self._newest, command)]
 
     def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,13 +9,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import Belief, no_belief
+from quadexp.control.base import Belief, Window, no_belief
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.dfbc.law import DFBCKeys, law_function
-from quadexp.control.instant import Instant, Operation, Told, call, copy
-from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, law_record
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
@@ -25,7 +20,7 @@ from quadexp.parts.settings import Backend, key, part
 from quadexp.physics.vehicle import Vehicle
 
 
-class DFBC:
+class DFBC(InOperations):
     """Tracks position and heading of the reference; see Controller and law.py. air: its model of the air."""
 
     reference_period = 0.0
@@ -44,8 +39,7 @@ class DFBC:
 
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""
-        values = self._law.arguments["belief"]
-        values[:3], values[3:6], values[6:9], values[9], values[10] = belief
+        self.believed_numbers[:] = np.hstack([*belief])
 
     @property
     def believed_numbers(self) -> np.ndarray:
@@ -58,32 +52,19 @@ class DFBC:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
+        super().reset(x, window)
         self.believe(no_belief())
         self._delivered.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step; a command that is not finite has status FAILED."""
-        began = time.perf_counter()
-        arguments = self._law.arguments
-        arguments["x"][:], arguments["path"][:], arguments["yaw"][:] = measurement.state, window.position, window.yaw
-        arguments["delivered"][:] = self._delivered.now(measurement)
-        self._law()
-        results = self._law.results
-        thrust = results["thrust"].copy()
-        self._delivered.record(thrust)
-        status = Status.RICCATI if math.isfinite(thrust @ thrust) else Status.FAILED
-        return thrust, StepRecord(time.perf_counter() - began, status, 0, int(results["held"][0]), 0.0)
-
-    def instant(self, told: Told) -> Instant:
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        arguments, results = self._law.arguments, self._law.results
-        operations, delivered = self._delivered.before(told.speed)
-        operations += [copy(arguments["x"], told.state), copy(arguments["delivered"], delivered)]
-        operations += [Operation("row", arguments["path"], told.position), Operation("row", arguments["yaw"], told.yaw)]
+        arguments, results, delivered = self._law.arguments, self._law.results, self._delivered
+        places = {"x": state, "delivered": delivered.thrust, "path": told.path, "yaw": told.yaw[:3]}
+        operations = [*delivered.before(told), *(copy(arguments[name], place) for name, place in places.items())]
         operations += [call(self._law), Operation("finite", source=results["thrust"])]
-        operations += self._delivered.after(results["thrust"])
-        ready = (lambda: self._delivered.ready(told.speed),)
-        return Instant(operations, results["thrust"], held=results["held"], logged=(results["angle"],), ready=ready)
+        operations += delivered.after(results["thrust"])
+        record = law_record(self._law, "thrust")
+        return Instant(operations, results["thrust"], record, held=results["held"], logged=(results["angle"],))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: errors of tilt and yaw (rad)."""

@@ -31,7 +31,7 @@ from typing import ClassVar, Literal
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
-from quadexp.control.belief import N_BELIEF
+from quadexp.control.base import N_BELIEF
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Setting, Settings, Triple, key
 from quadexp.physics.expression import Expression

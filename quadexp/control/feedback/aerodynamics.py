@@ -6,7 +6,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from quadexp.control.base import Measurement
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.rotor import THETA
 from quadexp.physics.state import ATTITUDE, VELOCITY
@@ -59,9 +58,6 @@ class KnownCoefficients:
     def reset(self) -> None:
         """Begin a flight."""
 
-    def update(self, measurement: Measurement, rotor_speed: np.ndarray) -> None:
-        """No effect."""
-
     def log(self) -> dict[str, float]:
         """No columns."""
         return {}
@@ -91,12 +87,10 @@ class IdentifiedCoefficients:
         """The estimate, clipped, (5,)."""
         return self.estimator.theta
 
-    def update(self, measurement: Measurement, rotor_speed: np.ndarray) -> None:
-        """Update the estimate; rotor_speed (n,) (rad/s). Without an accelerometer reading it stays."""
-        if measurement.specific_force is None:
-            return
+    def update(self, x: np.ndarray, specific_force: np.ndarray, rotor_speed: np.ndarray) -> None:
+        """Update the estimate from a state, (13,), and readings, (3,) (m/s^2) and (n,) (rad/s)."""
         estimator = self.estimator
-        estimator.update(body_velocity(measurement.state), rotor_speed, measurement.specific_force)
+        estimator.update(body_velocity(x), rotor_speed, specific_force)
         if self.change_threshold is not None and estimator.samples:
             error = estimator.error / estimator.settings.noise
             self._innovation += (float(error @ error) / 3 - self._innovation) / INNOVATION_SAMPLES

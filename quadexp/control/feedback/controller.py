@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Measurement, Window
+from quadexp.control.base import Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients, KnownCoefficients, body_velocity
 from quadexp.control.feedback.compensation import hover_rotor_speed
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.control.feedback.law import law_function
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings, Variant
+from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, python
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
@@ -30,26 +30,7 @@ from quadexp.physics.vehicle import Vehicle
 INNER_TOLERANCE = 1e-10  # rad/s and rad, of the fixed point without delay
 
 
-class Aerodynamics(Protocol):
-    """Source of the blade-element coefficients: constant, or identified in flight (aerodynamics.py).
-
-    theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,), to be used by the law. source: for the record.
-    """
-
-    theta: np.ndarray
-    source: str
-
-    def reset(self) -> None:
-        """Begin a flight."""
-
-    def update(self, measurement: Measurement, rotor_speed: np.ndarray) -> None:
-        """Use a measurement; rotor_speed (n,) (rad/s), measured or commanded."""
-
-    def log(self) -> dict[str, float]:
-        """Further columns of the flight."""
-
-
-class FeedbackController:
+class FeedbackController(InOperations):
     """Tracks position and heading of the reference; see Controller.
 
     vehicle: with rotor geometry and thrust coefficient. aerodynamics: coefficients for the variant's compensation.
@@ -63,7 +44,7 @@ class FeedbackController:
         vehicle: Vehicle,
         settings: FeedbackSettings,
         variant: Variant,
-        aerodynamics: Aerodynamics,
+        aerodynamics: KnownCoefficients | IdentifiedCoefficients,
         *,
         backend: str = "auto",
     ) -> None:
@@ -84,34 +65,32 @@ class FeedbackController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset. Initial values of the previous sample: hover rotor speeds and R_d = I."""
+        super().reset(x, window)
         arguments = self._law.arguments
         self.aerodynamics.reset()
         arguments["velocity_last"][...] = FRD_FLU @ body_velocity(x)
         arguments["rotor_speed_last"][...] = hover_rotor_speed(self.vehicle)
         arguments["eta_d_last"][...], arguments["observer_last"][...] = 0.0, 0.0
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step; a command that is not finite has status FAILED."""
-        start = time.perf_counter()
-        arguments, results = self._law.arguments, self._law.results
-        if measurement.specific_force is not None:
-            if measurement.rotor_speed is not None:
-                arguments["rotor_speed_last"][...] = measurement.rotor_speed
-            self.aerodynamics.update(measurement, arguments["rotor_speed_last"])
-        arguments["x"][...] = measurement.state
-        arguments["reference"][...] = window.position[:3]
-        arguments["yaw"][...] = window.yaw
-        arguments["yaw"][1] += window.drift
-        arguments["theta"][...] = self.aerodynamics.theta
-        self._law()
-        if not self.variant.delayed:
-            self._iterate()
-        for name in ("rotor_speed", "eta_d", "observer", "velocity"):
-            arguments[f"{name}_last"][...] = results[name]
-        thrust = results["thrust"].copy()
-        status = Status.RICCATI if np.isfinite(thrust).all() else Status.FAILED
-        held = int(results["floored"][0] + results["limited"][0])
-        return thrust, StepRecord(time.perf_counter() - start, status, 0, held, 0.0)
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        given, results, read = self._law.arguments, self._law.results, told.read
+        speed, both = given["rotor_speed_last"], np.zeros(1)
+        operations = [copy(both, read), copy(both, told.turning, read), copy(speed, told.speed, both)]
+        if isinstance(identified := self.aerodynamics, IdentifiedCoefficients):
+            operations.append(python(lambda: identified.update(state, told.force, speed), read))
+        operations += [python(lambda: np.copyto(given["theta"], self.aerodynamics.theta)), copy(given["x"], state)]
+        operations += [copy(given["reference"], told.path[:3]), copy(given["yaw"], told.yaw[:3])]
+        operations.append(Operation("add", given["yaw"][1:2], told.yaw[1:2], told.yaw[3:]))
+        operations += [call(self._law), *([] if self.variant.delayed else [python(self._iterate)])]
+        names = ("rotor_speed", "eta_d", "observer", "velocity")
+        operations += [copy(given[f"{name}_last"], results[name]) for name in names]
+
+        def record(took: float) -> StepRecord:
+            status = Status.RICCATI if np.isfinite(results["thrust"]).all() else Status.FAILED
+            return StepRecord(took, status, 0, int(results["floored"][0] + results["limited"][0]), 0.0)
+
+        return Instant(operations, results["thrust"], record)
 
     def log(self) -> dict[str, float]:
         """See Controller.log: desired tilt and its error (rad, FRD), active safety limits, coefficients."""
@@ -165,7 +144,7 @@ class Feedback(FeedbackSettings, ControllerPart):
     def build(self, given: Given) -> Any:
         """See ControllerPart; UsageError where it is to know coefficients that the plant does not have."""
         variant = VARIANTS[self.variant]
-        aerodynamics: Any
+        aerodynamics: KnownCoefficients | IdentifiedCoefficients
         if variant.parameters == "none":
             aerodynamics = KnownCoefficients(np.zeros(len(THETA)), "the vehicle's thrust map")
         elif variant.parameters == "identified":

@@ -10,11 +10,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.base import Controller, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
-from quadexp.control.instant import Operation, Told, call, copy
-from quadexp.control.multirate import MultiRate
+from quadexp.control.instant import Instant, Told, call, copy, instant_of
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
@@ -22,15 +21,26 @@ from quadexp.parts.settings import Backend, part
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 
+WHOLE = 1e-6  # how far a ratio of rates may be from a whole number
 
-class INDI(MultiRate):
-    """A Controller: the inner one's thrusts as an INDI loop at inner.rate gives them to the rotors.
 
-    Raises UsageError for settings that contradict each other.
+class INDI(WrappedController):
+    """A Controller at inner.rate: every n-th instant the inner one, whose thrusts an INDI loop gives to the rotors.
+
+    Raises UsageError for settings that contradict each other, and where the rate is no whole multiple of the
+    controller's.
     """
 
     def __init__(self, inner: Controller, keys: INDIKeys, *, backend: str = "auto") -> None:
-        super().__init__(inner, keys.rate)
+        super().__init__(inner)
+        ratio = keys.rate * inner.control_period
+        self._every = round(ratio)
+        if self._every < 1 or abs(ratio - self._every) > WHOLE * ratio:
+            raise UsageError(
+                f"inner.rate={keys.rate:g}: must be a whole multiple of the controller's rate of"
+                f" {1 / inner.control_period:g} Hz"
+            )
+        self.control_period = inner.control_period / self._every
         self._keys, vehicle = keys, inner.vehicle
         self._law = BufferedFunction(_law(vehicle, keys, resolve(backend)))
         told = keys.dead_time, keys.motor_lag
@@ -44,28 +54,18 @@ class INDI(MultiRate):
         arguments, values = self._law.arguments, np.concatenate([x[RATE], np.sqrt(thrust)])
         arguments["before"][:], arguments["memory"][:] = values, settled_memory(self._keys, values)
 
-    def shaped(self, measurement: Measurement, wanted: np.ndarray) -> np.ndarray:
-        """See MultiRate.shaped."""
-        arguments, results = self._law.arguments, self._law.results
-        arguments["wanted"][:], arguments["rate"][:] = wanted, measurement.state[RATE]
-        arguments["delivered"][:] = self._delivered.now(measurement)
-        self._law()
-        arguments["before"][:], arguments["memory"][:] = results["filtered"], results["memory_next"]
-        thrust = results["thrust"].copy()
-        self._delivered.record(thrust)
-        return thrust
-
-    def shaping(self, told: Told, wanted: np.ndarray) -> tuple[list[Operation], np.ndarray]:
-        """See MultiRate.shaping."""
-        arguments, results = self._law.arguments, self._law.results
-        operations, delivered = self._delivered.before(told.speed)
-        operations += [copy(arguments["wanted"], wanted), copy(arguments["rate"], told.state[RATE])]
-        operations += [copy(arguments["delivered"], delivered), call(self._law)]
-        operations += [
-            copy(arguments["before"], results["filtered"]),
-            copy(arguments["memory"], results["memory_next"]),
-        ]
-        return [*operations, *self._delivered.after(results["thrust"])], results["thrust"]
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant; the record is that of the controller's last step."""
+        inner = instant_of(self.inner, told, state)
+        arguments, results, delivered = self._law.arguments, self._law.results, self._delivered
+        wanted = copy(arguments["wanted"], inner.command)
+        operations = [o._replace(every=o.every * self._every) for o in (*inner.operations, wanted)]
+        operations += [*delivered.before(told), copy(arguments["rate"], state[RATE])]
+        operations += [copy(arguments["delivered"], delivered.thrust), call(self._law)]
+        operations.append(copy(arguments["before"], results["filtered"]))
+        operations.append(copy(arguments["memory"], results["memory_next"]))
+        operations += delivered.after(results["thrust"])
+        return inner._replace(operations=operations, command=results["thrust"])
 
 
 def with_indi(controller: Controller, config: INDIPart) -> INDI:

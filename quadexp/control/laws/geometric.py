@@ -39,7 +39,7 @@ import numpy as np
 
 from quadexp.compile.backend import realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.belief import N_BELIEF, Belief
+from quadexp.control.base import N_BELIEF, Belief
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.laws.desaturation import clipped, held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
@@ -104,8 +104,7 @@ class GeometricController(ExplicitController):
 
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""
-        believed = self._law.arguments["belief"]
-        believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE], believed[AIR] = belief
+        self.believed_numbers[:] = np.hstack([*belief])
 
     @property
     def believed_numbers(self) -> np.ndarray:

@@ -15,10 +15,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.control.base import Measurement, Window
+from quadexp.control.base import Window
 from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.instant import Instant, Told, copy, python
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.part import PredictivePart, check_models
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import thrust_at_start
@@ -99,8 +100,7 @@ class AdaptingController(PredictiveController):
         if fixed is not None:
             given["known_theta"][...] = fixed.theta
         self._belief, self._new_belief = given["belief"], found["new_belief"]
-        self._inputs = [given[name] for name in ("x", "f", "u")]
-        self._path, self.theta, self.innovation = given["path"], found["theta"], found["innovation"]
+        self._given, self.theta, self.innovation = given, found["theta"], found["innovation"]
         self._all = model.theta.copy()
         self._weights = self._all[len(model.theta) - len(adapting.residual.theta) :]
         self._delivered = DeliveredThrust(vehicle, self.control_period, settings.dead_time, settings.known_lag)
@@ -129,27 +129,26 @@ class AdaptingController(PredictiveController):
     def prepare(self, window: Window) -> None:
         """Does nothing: the weights of the next step depend on its measurement."""
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step; without an accelerometer reading the weights stay."""
-        thrust = self._delivered.now(measurement)
-        if measurement.specific_force is not None:
-            self._wait -= 1
-            if self._wait < 0:
-                self._wait = self.adapt.every - 1
-                self._learn(measurement, thrust, window)
-        command, record = super().step(measurement, window)
-        self._delivered.record(command)
-        return command, record
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant; without an accelerometer reading the weights stay."""
+        inner, given, delivered = super().instant(told, state), self._given, self._delivered
+        path = given["path"]
+        places = {"x": state, "f": told.force, "u": delivered.thrust}
+        learning = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
+        learning += [copy(path[:3], told.path[0]), copy(path[3:], told.path[1]), python(self._learn, told.read)]
+        operations = [*learning, *inner.operations, *delivered.after(inner.command)]
+        return inner._replace(operations=operations, logged=(self.innovation,))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: what the last sample was away from its prediction."""
         return {f"innovation_{axis}": float(value) for axis, value in zip("xyz", self.innovation, strict=True)}
 
-    def _learn(self, measurement: Measurement, thrust: np.ndarray, window: Window) -> None:
-        """One update."""
-        x, f, u = self._inputs
-        x[...], f[...], u[...] = measurement.state, measurement.specific_force, thrust
-        self._path[:3], self._path[3:] = window.position[0], window.position[1]
+    def _learn(self) -> None:
+        """One update, each `every` samples."""
+        self._wait -= 1
+        if self._wait >= 0:
+            return
+        self._wait = self.adapt.every - 1
         self._update()
         self._belief[...] = self._new_belief
         self.samples += 1

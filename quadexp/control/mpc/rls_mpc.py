@@ -12,10 +12,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from quadexp.control.base import Measurement, Window
+from quadexp.control.base import Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
+from quadexp.control.instant import Instant, Told, copy, python
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL
@@ -40,7 +41,7 @@ class IdentifyingController(PredictiveController):
     ) -> None:
         super().__init__(mpc)
         self.identified, self.reference_period = identified, reference_period
-        self._believed = mpc.residual
+        self._believed, self._commanded = mpc.residual, np.zeros(mpc.vehicle.n_rotors)
 
     @property
     def residual(self) -> Residual | None:
@@ -59,22 +60,24 @@ class IdentifyingController(PredictiveController):
         """See Controller.reset."""
         super().reset(x, window)
         self.forget()
-        self._commanded = thrust_at_start(window, self.vehicle)
+        self._commanded[...] = thrust_at_start(window, self.vehicle)
 
     def prepare(self, window: Window) -> None:
         """Does nothing: the coefficients of the next step depend on its measurement."""
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step; rotor speeds that are not measured are replaced by the commanded ones."""
-        if measurement.specific_force is not None:
-            speed = measurement.rotor_speed
-            if speed is None:
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant; rotor speeds that are not measured are replaced by the commanded ones."""
+        inner = super().instant(told, state)
+
+        def identify() -> None:
+            speed = told.speed
+            if not told.turning[0]:
                 speed = np.sqrt(np.maximum(self._commanded, 0.0) / self.vehicle.static_thrust_coefficient)
-            self.identified.update(measurement, speed)
-        self.mpc.set_parameters(self.identified.theta)
-        thrust, record = super().step(measurement, window)
-        self._commanded = thrust
-        return thrust, record
+            self.identified.update(state, told.force, speed)
+
+        use = python(lambda: self.mpc.set_parameters(self.identified.theta))
+        operations = [python(identify, told.read), use, *inner.operations, copy(self._commanded, inner.command)]
+        return inner._replace(operations=operations)
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the coefficients in use."""
