@@ -13,6 +13,7 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
 from quadexp.control.indi.loop import INDI
+from quadexp.control.instant import run
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.parts.compose import compose
@@ -225,7 +226,7 @@ def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
         one, _ = loops[0].step(Measurement(k / 300, x, None, speeds), w)
         other, _ = loops[1].step(Measurement(k / 300, x, None, None), w)
         assert one == pytest.approx(other, abs=1e-6)
-        motors.record(one)
+        run(motors.after(one))
 
 
 def test_the_spin_up_torque_is_part_of_the_answer(vehicle):

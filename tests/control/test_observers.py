@@ -599,13 +599,3 @@ def test_back_ends_estimate_alike(vehicle, rng):
         truth = Truth(vehicle, make_residual("linear_drag", vehicle), wind=(3, 1, 0))
         found.append(flown(truth, controller, reference, 30)[1])
     assert found[0] == pytest.approx(found[1], abs=1e-6)
-
-
-def test_an_old_reading_leaves_nothing_where_there_is_no_new_one(vehicle):
-    """At the first instant of a flight; not even the sign of a zero, or a number that is none."""
-    controller = disturbance(mpc_of(vehicle, make_residual("none", vehicle), backend="interpreted"))
-    reference = SampledReference(Hover(duration=0.1), controller)
-    controller._world._enter.arguments["reading"][...] = np.nan
-    controller.reset(reference.at(0)[0], reference.window(0))
-    controller.step(Measurement(0.0, reference.at(0)[0], None, None), reference.window(0))
-    assert [*controller.log().values()] == [0.0] * 9 + [1.0] * 2

@@ -128,6 +128,7 @@ class Observer(WrappedController):
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
+        believe = [] if self._world is not None else believing(self.inner, self._belief)
         inner = instant_of(self.inner, told, state)
         operations, logged = inner.operations, (*inner.logged, self._belief)
         if self._world is None:
@@ -136,8 +137,7 @@ class Observer(WrappedController):
             observing = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
             observing += [call(self._update, read), move(given["s"], result["s_next"], read)]
             observing.append(move(self._belief, result["belief"], read))
-            observing += believing(self.inner, self._belief)
-            operations = [*observing, *operations, *delivered.after(inner.command)]
+            operations = [*observing, *believe, *operations, *delivered.after(inner.command)]
         return inner._replace(operations=operations, logged=logged)
 
     def log(self) -> dict[str, float]:

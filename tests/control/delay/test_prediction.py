@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import Belief
+from quadexp.control.base import Belief, Measurement, Window
 from quadexp.control.delay.prediction import Prediction
 from quadexp.control.delay.sent_commands import SentCommands
+from quadexp.control.instant import run
 from quadexp.control.mpc import mpc as landed
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
@@ -44,7 +44,7 @@ def test_mean_thrusts_are_those_of_the_commands(dead_time, lag):
     history = SentCommands(2, PERIOD, 0.4)
     history.reset(np.array([3.0, 4.0]))
     for u in rng.uniform(0, 10, (30, 2)):
-        history.record(u)
+        run(history.after(u))
     spans = np.array([[-0.05, -0.041], [-0.041, -0.02], [-0.02, 0.0], [-0.033, -0.033], [0.0, 0.01]])
     found = history.weights(spans, dead_time, lag) @ history.values
     for (a, b), mean in zip(spans, found, strict=True):
@@ -117,10 +117,11 @@ def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag
         times, states = np.append(times, grid[1:]), [*states, *found.y.T]
     states = np.array(states)
     states[:, ATTITUDE] /= np.linalg.norm(states[:, ATTITUDE], axis=1)[:, None]
-    wrapped.reset(states[0], Window(None, np.full((1, n), vehicle.hover_thrust), None, None))
+    window = Window(np.zeros((2, 13)), np.full((1, n), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
+    wrapped.reset(states[0], window)
     for k in range(12):
         late = states[max(k * 20 - round(delay * 1e3), 0)]
-        wrapped.step(Measurement(k * PERIOD, late, None, None), None)
+        wrapped.step(Measurement(k * PERIOD, late, None, None), window)
     error = np.abs(np.array(told.states) - states[:240:20])
     assert error[:, POSITION].max() < 2e-5 and error[:, VELOCITY].max() < 2e-3
     assert error[:, ATTITUDE].max() < 1e-3 and error[:, 10:].max() < 5e-3

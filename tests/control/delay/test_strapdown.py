@@ -7,12 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.base import Measurement
+from quadexp.control.base import Measurement, Window
 from quadexp.control.delay.strapdown import Strapdown, propagation
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 PERIOD, GRAVITY = 0.02, 9.81
+WINDOW = Window(np.zeros((1, 13)), np.zeros((0, 4)), np.zeros((5, 3)), np.zeros(3))
 
 
 class Told:
@@ -30,7 +31,7 @@ class Told:
 
     def step(self, measurement, window):
         self.states.append(measurement.state)
-        return None, StepRecord(0.0, 0, 0, 0, 0.0)
+        return np.zeros(4), StepRecord(0.0, 0, 0, 0, 0.0)
 
     def log(self):
         return {}
@@ -71,11 +72,11 @@ def flown(vehicle, motion, delay, believed=None, bias=0.0, periods=20):
     """States that the controller is told at each instant, (k, 13), and the true ones."""
     told = Told(vehicle)
     wrapped = Strapdown(told, delay if believed is None else believed)
-    wrapped.reset(motion.state(0.0), None)
+    wrapped.reset(motion.state(0.0), WINDOW)
     for k in range(periods):
         t = k * PERIOD
         force = motion.force(t) + bias if k else None
-        wrapped.step(Measurement(t, motion.late(t, delay), force, None), None)
+        wrapped.step(Measurement(t, motion.late(t, delay), force, None), WINDOW)
     return np.array(told.states), np.array([motion.state(k * PERIOD) for k in range(periods)])
 
 
@@ -99,10 +100,10 @@ def test_the_error_falls_with_the_square_of_the_period(vehicle, monkeypatch):
         monkeypatch.setattr(Told, "control_period", period)
         motion, told = Motion(3, 2.0, 5.0), Told(vehicle)
         wrapped = Strapdown(told, 0.06)
-        wrapped.reset(motion.state(0.0), None)
+        wrapped.reset(motion.state(0.0), WINDOW)
         times = np.arange(round(0.6 / period)) * period
         for t in times:
-            wrapped.step(Measurement(t, motion.late(t, 0.06), motion.force(t) if t else None, None), None)
+            wrapped.step(Measurement(t, motion.late(t, 0.06), motion.force(t) if t else None, None), WINDOW)
         errors.append(np.abs(np.array(told.states) - [motion.state(t) for t in times])[8:].max(axis=0))
     assert np.all(errors[1][3:10] < errors[0][3:10] / 3)
 
@@ -155,9 +156,9 @@ def test_a_flight_begins_anew(vehicle):
     wrapped = Strapdown(told, 0.03)
     flights = []
     for _ in range(2):
-        wrapped.reset(motion.state(0.0), None)
+        wrapped.reset(motion.state(0.0), WINDOW)
         for k in range(6):
             t = k * PERIOD
-            wrapped.step(Measurement(t, motion.late(t, 0.03), motion.force(t) if k else None, None), None)
+            wrapped.step(Measurement(t, motion.late(t, 0.03), motion.force(t) if k else None, None), WINDOW)
         flights.append(np.array(told.states))
     assert np.array_equal(*flights)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from quadexp.control.instant import run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.margins import HoverLoop
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -70,7 +71,7 @@ def test_the_thrust_follows_the_commands_as_they_arrive(vehicle, rng, dead_time)
     first, commands = rng.uniform(1, 5, 4), rng.uniform(1, 5, (6, 4))
     predictor.reset(first)
     for command in commands:
-        predictor.record(command)
+        run(predictor.after(command))
     thrust, fine = first.copy(), 1e-3
     for i in range(round(len(commands) * period / fine)):
         sent = int(np.floor((i * fine - dead_time) / period + 1e-9))
