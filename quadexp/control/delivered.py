@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.instant import Operation, Told, call, copy, move
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed
@@ -72,18 +72,16 @@ def commands_function(
     """`delivered_by_commands` as a function of commands, thrust and sent: commands_next, thrust_next, mean.
 
     backend: resolved. shared: see BufferedFunction."""
-    function = BufferedFunction(_commands_function(rotors, delays.pending, backend), shared)
+    function = BufferedFunction(built(backend, _commands_function, rotors, delays.pending), shared)
     function.arguments["numbers"][...] = delays.numbers
     return function
 
 
-@cache
-def _commands_function(rotors: int, pending: int, backend: str) -> ca.Function:
+def _commands_function(rotors: int, pending: int) -> ca.Function:
     shapes = {"commands": (rotors, pending), "thrust": (rotors, 1), "sent": (rotors, 1), "numbers": (6, 1)}
     a = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
     names = ["commands_next", "thrust_next", "mean"]
-    function = ca.Function("delivered", [*a.values()], [*delivered_by_commands(*a.values())], [*a], names)
-    return realise(function, backend)
+    return ca.Function("delivered", [*a.values()], [*delivered_by_commands(*a.values())], [*a], names)
 
 
 class DeliveredThrust:

@@ -23,8 +23,9 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.built import built
 from quadexp.control.delay.moments import Moments
-from quadexp.control.delay.prediction import STEP, Prediction, prediction_on
+from quadexp.control.delay.prediction import STEP, Prediction, prediction
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.delay.timing import LEAST, Delays, Search
@@ -190,7 +191,7 @@ class CommandsAhead:
         n = mpc.vehicle.n_rotors
         parts = math.ceil(LARGEST / STEP - 1e-9)
         self._sent = SentCommands(n, mpc.settings.control_period, LARGEST + SETTLED * LARGEST_LAG)
-        function = prediction_on(mpc.vehicle, mpc.residual, parts, len(self._sent.values), mpc.backend)
+        function = built(mpc.backend, prediction, mpc.vehicle, mpc.residual, parts, len(self._sent.values))
         shared = {"theta": mpc.parameters, "commands": self._sent.values}
         shared |= {} if mpc.disturbance is None else {"push": mpc.disturbance}
         self._predict = BufferedFunction(function, shared)

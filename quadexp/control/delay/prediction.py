@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
+from quadexp.control.built import built
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import KnownDelay
 from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python
@@ -66,7 +67,7 @@ class Prediction(WrappedController):
             if world is not None and model is not None:
                 shared |= {"push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:10]}
                 self._observer = None  # nothing is to be told
-            function = prediction_on(self.vehicle, residual, parts, len(self.commands.values), inner.backend)
+            function = built(inner.backend, prediction, self.vehicle, residual, parts, len(self.commands.values))
             self._predict = BufferedFunction(function, shared)
             self._arguments, self._now = self._predict.arguments, self._predict.results["now"]
             self._x = self._arguments["x"]
@@ -135,17 +136,6 @@ class Prediction(WrappedController):
         weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
         self._arguments["weights"].reshape(weights.shape)[...] = weights
         self._arguments["dt"][:], self._shown = starts - ends, late
-
-
-_built: dict[tuple[Any, ...], ca.Function] = {}
-
-
-def prediction_on(vehicle: Vehicle, residual: Residual, parts: int, commands: int, backend: str) -> ca.Function:
-    """`prediction` on a back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), parts, commands, backend)
-    if key not in _built:
-        _built[key] = realise(prediction(vehicle, residual, parts, commands), resolve(backend))
-    return _built[key]
 
 
 def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) -> ca.Function:

@@ -22,9 +22,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
+from quadexp.control.built import built
 from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, move, python
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
@@ -53,8 +54,8 @@ class Strapdown(WrappedController):
         self._periods = math.ceil((largest or delay) / self.control_period - 1e-9)
         self._since, self._young, self._tuned = 0, np.ones(1), largest is not None
         if self._periods:
-            function = _function(self._periods, self.vehicle.gravity, self.control_period, inner.backend)
-            self._propagate = BufferedFunction(function)
+            given = self._periods, self.vehicle.gravity, self.control_period
+            self._propagate = BufferedFunction(built(inner.backend, propagation, *given))
             arguments = self._propagate.arguments
             self._state, self._late = arguments["x"], arguments["late"]
             self._rates, self._forces = arguments["rates"], arguments["forces"]  # (K + 1, 3), the oldest first
@@ -96,17 +97,6 @@ class Strapdown(WrappedController):
         operations += [move(older_forces, newer_forces, read), move(self._rate, state[RATE], read)]
         operations += [move(self._force, told.force, read), copy(self._state, state), copy(self._now, state)]
         return [*operations, call(self._propagate, read)], self._now
-
-
-_built: dict[tuple[Any, ...], ca.Function] = {}
-
-
-def _function(periods: int, gravity: float, period: float, backend: str) -> ca.Function:
-    """`propagation` on a back end; built once per process and structure."""
-    key = (periods, gravity, period, backend)
-    if key not in _built:
-        _built[key] = realise(propagation(periods, gravity, period), resolve(backend))
-    return _built[key]
 
 
 def propagation(periods: int, gravity: float, period: float) -> ca.Function:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.compile.symbolic import ca
+from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.control.base import Belief, Window, no_belief
+from quadexp.control.built import built
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.dfbc.law import DFBCKeys, law_function
 from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, law_record
@@ -31,7 +31,8 @@ class DFBC(InOperations):
         self.control_period = 1.0 / keys.rate
         self.node_times = np.array([0.0, self.control_period])  # of which the thrust now is read when a flight begins
         self.air, self.name, self.source = model, model.name, model.source
-        self._law = BufferedFunction(_law(vehicle, keys, model, self.backend))
+        compiled = self.backend == "compiled"
+        self._law = BufferedFunction(built(self.backend, law_function, vehicle, keys, model, compiled=compiled))
         if model.theta.size:
             self._law.arguments["theta"].ravel()[:] = model.theta
         self._delivered = DeliveredThrust(vehicle, self.control_period, backend=self.backend)
@@ -70,17 +71,6 @@ class DFBC(InOperations):
         """See Controller.log: errors of tilt and yaw (rad)."""
         tilt, yaw = self._law.results["angle"].tolist()
         return {"error_tilt": tilt, "error_yaw": yaw}
-
-
-_built: dict[tuple[object, ...], ca.Function] = {}
-
-
-def _law(vehicle: Vehicle, keys: DFBCKeys, model: Residual, backend: str) -> ca.Function:
-    """The law on a resolved back end, built once per process and structure."""
-    key = (vehicle.fingerprint, keys, model.function.serialize(), backend)
-    if key not in _built:
-        _built[key] = realise(law_function(vehicle, keys, model, compiled=backend == "compiled"), backend)
-    return _built[key]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,31 +3,97 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.compile.symbolic import ca
+from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.control.base import Window
-from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients, KnownCoefficients, body_velocity
-from quadexp.control.feedback.compensation import hover_rotor_speed
+from quadexp.control.built import built
 from quadexp.control.feedback.frames import FRD_FLU
-from quadexp.control.feedback.law import law_function
+from quadexp.control.feedback.law import hover_rotor_speed, law_function
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings, Variant
 from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, python
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
-from quadexp.models.rls import Identification
+from quadexp.models.rls import BladeElementRLS, Identification
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Backend, key, part
+from quadexp.physics.rotation import air_velocity
 from quadexp.physics.rotor import THETA
+from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
+INNOVATION_SAMPLES = 10  # time constant, in samples, of the mean square innovation
+FIRST_WAIT, NEXT_WAIT = 100, 50  # samples without change detection: at the start, and after a detected change
 INNER_TOLERANCE = 1e-10  # rad/s and rad, of the fixed point without delay
+
+
+def body_velocity(x: np.ndarray) -> np.ndarray:
+    """Velocity in the body frame, (3,), FLU (m/s), of a state (13,), neglecting the unmeasured wind."""
+    return np.asarray(air_velocity(x[ATTITUDE], x[VELOCITY]))
+
+
+class KnownCoefficients:
+    """Constant coefficients.
+
+    theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,). source: for the record.
+    """
+
+    def __init__(self, theta: np.ndarray, source: str) -> None:
+        self.theta, self.source = np.asarray(theta, float), source
+
+    def reset(self) -> None:
+        """Begin a flight."""
+
+    def log(self) -> dict[str, float]:
+        """No columns."""
+        return {}
+
+
+class IdentifiedCoefficients:
+    """Coefficients by recursive least squares from accelerometer and rotor speeds, restarted in every flight.
+
+    change_threshold: detects a change of the vehicle: where the mean square innovation over the last samples exceeds
+    that of the assumed noise by this factor, the covariance is reset (Estimator.reset_covariance). None: never.
+    """
+
+    source = "RLS in flight"
+
+    def __init__(self, estimator: BladeElementRLS, change_threshold: float | None = None) -> None:
+        self.estimator, self.change_threshold = estimator, change_threshold
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a flight with the initial values."""
+        self.estimator.reset()
+        self.reopened, self._wait = 0, FIRST_WAIT
+        self._innovation: float = 1.0
+
+    @property
+    def theta(self) -> np.ndarray:
+        """The estimate, clipped, (5,)."""
+        return self.estimator.theta
+
+    def update(self, x: np.ndarray, specific_force: np.ndarray, rotor_speed: np.ndarray) -> None:
+        """Update the estimate from a state, (13,), and readings, (3,) (m/s^2) and (n,) (rad/s)."""
+        estimator = self.estimator
+        estimator.update(body_velocity(x), rotor_speed, specific_force)
+        if self.change_threshold is not None and estimator.samples:
+            error = estimator.error / estimator.settings.noise
+            self._innovation += (float(error @ error) / 3 - self._innovation) / INNOVATION_SAMPLES
+            self._wait -= 1
+            if self._wait <= 0 and self._innovation > self.change_threshold:
+                estimator.reset_covariance()
+                self.reopened, self._wait = self.reopened + 1, NEXT_WAIT
+
+    def log(self) -> dict[str, float]:
+        """The estimate by coefficient; number of clips and of covariance resets so far."""
+        estimator = self.estimator
+        counts = {"clips": float(estimator.clips.sum()), "reopened": float(self.reopened)}
+        return {**dict(zip(THETA, estimator.theta.tolist(), strict=True)), **counts}
 
 
 class FeedbackController(InOperations):
@@ -58,7 +124,7 @@ class FeedbackController(InOperations):
         self.node_times = np.zeros(1)
         self.name = "thrust_map" if variant.parameters == "none" else "blade_element"
         self.source = aerodynamics.source
-        self._law = BufferedFunction(_law(vehicle, settings, variant, self.backend))
+        self._law = BufferedFunction(built(backend, law_function, vehicle, settings, variant))
 
     def forget(self) -> None:
         """See Controller.forget. Nothing to do: references contain no residual, `reset` resets the estimator."""
@@ -117,12 +183,6 @@ class FeedbackController(InOperations):
             for name in ("rotor_speed", "eta_d", "velocity"):
                 arguments[f"{name}_last"][...] = results[name]
             self._law()
-
-
-@cache
-def _law(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant, backend: str) -> ca.Function:
-    """The law compiled for a back end, built once per process and structure."""
-    return realise(law_function(vehicle, settings, variant), backend)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.compile.symbolic import ca
+from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.control.base import Controller, Window
+from quadexp.control.built import built
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
 from quadexp.control.instant import Instant, Told, call, copy, instant_of
@@ -19,7 +18,6 @@ from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Backend, part
 from quadexp.physics.state import RATE
-from quadexp.physics.vehicle import Vehicle
 
 WHOLE = 1e-6  # how far a ratio of rates may be from a whole number
 
@@ -42,7 +40,7 @@ class INDI(WrappedController):
             )
         self.control_period = inner.control_period / self._every
         self._keys, vehicle = keys, inner.vehicle
-        self._law = BufferedFunction(_law(vehicle, keys, resolve(backend)))
+        self._law = BufferedFunction(built(backend, indi_function, vehicle, keys))
         told = keys.dead_time, keys.motor_lag
         self._delivered = DeliveredThrust(vehicle, self.control_period, *told, backend=resolve(backend))
 
@@ -82,11 +80,6 @@ def with_indi(controller: Controller, config: INDIPart) -> INDI:
             )
         part_of = part_of.inner
     return INDI(controller, part(INDIKeys, config), backend=config.backend)
-
-
-@lru_cache(maxsize=16)
-def _law(vehicle: Vehicle, keys: INDIKeys, backend: str) -> ca.Function:
-    return realise(indi_function(vehicle, keys), backend)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,8 +86,8 @@ class ActiveSet:
         return Status.ACTIVE_SET
 
 
-def make_active_set(bounded: ca.Function | None, step: BufferedFunction) -> ActiveSet:
-    """The solver on the arrays of `step`. bounded: the compiled function, or None for numpy."""
+def make_active_set(step: BufferedFunction, bounded: ca.Function | None = None) -> ActiveSet:
+    """The solver on the arrays of `step`. bounded: the compiled function; None: without a compiler."""
     shared = step.arguments | step.results | {"U_free": step.results["U_new"]}
     return ActiveSet(InterpretedSolver(step.function, shared) if bounded is None else BufferedFunction(bounded, shared))
 

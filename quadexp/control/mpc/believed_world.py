@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, no_belief
+from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_by_commands
 from quadexp.control.instant import YES, Operation, Told, call, copy, move
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -71,8 +72,11 @@ class BelievedWorld:
             air = air.unscaled or air
             model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
-        sizes = (settings.nodes, settings.samples)
-        function = _function(mpc.vehicle, model, estimator, mpc.backend, *sizes, targets, mpc.parameters.size)
+        pending = None if estimator is None else estimator.delays.pending
+        form = {"targets": targets, "parameters": mpc.parameters.size, "delays": pending}
+        sizes = settings.nodes, settings.samples
+        observe = estimator and estimator.update
+        function = built(mpc.backend, enter_function, mpc.vehicle, model, observe, *sizes, **form)
         assert mpc.disturbance is not None
         step, _ = mpc.functions
         into = {"disturbance": mpc.disturbance, "low": step.arguments["u_min"], "high": step.arguments["u_max"]}
@@ -88,7 +92,7 @@ class BelievedWorld:
         self._sent = given.get("sent", np.zeros(mpc.vehicle.n_rotors))
         if estimator is not None:
             given["settings"].ravel()[:], given["delays"][...] = estimator.settings, estimator.delays.numbers
-            self._layout = Layout(mpc.vehicle, settings.nodes, estimator)
+            self._layout = Layout(mpc.vehicle, settings.nodes, observe, pending)
         self.reset(None)
 
     @property
@@ -168,50 +172,29 @@ class Layout:
     """Places in the memory, by name: the frame's origin, the wind, `air` of control.mpc.targets at the nodes; with an
     estimator what commands gave, and its state."""
 
-    def __init__(self, vehicle: Vehicle, nodes: int, estimator: Estimator | None) -> None:
+    def __init__(self, vehicle: Vehicle, nodes: int, update: ca.Function | None, pending: int | None) -> None:
         n = vehicle.n_rotors
         sizes = {"origin": 3, "wind": 3, "air": 6 * (nodes + 1)}
-        if estimator is not None:
-            sizes |= {"commands": n * estimator.delays.pending, "thrust": n, "before": n + 1}
-            sizes |= {"estimate": estimator.update.size1_in("s")}
+        if update is not None and pending is not None:
+            sizes |= {"commands": n * pending, "thrust": n, "before": n + 1, "estimate": update.size1_in("s")}
         ends = [*accumulate(sizes.values())]
         self.size = ends[-1]
         self.slices = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
-_built: dict[tuple[Any, ...], ca.Function] = {}
-
-
-def _function(
-    vehicle: Vehicle,
-    model: ca.Function | None,
-    estimator: Estimator | None,
-    backend: str,
-    nodes: int,
-    samples: int,
-    targets: bool,
-    parameters: int,
-) -> ca.Function:
-    """`enter_function` on a resolved back end; built once per process and structure."""
-    observed = estimator and (estimator.update.serialize(), estimator.delays.pending)
-    key = (vehicle.fingerprint, model and model.serialize(), observed, backend, nodes, samples, targets, parameters)
-    if key not in _built:
-        function = enter_function(vehicle, model, estimator, nodes, samples, targets=targets, parameters=parameters)
-        _built[key] = realise(function, backend)
-    return _built[key]
-
-
 def enter_function(
     vehicle: Vehicle,
     model: ca.Function | None,
-    estimator: Estimator | None,
+    update: ca.Function | None,
     nodes: int,
     samples: int,
     *,
     targets: bool,
     parameters: int,
+    delays: int | None = None,
 ) -> ca.Function:
-    """What a BelievedWorld computes before the plan, for N = nodes with s = samples of the reference in each.
+    """What a BelievedWorld computes before the plan, for N = nodes with s = samples of the reference in each;
+    update: of an estimator, which knows of `delays` pending commands.
 
     Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); times (s N + 1,) of the reference from now, period (s);
     memory, see Layout; belief (11,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
@@ -221,22 +204,21 @@ def enter_function(
     thrusts (N); found (11,), the belief; change (5,): of
     the wind, its size (m/s), and the sum of the squares of x_in, X_in and U_in; memory_next.
     """
-    n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, estimator)
+    n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, update, delays)
     shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
     shapes |= {"period": (1, 1), "memory": (layout.size, 1)}
-    if estimator is None:
+    if update is None:
         shapes |= {"belief": (N_BELIEF, 1)}
     else:
-        update = estimator.update
         shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "sent": (n, 1)}
-        shapes |= {"settings": update.size_in("settings"), "delays": (len(estimator.delays.numbers), 1)}
-    shapes |= {"theta": (parameters, 1)} if estimator is not None or model is not None else {}
+        shapes |= {"settings": update.size_in("settings"), "delays": (6, 1)}
+    shapes |= {"theta": (parameters, 1)} if update is not None or model is not None else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
     kept = {name: a["memory"][place] for name, place in layout.slices.items()}
     left: dict[str, Any] = {}
     found = a.get("belief")
-    if estimator is not None:
-        found, left = _estimated(a, kept, estimator, n)
+    if update is not None and delays is not None:
+        found, left = _estimated(a, kept, update, delays, n)
     force, torque, wind, scale, air_scale = ca.vertsplit(found, [0, 3, 6, 9, 10, 11])
     spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
     disturbance = ca.vertcat(force / vehicle.mass, spin)
@@ -271,12 +253,12 @@ def enter_function(
 
 
 def _estimated(
-    a: dict[str, ca.MX], kept: dict[str, ca.MX], estimator: Estimator, n: int
+    a: dict[str, ca.MX], kept: dict[str, ca.MX], update: ca.Function, pending: int, n: int
 ) -> tuple[ca.MX, dict[str, ca.MX]]:
     """The belief (11,) by an estimator, and what is to be remembered of commands and estimates."""
     read, turning = a["known"][0], a["known"][1]
     commands, thrust, mean = delivered_by_commands(
-        ca.reshape(kept["commands"], n, estimator.delays.pending), kept["thrust"], a["sent"], a["delays"]
+        ca.reshape(kept["commands"], n, pending), kept["thrust"], a["sent"], a["delays"]
     )
     before, had = kept["before"][:n], kept["before"][n]
     lags = a["delays"][-1]
@@ -284,7 +266,7 @@ def _estimated(
     share = turning * had * lags / 2  # of the thrusts a period ago
     mean = turning * (share * before + (1 - share) * a["measured"]) + (1 - turning) * mean
     given = [kept["estimate"], a["x"], a["reading"], now, mean, a["theta"], a["settings"]]
-    estimate, belief = estimator.update(*given)
+    estimate, belief = update(*given)
     nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
     left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}
     left |= {"estimate": ca.if_else(read, estimate, kept["estimate"])}  # without a reading, `reading` is an old one

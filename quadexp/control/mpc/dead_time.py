@@ -15,13 +15,12 @@ not measured but computed from the commands by the same lag (physics.motor).
 from __future__ import annotations
 
 import math
-from functools import cache
-from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.delivered import Delays, commands_function
 from quadexp.control.instant import Operation, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -53,7 +52,7 @@ class DeadTimePredictor:
         commands = np.zeros((pending, n))
         if pending:
             form = {"lag": bool(self._lag), "disturbed": mpc.disturbance is not None}
-            function = _function(mpc.vehicle, mpc.residual, pending, mpc.backend, **form)
+            function = built(mpc.backend, prediction_function, mpc.vehicle, mpc.residual, pending, **form)
             shared = {"theta": mpc.parameters}
             shared |= {} if mpc.disturbance is None else {"disturbance": mpc.disturbance}
             self._predict = BufferedFunction(function, shared | {"x": self._full})
@@ -106,7 +105,7 @@ class MotorLead:
     """
 
     def __init__(self, vehicle: Vehicle, settings: MPCSettings, backend: str = "interpreted") -> None:
-        self._invert = BufferedFunction(_inversion(vehicle.n_rotors, backend))
+        self._invert = BufferedFunction(built(backend, inversion_function, vehicle.n_rotors))
         gain = -1 / math.expm1(-settings.control_period / settings.motor_lead)
         self._invert.arguments["numbers"][...] = gain, vehicle.thrust_min, vehicle.thrust_max
 
@@ -117,24 +116,12 @@ class MotorLead:
         return operations, self._invert.results["command"]
 
 
-@cache
-def _inversion(rotors: int, backend: str) -> ca.Function:
+def inversion_function(rotors: int) -> ca.Function:
     """planned, now (n,) (N); numbers: gain, least and largest thrust (N) -> command (n,) (N)."""
     planned, now, numbers = ca.SX.sym("planned", rotors), ca.SX.sym("now", rotors), ca.SX.sym("numbers", 3)
     command = ca.fmin(ca.fmax(now + numbers[0] * (planned - now), numbers[1]), numbers[2])
     names = ["planned", "now", "numbers"], ["command"]
-    return realise(ca.Function("motor_lead", [planned, now, numbers], [command], *names), backend)
-
-
-_built: dict[tuple[Any, ...], ca.Function] = {}
-
-
-def _function(vehicle: Vehicle, residual: Residual, pending: int, backend: str, **form: bool) -> ca.Function:
-    """`prediction_function` on a resolved back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), pending, *form.values(), backend)
-    if key not in _built:
-        _built[key] = realise(prediction_function(vehicle, residual, pending, **form), backend)
-    return _built[key]
+    return ca.Function("motor_lead", [planned, now, numbers], [command], *names)
 
 
 def prediction_function(

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise_together
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.mpc.step import phase_functions
 from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
@@ -30,7 +31,8 @@ class Phases:
     def __init__(
         self, step: BufferedFunction, vehicle: Vehicle, residual: Residual, nodes: int, backend: str, **form: Any
     ) -> None:
-        prepare, feedback = _functions(vehicle, residual, nodes, backend, **form)
+        form |= {"scalar": backend == "compiled"}
+        prepare, feedback = built(backend, phase_functions, vehicle, residual, nodes, **form)
         given, results = step.arguments, step.results
 
         def place(function: ca.Function, name: str, *, last: bool) -> np.ndarray:
@@ -44,18 +46,3 @@ class Phases:
         into = {name: results[name] for name in ("X_new", "U_new", "checks")}
         into |= {name: place(feedback, name, last=False) for name in AT_NODE_0}
         self.feedback = BufferedFunction(feedback, given | known, into)
-
-
-_built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function]] = {}
-
-
-def _functions(
-    vehicle: Vehicle, residual: Residual, nodes: int, backend: str, **form: Any
-) -> tuple[ca.Function, ca.Function]:
-    """The phases on a resolved back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), nodes, backend, *form.values())
-    if key not in _built:
-        phases = phase_functions(vehicle, residual, nodes, scalar=backend == "compiled", **form)
-        prepare, feedback = realise_together(phases, backend)
-        _built[key] = prepare, feedback
-    return _built[key]

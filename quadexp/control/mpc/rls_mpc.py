@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.control.base import Window
-from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
+from quadexp.control.feedback.controller import IdentifiedCoefficients
 from quadexp.control.instant import Instant, Told, copy, python
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController

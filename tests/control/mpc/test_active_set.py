@@ -38,7 +38,7 @@ def make_solvers(vehicle, backend: str, attitude_error: str, nodes: int = NODES)
     if backend == "compiled":
         step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
     step = BufferedFunction(step)
-    return step, make_active_set(bounded, step)
+    return step, make_active_set(step, bounded)
 
 
 def change(step: BufferedFunction, active_set: ActiveSet) -> tuple[np.ndarray, np.ndarray]:
