@@ -20,7 +20,7 @@ def built(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) 
     key = (make, backend, *map(_structure, arguments), *form.items())
     if key not in _built:
         made = make(*arguments, **form)
-        together = isinstance(made, list)
+        together = isinstance(made, (list, tuple))
         if len(_built) >= MOST:
             del _built[next(iter(_built))]
         _built[key] = (realise_together if together else realise)(made, resolve(backend))

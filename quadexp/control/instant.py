@@ -122,9 +122,9 @@ class Instant(NamedTuple):
     plan: Any = None
 
 
-def law_record(law: BufferedFunction, command: str) -> Callable[[float], StepRecord]:
+def law_record(law: BufferedFunction) -> Callable[[float], StepRecord]:
     """The record of a law in closed form; FAILED where its command is not finite."""
-    thrust, held = law.results[command], law.results["held"]
+    thrust, held = law.results["command"], law.results["held"]
 
     def record(took: float) -> StepRecord:
         status = Status.RICCATI if math.isfinite(sum(thrust.tolist())) else Status.FAILED

@@ -28,11 +28,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.control.allocation import prioritised
 from quadexp.control.base import Controller, Window, no_belief
 from quadexp.control.instant import YES, Instant, Operation, Told, believing, call, copy, instant_of, move
-from quadexp.control.laws.desaturation import prioritised
-from quadexp.control.mpc.online_mpc import AdaptingController
-from quadexp.control.mpc.rls_mpc import IdentifyingController
+from quadexp.control.mpc.online_mpc import AdaptingController, IdentifyingController
 from quadexp.control.observers.observer import air_of, known_delay, parameters_of
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
@@ -132,28 +131,6 @@ class L1Controller(WrappedController):
         return self.inner.log() | dict(zip(LOGGED, self._estimate.results["body"].tolist(), strict=True))
 
 
-def l1(controller: Any, config: Any) -> L1Controller:
-    """L1 around a controller.
-
-    Raises UsageError around an observer, around a controller that learns its model in flight, and where the controller
-    cannot be told what `unmatched` asks for.
-    """
-    if isinstance(controller, WrappedController):
-        raise UsageError(
-            "adaptive=l1: an observer estimates the same disturbance, and both would compensate it: choose"
-            " observer=none or adaptive=none"
-        )
-    if isinstance(controller, (IdentifyingController, AdaptingController)):
-        raise UsageError(
-            "adaptive=l1: this controller explains the same error by what it learns in flight, from commands without"
-            " what L1 adds. Take one of them"
-        )
-    if config.unmatched and not hasattr(controller, "believe"):
-        raise UsageError("adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false")
-    lag = known_delay(config.motor_lag, controller, "known_lag")
-    return L1Controller(controller, part(L1Keys, config), lag, known_delay(config.dead_time, controller, "dead_time"))
-
-
 def l1_functions(
     vehicle: Vehicle, keys: L1Keys, period: float, residual: Residual | None, lag: float, *, compiled: bool
 ) -> tuple[ca.Function, ca.Function]:
@@ -233,5 +210,21 @@ class L1(L1Keys, Remedy):
     believes = True
 
     def around(self, controller: Any) -> L1Controller:
-        """See Remedy."""
-        return l1(controller, self)
+        """See Remedy. UsageError around an observer, around a controller that learns its model in flight, and where the
+        controller cannot be told what `unmatched` asks for."""
+        if isinstance(controller, WrappedController):
+            raise UsageError(
+                "adaptive=l1: an observer estimates the same disturbance, and both would compensate it: choose"
+                " observer=none or adaptive=none"
+            )
+        if isinstance(controller, (IdentifyingController, AdaptingController)):
+            raise UsageError(
+                "adaptive=l1: this controller explains the same error by what it learns in flight, from commands"
+                " without what L1 adds. Take one of them"
+            )
+        if self.unmatched and not hasattr(controller, "believe"):
+            raise UsageError(
+                "adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false"
+            )
+        lag = known_delay(self.motor_lag, controller, "known_lag")
+        return L1Controller(controller, part(L1Keys, self), lag, known_delay(self.dead_time, controller, "dead_time"))

@@ -9,6 +9,7 @@ if it had made all of them. The noise is drawn beforehand, a block of periods at
 from __future__ import annotations
 
 import ctypes
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,48 +32,22 @@ from quadexp.world.world import World
 SOURCE = Path(__file__).with_name("flight.c")
 INSIDE = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 LARGEST = 1e100  # of a number in a reference
+PLAIN = {"integer": ctypes.c_longlong, "double": ctypes.c_double, "function": CFunction}  # types of fields
 LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
 
 
-class _Operation(ctypes.Structure):
-    """`operation` of flight.c."""
+def _structure(name: str) -> type[ctypes.Structure]:
+    """A structure of flight.c, field by field as its source declares it."""
+    declared = re.sub(r"/\*.*?\*/", "", SOURCE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    body = next(body for body, named in re.findall(r"typedef struct {([^}]*)} (\w+);", declared) if named == name)
+    fields: list[tuple[str, Any]] = []
+    for kind, names in re.findall(r"^ *(?:const )?(\w+) ([^;(]*);", body, flags=re.MULTILINE):
+        for field in re.split(r",\s*", names):
+            fields.append((re.split(r"[* ]", field)[-1], ctypes.c_void_p if "*" in field else PLAIN[kind]))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
 
-    _fields_ = [
-        *((name, ctypes.c_longlong) for name in ("kind", "every", "count")),
-        ("factor", ctypes.c_double),
-        *((name, ctypes.c_void_p) for name in ("to", "kept", "other", "source", "when", "function")),
-    ]
 
-
-class _Flight(ctypes.Structure):
-    """`flight` of flight.c."""
-
-    _fields_ = [
-        (name, kind)
-        for kind, names in (
-            (CFunction, "step lean bounded plant"),
-            (ctypes.c_longlong, "samples nodes inputs inner_size logged_size extra_size noise_size noise_argument"),
-            (ctypes.c_longlong, "draws_argument draws_at doubt_size operations_size"),
-            (ctypes.c_double, "near tolerance max_turn period"),
-            (ctypes.c_void_p, "operations states thrusts along paths yaws where"),
-            (ctypes.c_longlong, "reference_rows"),
-            (ctypes.c_void_p, "x0 X_ref X U checks X_new U_new X_lin U_lin"),
-            (ctypes.c_void_p, "guess bounded_checks bounded_X bounded_U side"),
-            (
-                ctypes.c_void_p,
-                "plant_x plant_inner plant_u plant_time x_next inner_next specific_force doubt measured noise",
-            ),
-            (ctypes.c_longlong, "first_drawn end_drawn"),
-            (ctypes.c_void_p, "bias sensed x told reading inner speed path yaw rotors command held"),
-            (ctypes.c_double, "time next_change"),
-            (ctypes.c_longlong, "met commanded"),
-            (ctypes.c_double, "status sweeps active kkt converged"),
-            (ctypes.c_void_p, "logged extra extra_sizes"),
-            (ctypes.c_longlong, "extra_arrays"),
-            (ctypes.c_void_p, "log_state log_input log_reading log_inner log_record log_estimate log_extra"),
-        )
-        for name in names.split()
-    ]
+OPERATION, FLIGHT = _structure("operation"), _structure("flight")
 
 
 @cache
@@ -179,10 +154,10 @@ class CompiledFlight:
         self._arrays = arrays  # which must live as long as their addresses
         self._kept = [np.empty_like(o.to) if o.kind == "move" else None for o in instant.operations]
         made = [_operation(o, kept) for o, kept in zip(instant.operations, self._kept, strict=True)]
-        self._operations = (_Operation * len(made))(*made)
+        self._operations = (OPERATION * len(made))(*made)
         names = list(period.arguments)
         finite = max(np.abs(states).max(), np.abs(thrusts).max()) < LARGEST
-        self._flight = _Flight(
+        self._flight = FLIGHT(
             **planned,
             plant=period.for_c,
             samples=len(along),
@@ -259,7 +234,7 @@ def _in_c(instant: Instant, columns: int) -> bool:
     )
 
 
-def _operation(o: Operation, kept: np.ndarray | None) -> _Operation:
+def _operation(o: Operation, kept: np.ndarray | None) -> ctypes.Structure:
     """As C has it."""
     arrays = {"to": o.to, "source": o.source, "other": o.other, "when": o.when, "kept": kept}
     counted = o.to if o.to is not None else o.source
@@ -267,4 +242,4 @@ def _operation(o: Operation, kept: np.ndarray | None) -> _Operation:
     if o.function is not None:
         places["function"] = ctypes.addressof(o.function.for_c)  # type: ignore[arg-type]  # `_in_c` saw to it
     count = 0 if counted is None else counted.size
-    return _Operation(kind=KINDS.index(o.kind), every=o.every, count=count, factor=o.factor, **places)
+    return OPERATION(kind=KINDS.index(o.kind), every=o.every, count=count, factor=o.factor, **places)

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Belief, Measurement, Window
-from quadexp.control.dfbc.controller import DFBC
-from quadexp.control.dfbc.law import DFBCKeys
+from quadexp.control.laws.dfbc import DFBC, DFBCKeys
 from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import linear_drag_residual

@@ -10,17 +10,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Measurement, Window
-from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.observers import disturbance as disturbance_module
 from quadexp.control.observers import observer as observer_module
 from quadexp.control.observers import wind as wind_module
-from quadexp.control.observers.disturbance import DisturbanceObserver, with_disturbance_observer
+from quadexp.control.observers.disturbance import DisturbanceObserver
+from quadexp.control.observers.filters import N_SCALED_STATE, SURPRISE, scaled_force_update
 from quadexp.control.observers.observer import COLUMNS
-from quadexp.control.observers.scaled_force import N_SCALED_STATE, SURPRISE, scaled_force_update
-from quadexp.control.observers.wind import WindObserver, with_wind_observer
+from quadexp.control.observers.wind import WindObserver
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
 from quadexp.models.linear_drag import linear_drag_residual
@@ -30,6 +29,7 @@ from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
+from tests.control.held import Held
 from tests.models.residuals import make_residual
 from tests.states import random_state
 
@@ -81,11 +81,11 @@ def mpc_of(vehicle, residual, backend="auto", **settings) -> PredictiveControlle
 
 
 def disturbance(controller, **settings):
-    return with_disturbance_observer(controller, DisturbanceObserver(name="disturbance", **settings))
+    return DisturbanceObserver(name="disturbance", **settings).around(controller)
 
 
 def wind(controller, **settings):
-    return with_wind_observer(controller, WindObserver(name="wind", **settings))
+    return WindObserver(name="wind", **settings).around(controller)
 
 
 def flown(truth, observer, reference, steps, noise=0.0, rng=None):
@@ -238,32 +238,6 @@ def test_scales_need_the_accelerometer_and_a_model_that_has_them(vehicle):
 
 
 # ---------------------------------------------------------------------------------------------- filters as designed
-class Told:
-    """A controller that sends what it is given, and can be told: what an observer does under any controller."""
-
-    reference_period, backend, name, source = 0.0, "interpreted", "told", ""
-    control_period, node_times = PERIOD, np.zeros(1)
-
-    def __init__(self, vehicle, residual, thrust):
-        self.vehicle, self.residual, self.thrust = vehicle, residual, thrust
-        self.settings = None
-
-    def forget(self):
-        pass
-
-    def reset(self, x, window):
-        pass
-
-    def believe(self, belief):
-        self.belief = belief
-
-    def step(self, measurement, window):
-        return self.thrust, StepRecord(0.0, Status.RICCATI, 0, 0, 0.0)
-
-    def log(self):
-        return {}
-
-
 def a_hover(vehicle) -> Window:
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])[None]
     return Window(x, np.full((1, vehicle.n_rotors), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
@@ -272,7 +246,8 @@ def a_hover(vehicle) -> Window:
 def still(vehicle, observed, reading, steps, rates=None, velocities=None, residual=None):
     """The beliefs of an observer of a hovering vehicle that reads what it is given, (steps, 3), rates and velocities
     (steps, 3) likewise."""
-    told = Told(vehicle, residual or make_residual("none", vehicle), np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    told = Held(vehicle, hover, PERIOD, residual=residual or make_residual("none", vehicle))
     controller = observed(told)
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])
     controller.reset(x, a_hover(vehicle))
@@ -407,7 +382,7 @@ def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):
         "wind_initial": 3.0,
         "scale_initial": 0.1,
     }
-    told = Told(vehicle, residual, np.zeros(4))
+    told = Held(vehicle, np.zeros(4), PERIOD, residual=residual)
     controller = wind(told, **settings)
     controller.reset(a_hover(vehicle).state[0], a_hover(vehicle))
     told.thrust = rng.uniform(2, 4, 4)
@@ -506,7 +481,7 @@ def test_drag_that_is_twice_the_models_is_found_and_planned_with(vehicle):
 def test_one_that_plans_nothing_is_told_of_drag_as_a_scale_too(vehicle):
     """Force and scales are what the reading means where the vehicle is."""
     residual, velocity = make_residual("linear_drag", vehicle), np.array([5.0, -2.0, 0.0])
-    told = Told(vehicle, residual, np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    told = Held(vehicle, np.full(4, vehicle.hover_thrust), PERIOD, residual=residual)
     controller = disturbance(told, scale_walk=0.005, air_walk=0.02)
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(3), velocity, np.zeros(3)])
     controller.reset(x, a_hover(vehicle))

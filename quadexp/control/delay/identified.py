@@ -26,9 +26,9 @@ from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.built import built
 from quadexp.control.delay.moments import Moments
 from quadexp.control.delay.prediction import STEP, Prediction, prediction
-from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.delay.timing import LEAST, Delays, Search
+from quadexp.control.delivered import SETTLED, SentCommands
 from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python, run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor, MotorLead

@@ -24,8 +24,8 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
-from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import KnownDelay
+from quadexp.control.delivered import SETTLED, SentCommands
 from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual

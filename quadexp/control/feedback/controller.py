@@ -11,8 +11,7 @@ from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.control.base import Window
 from quadexp.control.built import built
 from quadexp.control.feedback.frames import FRD_FLU
-from quadexp.control.feedback.law import hover_rotor_speed, law_function
-from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings, Variant
+from quadexp.control.feedback.law import VARIANTS, FeedbackSettings, Variant, hover_rotor_speed, law_function
 from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, python
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord

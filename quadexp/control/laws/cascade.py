@@ -36,10 +36,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.control.allocation import held, prioritised
 from quadexp.control.base import Window
 from quadexp.control.built import built
 from quadexp.control.laws.attitude import attitude_of
-from quadexp.control.laws.desaturation import held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given

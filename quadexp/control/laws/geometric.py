@@ -38,11 +38,11 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import N_BELIEF, Belief
+from quadexp.control.allocation import clipped, held, prioritised
+from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
-from quadexp.control.laws.desaturation import clipped, held, prioritised
-from quadexp.control.laws.explicit import ExplicitController, Rate
+from quadexp.control.laws.explicit import BelievingController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
@@ -91,7 +91,7 @@ class GeometricKeys(Settings):
     torque_limit: float = key(50.0, "largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")
 
 
-class GeometricController(ExplicitController):
+class GeometricController(BelievingController):
     """A Controller (see control.base). residual: its model of the air, None for none."""
 
     def __init__(
@@ -102,16 +102,6 @@ class GeometricController(ExplicitController):
         function = built(backend, geometric_function, vehicle, keys, known, compiled=compiled)
         super().__init__(vehicle, function, keys.rate, residual=known, logged=LOGGED, backend=backend)
         self.keys = keys
-
-    def believe(self, belief: Belief) -> None:
-        """Take this for what acts beside the model, from the next step on."""
-        self.believed_numbers[:] = np.hstack([*belief])
-
-    @property
-    def believed_numbers(self) -> np.ndarray:
-        """What is believed, in the order of Belief; (11,)."""
-        numbers: np.ndarray = self._law.arguments["belief"]
-        return numbers
 
 
 def geometric_function(

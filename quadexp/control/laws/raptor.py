@@ -25,10 +25,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.control.allocation import held
 from quadexp.control.base import Window
 from quadexp.control.built import built
 from quadexp.control.laws.attitude import heading_of
-from quadexp.control.laws.desaturation import held
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError

@@ -13,9 +13,8 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
-from quadexp.control.mpc.phases import Phases
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import step_function
+from quadexp.control.mpc.step import Phases, step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.models.residual import Residual

@@ -19,12 +19,10 @@ from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Belief, Controller, Window, belief_of, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
-from quadexp.control.dfbc.controller import DFBC
 from quadexp.control.instant import Instant, Told, believing, call, copy, instant_of, move
 from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.online_mpc import AdaptingController
-from quadexp.control.mpc.rls_mpc import IdentifyingController
+from quadexp.control.mpc.online_mpc import AdaptingController, IdentifyingController
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
@@ -167,9 +165,8 @@ def known_delay(given: float | None, controller: Any, name: str) -> float:
 
 def air_of(controller: Any) -> Residual:
     """The controller's model of the air, none where it has none."""
-    if isinstance(controller, DFBC):
-        return controller.air
-    known = controller.mpc.residual if isinstance(controller, PredictiveController) else controller.residual
+    predicts = isinstance(controller, PredictiveController)
+    known = controller.mpc.residual if predicts else getattr(controller, "air", controller.residual)
     return no_residual(controller.vehicle) if known is None else known
 
 

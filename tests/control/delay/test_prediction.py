@@ -10,7 +10,7 @@ from scipy.integrate import quad, solve_ivp
 
 from quadexp.control.base import Belief, Measurement, Window
 from quadexp.control.delay.prediction import Prediction
-from quadexp.control.delay.sent_commands import SentCommands
+from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import run
 from quadexp.control.mpc import mpc as landed
 from quadexp.control.mpc.controller import PredictiveController
@@ -21,6 +21,7 @@ from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import no_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
+from tests.control.held import Held
 
 PERIOD = 0.02
 
@@ -138,30 +139,12 @@ def test_dead_time_and_lag_of_the_mpc_inside_are_known(vehicle):
     assert (given.dead_time, given.lag) == (0.0, 0.01)
 
 
-class Plain:
-    """A controller that is no MPC: keeps what it is told, sends what it is given."""
-
-    control_period, node_times, reference_period, backend = PERIOD, np.array([0.0, 0.1]), 0.0, "interpreted"
-    name = source = "plain"
-    residual = None
-
-    def __init__(self, vehicle, commands):
-        self.vehicle, self.commands, self.told = vehicle, iter(commands), []
-
-    def reset(self, x, window):
-        pass
-
-    def step(self, measurement, window):
-        self.told.append((measurement.state, window))
-        return next(self.commands), StepRecord(0.0, 0, 0, 0, 0.0)
-
-
 @pytest.mark.parametrize("age", [0.0, 0.015])
 def test_another_controller_is_told_when_its_command_will_act(vehicle, age):
     """State and reference of now + dead time, by the rigid body under the commands already sent."""
     dead_time, n = 0.035, vehicle.n_rotors
     commands = vehicle.hover_thrust * (1 + 0.1 * np.random.default_rng(2).standard_normal((10, n)))
-    plain = Plain(vehicle, commands)
+    plain = Held(vehicle, iter(commands), PERIOD, (0.0, 0.1))
     wrapped = Prediction(plain, age, dead_time, 0.0)
     model = corrected_function(vehicle, no_residual(vehicle))
     sent = np.vstack([np.tile(vehicle.hover_thrust, (40, n)), commands])

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.control.delay import identified
 from quadexp.control.delay.moments import BEGINS, KEPT, MOST, SPAN, Moments
-from quadexp.control.delay.sent_commands import SentCommands
 from quadexp.control.delay.timing import LARGEST, SMALL_STEP, Search, Stream, find_delays, moments_of
+from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import run
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one

@@ -8,8 +8,7 @@ import pytest
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.controller import FeedbackController, KnownCoefficients, body_velocity
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, state_from_ned, yaw_ned
-from quadexp.control.feedback.law import law_function, observer_matrices
-from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
+from quadexp.control.feedback.law import VARIANTS, FeedbackSettings, law_function, observer_matrices
 from quadexp.errors import UsageError
 from quadexp.reference.rectangle import Rectangle
 from tests.control.feedback import paper
