@@ -126,8 +126,7 @@ def hover_error(vehicle, believed, residual, observed, push, seed, **form):
     return np.linalg.norm(states[-1, :3] - [0, 0, 1]), beliefs[-1]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("name", ["none", "linear_drag"])
+@pytest.mark.parametrize(("name", "seed"), [("none", 1), ("linear_drag", 2), ("linear_drag", 3)])
 def test_a_constant_force_and_torque_leave_no_error(vehicle, name, seed):
     force, torque = (1.5, -2.0, -3.0), (0.05, -0.08, 0.01)
     residual = make_residual(name, vehicle)
@@ -494,11 +493,12 @@ def test_one_that_plans_nothing_is_told_of_drag_as_a_scale_too(vehicle):
     assert together == pytest.approx(0.5 * drag, abs=0.02)
 
 
-@pytest.mark.parametrize("observed", [disturbance, wind])
-@pytest.mark.parametrize("lag", [0.0, 0.03])
-@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize(
+    ("observed", "lag", "measured"),
+    [(disturbance, 0.03, False), (disturbance, 0.0, True), (wind, 0.03, True), (wind, 0.0, False)],
+)
 def test_as_a_part_of_the_step_or_before_it(vehicle, monkeypatch, observed, lag, measured):
-    """The update within the MPC's own function, and by itself with DeliveredThrust in Python: the same flight."""
+    """The update within the MPC's own function, and by itself with DeliveredThrust: the same flight."""
     known = replace(vehicle, thrust_coefficient=2e-5)
     residual, flights = make_residual("gp_with_mean", known), []
     settings = {"dead_time": 0.03, "motor_lag": lag}

@@ -151,8 +151,8 @@ class WindObserver(ObserverPart):
         if found < self.least_bandwidth:
             raise UsageError(
                 f"observer={self.name}: this controller knows too little drag of vehicle={inner.vehicle.name} to"
-                f" measure the wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth is"
-                f" {self.least_bandwidth:g}); take observer=disturbance"
+                f" measure the wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth"
+                f" is {self.least_bandwidth:g}); take observer=disturbance"
             )
         function = wind_function(inner.vehicle, residual, period, inner.backend)
 
