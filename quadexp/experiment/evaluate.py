@@ -21,9 +21,8 @@ from quadexp.experiment.build import (
     check_remedies,
 )
 from quadexp.experiment.identity import ModelFile, digest, find_model, flight_entropy, flight_record
-from quadexp.experiment.loop_margins import loop_margins
+from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.experiment.outside import outside_data
-from quadexp.experiment.stability import instability
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name

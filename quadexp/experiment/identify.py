@@ -230,10 +230,10 @@ def write_identification(
     save_model(out, result.model, report=report, force=force)
     if not figures:
         return {}
-    from quadexp.report.figures import save
     from quadexp.report.model_figures import identification_figures
+    from quadexp.report.style import save
 
-    figures_by_name = identification_figures(*result).items()
+    figures_by_name = identification_figures(result.model, result.samples).items()
     return {name: str(save(figure, out / "figures" / name, inside=out)) for name, figure in figures_by_name}
 
 
@@ -304,8 +304,8 @@ def identify_delays(
 
 def _draw(search: Search, found: Delays, flight: Flight, path: Path) -> None:
     """Write the figure of a search, as SVG and PNG; what draws is slow to import."""
-    from quadexp.report.figures import save
-    from quadexp.report.log_figures import Profile, delay_figure
+    from quadexp.report.flight_figures import Profile, delay_figure
+    from quadexp.report.style import save
 
     profiles = [Profile(*one) for one in candidates_of(search, found)]
     save(delay_figure(profiles, flight.columns, true_delays(flight)), path)

@@ -109,7 +109,7 @@ def predict(
 ) -> tuple[Expression, Expression]:
     """Nominal state (16,) and covariance (15, 15), symmetric, after an IMU interval; see `propagate`.
 
-    densities: of the IMU's noise, see quadexp.world.imu.
+    densities: of the IMU's noise, see quadexp.world.inertial.
     """
     after, transition = propagate(nominal, reading, duration, gravity)
     spread = transition(transition(covariance).T)

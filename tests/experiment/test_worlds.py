@@ -13,9 +13,9 @@ from quadexp.experiment.identity import flight_entropy, flight_record
 from quadexp.parts.compose import compose, expand
 from quadexp.parts.schema import WORLD, world_parts
 from quadexp.physics.state import POSITION, STATE_COLUMNS
-from quadexp.report.margin_line import world_note
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.notes import notes
+from quadexp.report.summary import world_note
 from quadexp.world.effect import STAGES
 from quadexp.world.world import World
 
