@@ -23,6 +23,8 @@ from quadexp.physics.vehicle import FORMER_NAMES
 
 # Groups that determine one flight, together with the world, the remedies, model and seed.
 FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
+# Keys that plants of some kinds had, and the values that flights of today stand for: hashes and noise stay.
+FORMER_KEYS = {"simplified": {"payload": 0.0}, "blade_element": {"payload": 0.0}}
 MODEL_FILE = "model.json"
 MAKER = "quadexp identify FLIGHT... --out models/NAME"  # of a model that is flown as the truth
 
@@ -41,6 +43,7 @@ def flight_record(config: Config) -> dict[str, Any]:
     """The part of a configuration that determines one flight, as a dictionary; parts of the world and remedies
     that do nothing are left out."""
     nodes = {group: getattr(config, group).recorded() for group in FLIGHT_GROUPS}
+    nodes["plant"] |= FORMER_KEYS.get(nodes["plant"].get("kind", ""), {})
     world = {group: getattr(config, group) for group in WORLD if group not in nodes}
     nodes |= {group: part.recorded() for group, part in world.items() if not part.idle}
     nodes |= {group: part.recorded() for group, part in remedies(config).items()}

@@ -120,10 +120,6 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
                 found = f"unknown {unknown[0]!r}" if unknown else "no t"
                 raise UsageError(f"plant.schedule: {found}; each change is {{t: s, {', '.join(_CHANGES[1:])}}}")
 
-    def recorded(self) -> dict[str, Any]:
-        """See Part; with a key of earlier versions, so that hashes and noise stay."""
-        return super().recorded() | {"payload": 0.0}
-
     def build(self, given: Given) -> BladeElementPlant:
         """UsageError where the vehicle has no rotors of known shape."""
         if given.vehicle.rotor is None:

@@ -15,7 +15,7 @@ that of Sun et al. 2022, zero by default.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -85,10 +85,6 @@ class Simplified(PlantEffects, PlantPart):
     """Torrente's simplified simulation."""
 
     former_kind = "simplified"
-
-    def recorded(self) -> dict[str, Any]:
-        """See Part; with a key of earlier versions, so that hashes and noise stay."""
-        return super().recorded() | {"payload": 0.0}
 
     def build(self, given: Given) -> SimplifiedPlant:
         return SimplifiedPlant(given.vehicle, part(PlantEffects, self), step=self.step, backend=self.backend)
