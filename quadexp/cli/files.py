@@ -93,13 +93,13 @@ def report(
 def export(
     flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep, or a results folder.")],
     to: Annotated[
-        str, typer.Option("--to", metavar="FORMAT", help="csv, tum, mcap, rerun; of results mlflow or wandb.")
+        str, typer.Option("--to", metavar="FORMAT", help="csv, tum, rerun; of results mlflow or wandb.")
     ],
     target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
     force: Force = False,
 ) -> Answer:
-    """Write a flight for other programs; mcap and rerun need the extra [viz]. Write results for a tracker, without a
+    """Write a flight for other programs; rerun needs the extra [viz]. Write results for a tracker, without a
     network: mlflow and wandb need the extra of their name.
 
     \b

@@ -226,7 +226,7 @@ def mounting_candidates(windows: Windows) -> list[Candidate]:
     the body's z nearly always, so that an accelerometer alone hardly tells a turn about z: where its standard error is
     too large for what it finds, that turn is left out.
     """
-    found = {pair.relation: pair for pair in pairs(windows)}
+    found = {pair.name: pair for pair in pairs(windows)}
     if "force" not in found and "force (p)" in found:
         found["force"] = found["force (p)"]
     made = []
@@ -244,13 +244,16 @@ def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | 
     alone = all(pair.relation != "rate" for pair in known)
     expected, found, stretch = [], [], []
     for pair in known:
-        if pair.relation == "rate" and np.sqrt(np.mean(np.sum(pair.expected**2, axis=1))) < LEAST_MOTION * pair.floor:
+        if (
+            pair.relation == "rate"
+            and np.sqrt(np.mean(np.sum(pair.expected**2, axis=1))) < LEAST_MOTION * pair.relation.floor
+        ):
             return None
-        size = np.linalg.norm(pair.expected - _kabsch(pair.expected, pair.found).apply(pair.found), axis=1)
+        size = np.linalg.norm(pair.expected - _kabsch(pair.expected, pair.measured).apply(pair.measured), axis=1)
         near = size <= np.quantile(size, KEPT_WINDOWS)
-        expected.append(pair.expected[near] / pair.floor)
-        found.append(pair.found[near] / pair.floor)
-        stretch.append((np.arange(len(pair.found)) % windows * STRETCHES // windows)[near])
+        expected.append(pair.expected[near] / pair.relation.floor)
+        found.append(pair.measured[near] / pair.relation.floor)
+        stretch.append((np.arange(len(pair.measured)) % windows * STRETCHES // windows)[near])
     x, y, part = np.concatenate(expected), np.concatenate(found), np.concatenate(stretch)
     if len(x) < 3 * STRETCHES or not (np.isfinite(x).all() and np.isfinite(y).all()):
         return None

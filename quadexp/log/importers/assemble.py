@@ -12,8 +12,8 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.mapping import PLACES, ROTORS, Crop, columns_of
 from quadexp.log.importers.raw import RawLog
-from quadexp.log.signal import Stream, continuous, derivative, resample, runs
-from quadexp.log.signal.stream import GAP_PERIODS
+from quadexp.log.signal import GAP_PERIODS, Stream, continuous, derivative, runs
+from quadexp.log.signal.resample import resample
 from quadexp.physics.vehicle import Vehicle
 
 HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")

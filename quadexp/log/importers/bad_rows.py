@@ -10,9 +10,8 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
-from quadexp.log.signal import derivative, runs
+from quadexp.log.signal import GAP_PERIODS, derivative, runs
 from quadexp.log.signal.resample import interpolate
-from quadexp.log.signal.stream import GAP_PERIODS
 from quadexp.physics.vehicle import Vehicle
 
 MODES = ("refuse", "drop", "gap")

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.log.signal import Stream, as_stream, period
 from quadexp.log.signal.resample import resample
-from quadexp.log.signal.stream import Stream, as_stream, period
 from quadexp.log.signal.windows import attitude_rate
 from quadexp.physics.vehicle import GRAVITY
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.signal.stream import GAP_PERIODS, Stream, as_stream, period, stretches
+from quadexp.log.signal import GAP_PERIODS, Stream, as_stream, continuous, period, stretches
 
 STOPBAND = 60.0  # dB
 PASSBAND = 0.4  # of the new rate
@@ -199,10 +199,3 @@ def slerp(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
     second = np.where(small, share, np.sin(share * angle) / sine)
     out = first * a + second * b
     return out / np.linalg.norm(out, axis=1, keepdims=True)
-
-
-def continuous(q: np.ndarray) -> np.ndarray:
-    """Quaternions (k, 4) with the sign of each chosen to lie on the side of the one before."""
-    flips = np.sum(q[1:] * q[:-1], axis=1) < 0
-    sign = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2, -1.0, 1.0)])
-    return q * sign[:, None]

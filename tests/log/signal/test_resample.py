@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.log.signal import Stream, resample
+from quadexp.log.signal import Stream
+from quadexp.log.signal.resample import resample
 
 
 def tone(frequency, rate, duration=10.0, jitter=0.0, rng=None):

@@ -2,7 +2,7 @@
 
     ABOUT                        for the list of formats
     recognises(path, head)       how sure it is that the file is its own, by its first bytes (None: a folder): 0 to 2
-    read(path, named)            RawLog, or a Flight that is taken as it is; named: the --log-format that was asked for
+    read(path, named)            its RawLog; named: the --log-format that was asked for
 
 and nothing else lists it: a module that is here is a format.
 """
@@ -17,7 +17,6 @@ from typing import Protocol
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.raw import RawLog
-from quadexp.log.schema import Flight
 
 HEAD = 4096  # bytes
 
@@ -27,7 +26,7 @@ class Reader(Protocol):
 
     def recognises(self, path: Path, head: bytes | None) -> int: ...
 
-    def read(self, path: Path, named: str) -> RawLog | Flight: ...
+    def read(self, path: Path, named: str) -> RawLog: ...
 
 
 @cache

@@ -49,7 +49,7 @@ MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 
 
 def recognises(path: Path, head: bytes | None) -> int:
-    """A file of ROS 1 or of ROS 2; a folder of ROS 2. An MCAP of our own is surer to be that (quadexp.py)."""
+    """A file of ROS 1 or of ROS 2; a folder of ROS 2."""
     return int((path / "metadata.yaml").is_file() if head is None else head.startswith(MAGIC))
 
 
