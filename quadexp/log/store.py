@@ -3,7 +3,7 @@
 Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and
 under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. The hash
 of the columns' types and values stands beside it and is checked where the file is read in full, that of the file's
-bytes behind it (see hashes.py). So a changed bit, an edited number and a file that another program wrote anew are
+bytes behind it (see integrity.py). So a changed bit, an edited number and a file that another program wrote anew are
 noticed.
 """
 
@@ -21,8 +21,15 @@ import numpy as np
 from quadexp.errors import DataError, UsageError, WrongFileError
 from quadexp.files.names import check_names
 from quadexp.files.writer import written
-from quadexp.log.declared import check_declared, check_numbers
-from quadexp.log.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
+from quadexp.log.integrity import (
+    CONTENT_KEY,
+    check_declared,
+    check_numbers,
+    content_hash,
+    sealed_bytes,
+    sealed_value,
+    write_sealed,
+)
 from quadexp.log.schema import Flight, describe
 from quadexp.messages import printable
 from quadexp.physics.state import STATE_COLUMNS
@@ -238,10 +245,8 @@ def _check_content(path: str | Path, metadata: Mapping[bytes, bytes], content: b
     if stored is None:
         _say_unhashed(path)
     elif stored != content:
-        raise DataError(
-            f"{path}: its columns do not match their hash: it was edited or damaged after it was written;"
-            f" make it again{_remade(kind)}"
-        )
+        text = "its columns do not match their hash: it was edited or damaged after it was written; make it again"
+        raise DataError(f"{path}: {text}{_remade(kind)}")
 
 
 _unhashed: list[str] = []  # files without a hash of their columns that were read
@@ -308,9 +313,8 @@ def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where:
             continue
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
-            raise DataError(
-                f"{where}: column {name!r} is {values[bad[0]]} at row {bad[0]} ({len(bad)} such rows of {len(values)})"
-            )
+            rows = f"at row {bad[0]} ({len(bad)} such rows of {len(values)})"
+            raise DataError(f"{where}: column {name!r} is {values[bad[0]]} {rows}")
 
 
 def check_whole(record: Mapping[str, Any], where: str) -> None:
@@ -327,10 +331,8 @@ def check_order(t: np.ndarray, where: str) -> None:
     late = np.flatnonzero(~(np.diff(t) > 0))
     if len(late):
         k = int(late[0])
-        raise DataError(
-            f"{where}: time does not go on from row {k} ({t[k]:.6g} s) to row {k + 1} ({t[k + 1]:.6g} s): sort the"
-            " rows, keep one of each time, or import the log again"
-        )
+        rows = f"row {k} ({t[k]:.6g} s) to row {k + 1} ({t[k + 1]:.6g} s)"
+        raise DataError(f"{where}: time does not go on from {rows}: sort the rows, or import the log again")
 
 
 def check_attitude(columns: Mapping[str, np.ndarray], where: str) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from quadexp.errors import DataError, QuadexpError
 from quadexp.log import store
-from quadexp.log.hashes import CONTENT_KEY, FILE_KEY, content_hash
+from quadexp.log.integrity import CONTENT_KEY, FILE_KEY, content_hash
 from quadexp.log.schema import Flight
 from quadexp.log.store import HASH_KEY, METADATA_KEY, read_flight, read_record, read_table, write_flight, write_table
 from quadexp.report.summary import summarise

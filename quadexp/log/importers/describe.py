@@ -102,9 +102,9 @@ class Description:
 def describe_log(path: Path) -> Description:
     """Propose a mapping for a table. Raises DataError for what is none, or has no clock."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        if (reader := reader_of(path)) not in ("csv", "quadexp"):
+        if (reader := reader_of(path)) != "csv":
             raise DataError(
-                f"{path}: {reader} says itself what its fields are, so it needs no mapping: import it as it is"
+                f"{path}: {reader} says itself what its fields are: it needs no mapping, import it as it is"
             )
         names, data = numbers(opened := open_table(path))
         clock, time = _clock(path, names, data)

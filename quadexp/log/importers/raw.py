@@ -58,10 +58,8 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     lost, back = int((~late).sum()), np.flatnonzero(np.diff(t) < 0)
     if len(back) and lost > max(2, MOST_LATE * len(t)):
         row = int(back[0]) + 1
-        raise DataError(
-            f"{path}: {name}: time goes backwards at row {row} ({t[row - 1]:.9g} -> {t[row]:.9g} s;"
-            f" {lost} of {len(t)} rows are out of order)"
-        )
+        text = f"({t[row - 1]:.9g} -> {t[row]:.9g} s; {lost} of {len(t)} rows are out of order)"
+        raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}")
     if lost:
         what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
         notes.append(f"{name}: {lost} of {len(t)} rows {what}: dropped")

@@ -39,7 +39,7 @@ def as_stream(stream: Stream | tuple[np.ndarray, np.ndarray], name: str = "strea
     if steps.min() <= 0:
         row = int(np.argmin(steps > 0))
         raise DataError(
-            f"{name}: the clock goes from {t[row]:.6f} to {t[row + 1]:.6f} s at row {row}; it must increase"
+            f"{name}: the clock goes from {t[row]:.6f} to {t[row + 1]:.6f} s at row {row}: it must increase"
         )
     return Stream(t, values)
 

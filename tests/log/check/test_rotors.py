@@ -98,8 +98,8 @@ def test_on_real_flights(name):
 
 @pytest.mark.parametrize(
     ("vehicle", "voltage", "named"),
-    [("torrente", 15.2, ""), ("torrente", 1.52, "10 times as much would be 4 cells"), ("crazyflie", 3.8, ""),
-     ("torrente", 3.8, "two cells or more"), ("crazyflie", 380.0, "0.01 times"), ("crazyflie", 0.0, "not measured")],
+    [("torrente", 15.2, ""), ("torrente", 1.52, "1.52"), ("crazyflie", 3.8, ""),
+     ("torrente", 3.8, "3.8"), ("crazyflie", 380.0, "380"), ("crazyflie", 0.0, "not measured")],
 )  # fmt: skip
 def test_a_voltage_that_no_battery_has(vehicle, voltage, named):
     flight = imitated(77, vehicle, duration=6.0)

@@ -152,14 +152,6 @@ def test_pasted_rows_are_found_whatever_column_is_first(first):
     assert found.blocks and found.span == pytest.approx((9.0, 12.0), abs=0.03)
 
 
-def test_copies_time_and_all_are_dropped(tmp_path):
-    """A block written twice, its times too: as an unfinished buffer leaves it."""
-    flight = imitated(88, "torrente", duration=10)
-    rows = np.concatenate([np.arange(300), np.arange(260, len(flight))])
-    outcome, made = imported(tmp_path, Flight({n: x[rows] for n, x in flight.columns.items()}, {}))
-    assert made is not None and len(made) == len(flight) and any("copies of earlier ones" in n for n in outcome.notes)
-
-
 def test_an_unknown_way_is_one_line(tmp_path):
     with pytest.raises(UsageError, match="--bad-rows often: no such way; there are refuse, drop, gap"):
         imported(tmp_path, imitated(89, "torrente", duration=5), bad_rows="often")

@@ -113,7 +113,6 @@ def test_missing_topic_is_named(tmp_path):
         ("world: NET\ntime: {column: t}\nposition: {columns: [x, y, z]}\n", 1, "NED"),
         ("time: {column: t}\nmotor_command:\n  columns: [a, b, c]\n  layout: [front, back, up]\n", 4, "front_right"),
         ("position: {columns: [x, y, z]}\n", 1, "time: is missing"),
-        ("time: {column: t}\nposition: [\n", 3, "not YAML"),
         *((f"time: {{column: t}}\n{line}\n", 2, said) for line, said in (
             ("position: {columns: [x, y, z], unit: yards}", "allowed are m, cm"),
             ("attitude: {columns: [a, b, c, d], order: wxxz}", "wxyz, xyzw"),

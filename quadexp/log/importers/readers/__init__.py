@@ -1,7 +1,7 @@
 """One module a format, of its name. It declares
 
     ABOUT                        for the list of formats
-    recognises(path, head)       how sure it is that the file is its own, by its first bytes (None: a folder): 0 to 2
+    recognises(path, head)       whether the file is its own, by its first bytes (None: a folder)
     read(path, named)            its RawLog; named: the --log-format that was asked for
 
 and nothing else lists it: a module that is here is a format.
@@ -24,7 +24,7 @@ HEAD = 4096  # bytes
 class Reader(Protocol):
     ABOUT: str
 
-    def recognises(self, path: Path, head: bytes | None) -> int: ...
+    def recognises(self, path: Path, head: bytes | None) -> bool: ...
 
     def read(self, path: Path, named: str) -> RawLog: ...
 
@@ -32,7 +32,7 @@ class Reader(Protocol):
 @cache
 def readers() -> dict[str, Reader]:
     """Every format."""
-    return {one.name: import_module(f"{__name__}.{one.name}") for one in iter_modules(__path__)}
+    return {module.name: import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)}
 
 
 def reader_of(path: Path) -> str:
@@ -51,9 +51,8 @@ def reader_of(path: Path) -> str:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from None
         if not head:
             raise DataError(f"{path}: the file is empty")
-    sure = {name: reader.recognises(path, head) for name, reader in readers().items()}
-    best = max(sure, key=lambda name: sure[name])
-    if not sure[best]:
+    found = next((name for name, reader in readers().items() if reader.recognises(path, head)), None)
+    if found is None:
         what = "neither text nor" if head is not None else "a folder, but none of"
-        raise DataError(f"{path}: {what} {', '.join(f'{name} ({one.ABOUT})' for name, one in readers().items())}")
-    return best
+        raise DataError(f"{path}: {what} {', '.join(f'{name} ({r.ABOUT})' for name, r in readers().items())}")
+    return found

@@ -64,8 +64,8 @@ ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE
 _BODY_VELOCITY = 3  # vehicle_odometry.velocity_frame: body, FRD
 
 
-def recognises(path: Path, head: bytes | None) -> int:
-    return 2 * (head or b"").startswith(b"ULog\x01\x12\x35")
+def recognises(path: Path, head: bytes | None) -> bool:
+    return (head or b"").startswith(b"ULog\x01\x12\x35")
 
 
 # ------------------------------------------------------------------------------------------------------------ the file
@@ -169,11 +169,10 @@ def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) ->
     _motors(path, log, topics, parameters, used)
     if not {"position", "attitude", "velocity", "rate", "acceleration"} & set(log.streams):
         there = ", ".join(sorted(topics)[:10]) or "none"
-        raise DataError(
-            f"{path}: neither vehicle_attitude, vehicle_local_position nor sensor_combined; topics: {there}"
-        )
-    wanted = {"position", "attitude", "rate", "acceleration"} - used.keys() - refused
-    if missing := [f"{name} ({sources[0].split()[0]})" for name, sources in SOURCES.items() if name in wanted]:
+        wanted = "vehicle_attitude, vehicle_local_position nor sensor_combined"
+        raise DataError(f"{path}: neither {wanted}; topics: {there}")
+    absent = {"position", "attitude", "rate", "acceleration"} - used.keys() - refused
+    if missing := [f"{name} ({sources[0].split()[0]})" for name, sources in SOURCES.items() if name in absent]:
         log.notes.append(f"topics missing: {', '.join(missing)}")
     if used.get("velocity") == "vehicle_odometry" and "attitude" in used:
         frames = topics["vehicle_odometry"][0].get("velocity_frame", ())
