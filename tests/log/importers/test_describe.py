@@ -11,7 +11,7 @@ from quadexp.log.importers import Options, import_log
 from quadexp.log.importers.describe import describe_log
 from quadexp.log.importers.mapping import load_mapping
 from tests.log.importers import logs
-from tests.log.importers.vehicles import quad_x
+from tests.log.importers.logs import quad_x
 
 
 @pytest.fixture(scope="module")

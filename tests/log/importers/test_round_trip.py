@@ -14,8 +14,9 @@ from quadexp.log.exporters import export_flight
 from quadexp.log.importers import Options, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from tests.log.imitated import imitated
 from tests.log.importers import logs
-from tests.log.importers.vehicles import quad_x
+from tests.log.importers.logs import quad_x
 
 
 @pytest.fixture(scope="module")
@@ -132,3 +133,17 @@ def test_what_messages_hold():
     made = taken("agiros_msgs/msg/QuadState", state)
     assert set(made) == {"position", "attitude", "velocity", "rate", "rotor_speed"} and not made["velocity"].in_body
     assert taken("std_msgs/msg/String", Message(data="")) == {}
+
+
+def test_decivolts_and_electrical_turns(tmp_path):
+    """168 dV, and 7 pole pairs: 70 000 electrical turns a minute are 10 000 of the rotor, 1047.2 rad/s."""
+    flight = imitated(94, "torrente", duration=6, signal="rotor_speed")
+    names = [f"rotor_speed_{i}" for i in range(4)]
+    columns = flight.columns | {name: 7 * flight[name] * 60 / (2 * np.pi) for name in names}
+    columns["battery_voltage"] = 10 * columns["battery_voltage"]
+    words = "".join(line for line in logs.MAPPING.splitlines(keepends=True) if not line.startswith("motor_command"))
+    words += f"rotor_speed: {{columns: [{', '.join(names)}], unit: erpm, pole_pairs: 7}}\n"
+    words += "battery_voltage: {column: battery_voltage, unit: dV}\n"
+    _, again = logs.imported(tmp_path, Flight(columns, {}), words)
+    for name in ("battery_voltage", "rotor_speed_2"):
+        assert np.allclose(again[name], flight[name])
