@@ -64,11 +64,10 @@ def test_truncated_anywhere(tmp_path):
     """Cut at any place, a log gives a flight or one line."""
     f = logs.truth(3.0, 50.0)
     whole = logs.ulog(tmp_path / "a.ulg", f).read_bytes()
-    for share in np.linspace(0, 0.999, 25):
+    for share in np.linspace(0, 0.999, 15):
         (tmp_path / "b.ulg").write_bytes(whole[: int(share * len(whole))])
         try:
-            flight, _ = import_log(tmp_path / "b.ulg", None, Options())
-            assert np.isfinite(flight.t).all()
+            assert np.isfinite(import_log(tmp_path / "b.ulg", None, Options())[0].t).all()
         except QuadexpError as error:
             assert "\n" not in str(error)
 

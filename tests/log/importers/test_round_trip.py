@@ -23,8 +23,8 @@ from tests.log.importers.logs import quad_x
 def flown(tmp_path_factory) -> tuple[Flight, Path]:
     f = logs.truth(6.0, 50.0)
     columns = {"t": f.t}
-    for names, values in (("p_{}", f.p), ("v_{}", f.v), ("w_{}", f.w), ("acc_{}", f.acc)):
-        columns |= {names.format(axis): values[:, i] for i, axis in enumerate("xyz")}
+    for name, values in (("p", f.p), ("v", f.v), ("w", f.w), ("acc", f.acc)):
+        columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"q_{axis}": f.q[:, i] for i, axis in enumerate("wxyz")}
     columns |= {f"u_{i}": 6.0 * f.command[:, i] ** 2 for i in range(4)}
     columns |= {f"ref_{name}": columns[name] + 0.01 for name in ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z")}
