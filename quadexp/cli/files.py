@@ -92,9 +92,7 @@ def report(
 @command
 def export(
     flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep, or a results folder.")],
-    to: Annotated[
-        str, typer.Option("--to", metavar="FORMAT", help="csv, tum, rerun; of results mlflow or wandb.")
-    ],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, rerun; of results mlflow or wandb.")],
     target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
     force: Force = False,

@@ -244,9 +244,10 @@ def _sort_rotors(
 ) -> None:
     """Bring the streams of the rotors into the vehicle's order."""
     signals = [name for name in ROTORS if name in streams]
-    if vehicle is None and signals:
-        notes.append("rotors stand in the log's order: no --vehicle says which is where")
-    for name in signals if vehicle is not None else ():
+    if vehicle is None:
+        notes += ["rotors stand in the log's order: no --vehicle says which is where"] if signals else []
+        return
+    for name in signals:
         t, values = streams[name]
         if values.shape[1] != vehicle.n_rotors:
             raise DataError(f"{path}: {name} of {values.shape[1]} rotors, but {vehicle.name} has {vehicle.n_rotors}")
