@@ -31,8 +31,9 @@ class Reader(Protocol):
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Every format."""
-    return {module.name: import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)}
+    """Every format, the most general last: to it any text is a table."""
+    names = sorted((module.name for module in iter_modules(__path__)), key=lambda name: name == "csv")
+    return {name: import_module(f"{__name__}.{name}") for name in names}
 
 
 def reader_of(path: Path) -> str:
