@@ -45,7 +45,7 @@ def broken(flight: Flight, one: Candidate) -> Flight:
     fixed = {name: values for name, values in streams.items() if name not in one.streams}
     for name in one.streams:
         width = streams[name].shape[-1]
-        # a rotation matrix of which the transformation of vectors may make use is that of the attitude as it is found
+        # of vectors, the attitude as it is found may be made use of
         beside = fixed | {"q": streams["q"]}
 
         def made(x: np.ndarray, name: str = name, beside: dict = beside) -> np.ndarray:
@@ -104,16 +104,10 @@ def test_so_do_those_of_axes(flights, tmp_path, k):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("vehicle", "seed"), [("blackbird", 310), ("lei_li", 311), ("crazyflie", 312)])
-def test_every_candidate_on_one_of_three_vehicles(tmp_path, vehicle, seed):
-    flight = imitated(seed, vehicle, duration=12)
-    wrong = []
-    for one in EVERY[seed - 310 :: 3]:
-        try:
-            mends(tmp_path, flight, one)
-        except AssertionError as error:
-            wrong.append((named(one), str(error)[:300]))
-    assert not wrong, wrong
+@pytest.mark.parametrize("one", EVERY, ids=named)
+def test_every_candidate_on_one_of_three_vehicles(tmp_path, one):
+    k = EVERY.index(one) % 3
+    mends(tmp_path, imitated(310 + k, ("blackbird", "lei_li", "crazyflie")[k], duration=12), one)
 
 
 def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.experiment.import_flights import import_files
@@ -20,6 +21,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
 from quadexp.physics.vehicle import Vehicle
 from tests.log.imitated import attitude_of
+from tests.models.recorded_data import FOLDER
 
 G = 9.81
 DRAG = np.array([0.4, 0.3, 0.1])  # 1/s, body axes
@@ -309,6 +311,13 @@ def rosbag(path: Path, f: Truth, version: int) -> Path:
             for connection, message in zip(to.values(), messages, strict=True):
                 writer.write(connection, int(round(1e9 * t)), encode(message, connection.msgtype))
     return path
+
+
+def recorded(name: str) -> Path:
+    """A folder of recorded flights; the test is skipped where it is not there."""
+    if not (FOLDER / name).is_dir():
+        pytest.skip(f"the flights of {name} are not beside the repository (../shared/data/{name})")
+    return FOLDER / name
 
 
 def quad_x() -> Vehicle:

@@ -57,11 +57,11 @@ def test_betaflight_has_units_and_counts(truth, tmp_path):
     assert any("attitude" in text for text in found.warnings)
 
 
-def test_nanobench_without_its_names(nanobench, tmp_path):
+def test_nanobench_without_its_names(tmp_path):
     """Drag of the flight imported by the proposal is that of the ready mapping: d_x 0.405, d_y 0.406 1/s."""
     import pandas as pd
 
-    data = pd.read_csv(nanobench / "B3_figure8_fast_rep1.csv")
+    data = pd.read_csv(logs.recorded("nanobench") / "B3_figure8_fast_rep1.csv")
     data.columns = [f"c{i}" for i in range(data.shape[1])]
     data.to_csv(tmp_path / "a.csv", index=False)
     found, flight = imported(tmp_path / "a.csv", tmp_path)
