@@ -101,9 +101,12 @@ FORMATS = {  # suffix of the file, and what writes it
     "tum": (".tum", write_poses),
     "rerun": (".rrd", write_recording),
 }
+_TRACKERS = "went: log the rows of results.csv, or of qx.load(FOLDER), from Python"
 GONE = {
     "px4csv": "went: --to csv has every column with unit and frame; NED and FRD are (y, x, -z) and (x, -y, -z)",
     "mcap": "went: --to rerun is for a viewer, --to csv has every column with unit and frame",
+    "mlflow": _TRACKERS,
+    "wandb": _TRACKERS,
 }
 
 
