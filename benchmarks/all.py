@@ -150,9 +150,8 @@ def commands() -> Iterator[Row]:
                 "sweep of 16 flights, 2 workers": [
                     "evaluate", "--sweep", *SWEEP, "evaluate.workers=2", "--no-figures", "--out", f"{turn}_results",
                 ],
-                "import": [
-                    "import", f"{turn}.parquet", "--log-format", "quadexp", "--keep", "--out", f"{turn}_flights",
-                ],
+                "export": ["export", f"{turn}.parquet", "--to", "csv", "--out", f"{turn}.csv"],
+                "import": ["import", f"{turn}.csv", "--keep", "--out", f"{turn}_flights"],
             }  # fmt: skip
             for name, command in steps.items():
                 print(f"{name}, {turn} ...", file=sys.stderr, flush=True)

@@ -28,12 +28,8 @@ ASIDE = {
     "quadexp.log": "names",
     "quadexp.log.schema": "what a flight is on disk, like the next two",
     "quadexp.log.store": "",
-    "quadexp.log.hashes": "",
-    "quadexp.log.declared": "refuses files, like the next two",
-    "quadexp.log.signal": "derivatives for fits, and what was fitted is in the key, like the next ones",
-    "quadexp.log.signal.derivative": "",
-    "quadexp.log.signal.resample": "",
-    "quadexp.log.signal.stream": "",
+    "quadexp.log.integrity": "refuses files",
+    "quadexp.log.signal": "derivatives for fits, and what was fitted is in the key",
     "quadexp.report": "empty",
 }
 

@@ -93,12 +93,12 @@ def report(
 @command
 def export(
     flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep.")],
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, mcap, rerun.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, rerun.")],
     target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
     force: Force = False,
 ) -> Answer:
-    """Write a flight for other programs; mcap and rerun need the extra [viz].
+    """Write a flight for other programs; rerun needs the extra [viz].
 
     \b
     quadexp export runs/a.parquet --to rerun --out a.rrd

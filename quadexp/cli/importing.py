@@ -82,7 +82,7 @@ def import_flights(
         print(proposed.yaml(), end="")
         return
     from quadexp.experiment.import_flights import import_files
-    from quadexp.log.importers.importing import Options
+    from quadexp.log.importers import Options
 
     turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
     options = Options(form, mapping, rate, crop, align, *turned, bad_rows)

@@ -24,42 +24,47 @@ class Column(NamedTuple):
     description: str
 
 
+Columns = dict[str, Column]
 _AXES = "xyz"
+
+
+def _each(name: str, unit: str, frame: str, description: str, axes: str = _AXES) -> Columns:
+    """A column for each axis of a vector."""
+    return {f"{name}_{i}": Column(unit, frame, description) for i in axes}
+
+
+def _besides(prefix: str, columns: Columns, description: str = "{}") -> Columns:
+    """The same columns in another role, which the description says."""
+    return {f"{prefix}{k}": c._replace(description=description.format(c.description)) for k, c in columns.items()}
+
+
 _STATE = {
-    **{f"p_{i}": Column("m", "world", "position") for i in _AXES},
-    **{f"q_{i}": Column("1", "body to world", "attitude quaternion, Hamilton, w first") for i in "wxyz"},
-    **{f"v_{i}": Column("m/s", "world", "velocity") for i in _AXES},
-    **{f"w_{i}": Column("rad/s", "body", "angular velocity") for i in _AXES},
+    **_each("p", "m", "world", "position"),
+    **_each("q", "1", "body to world", "attitude quaternion, Hamilton, w first", "wxyz"),
+    **_each("v", "m/s", "world", "velocity"),
+    **_each("w", "rad/s", "body", "angular velocity"),
+}
+_BIAS = {
+    **_each("bias_a", "m/s^2", "body", "bias of the accelerometer"),
+    **_each("bias_g", "rad/s", "body", "bias of the gyroscope"),
+}
+_VARIANCE = {
+    **_each("p", "m^2", "world", "position"),
+    **_each("v", "m^2/s^2", "world", "velocity"),
+    **_each("theta", "rad^2", "body", "attitude"),
+    **_each("bias_a", "m^2/s^4", "body", "the accelerometer's bias"),
+    **_each("bias_g", "rad^2/s^2", "body", "the gyroscope's bias"),
 }
 
-FLIGHT_COLUMNS: dict[str, Column] = {
+FLIGHT_COLUMNS: Columns = {
     "t": Column("s", "", "time since the start of the flight"),
     **_STATE,
-    **{
-        f"ref_{name}": column._replace(description=f"reference {column.description}") for name, column in _STATE.items()
-    },
-    **{
-        f"est_{name}": column._replace(description=f"{column.description}, as the controller was told it")
-        for name, column in _STATE.items()
-    },
-    **{f"acc_{i}": Column("m/s^2", "body", "specific force an accelerometer reads") for i in _AXES},
-    **{
-        f"{est}bias_{kind}_{i}": Column(unit, "body", f"bias of the {sensor}{', as the filter has it' if est else ''}")
-        for kind, unit, sensor in (("a", "m/s^2", "accelerometer"), ("g", "rad/s", "gyroscope"))
-        for est in ("", "est_")
-        for i in _AXES
-    },
-    **{
-        f"est_var_{kind}_{i}": Column(unit, frame, f"variance of the error of {of}, as the filter has it")
-        for kind, unit, frame, of in (
-            ("p", "m^2", "world", "position"),
-            ("v", "m^2/s^2", "world", "velocity"),
-            ("theta", "rad^2", "body", "attitude"),
-            ("bias_a", "m^2/s^4", "body", "the accelerometer's bias"),
-            ("bias_g", "rad^2/s^2", "body", "the gyroscope's bias"),
-        )
-        for i in _AXES
-    },
+    **_besides("ref_", _STATE, "reference {}"),
+    **_besides("est_", _STATE, "{}, as the controller was told it"),
+    **_each("acc", "m/s^2", "body", "specific force an accelerometer reads"),
+    **_BIAS,
+    **_besides("est_", _BIAS, "{}, as the filter has it"),
+    **_besides("est_var_", _VARIANCE, "variance of the error of {}, as the filter has it"),
     "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
     "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
     "sweeps": Column("1", "", "exchanges of the active set in the control step (sweeps, where last_resort occurs)"),
@@ -67,27 +72,27 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     "unconverged": Column("1", "", "1: the first step's iterations ended away from a stationary point"),
     "kkt": Column("1", "", "KKT residual of the control step"),
     "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
-    **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
-    **{f"load_{i}": Column("m", "world", "position of the payload on its cable") for i in _AXES},
+    **_each("wind", "m/s", "world", "velocity of the air"),
+    **_each("load", "m", "world", "position of the payload on its cable"),
     "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
     "battery_voltage": Column("V", "", "voltage of the battery"),
     "battery_current": Column("A", "", "current that is drawn from the battery"),
     "state_of_charge": Column("1", "", "charge left in the battery, of the full one"),
 }
 
-RESIDUAL_COLUMNS: dict[str, Column] = {
+RESIDUAL_COLUMNS: Columns = {
     "flight": Column("1", "", "number of the flight the row comes from"),
     "flight_name": Column("", "", "name of the flight the row comes from"),
     "t": Column("s", "", "time since the start of the flight"),
     "dt": Column("s", "", "duration of the transition"),
-    **{f"v_{i}": Column("m/s", "body", "velocity") for i in _AXES},
-    **{f"w_{i}": Column("rad/s", "body", "angular velocity") for i in _AXES},
+    **_each("v", "m/s", "body", "velocity"),
+    **_each("w", "rad/s", "body", "angular velocity"),
     "thrust": Column("N", "body", "collective thrust commanded"),
-    **{f"a_{i}": Column("m/s^2", "body", "acceleration the rigid body does not explain") for i in _AXES},
-    **{f"tau_{i}": Column("N m", "body", "torque the rigid body does not explain") for i in _AXES},
+    **_each("a", "m/s^2", "body", "acceleration the rigid body does not explain"),
+    **_each("tau", "N m", "body", "torque the rigid body does not explain"),
 }
 
-RESULT_COLUMNS: dict[str, Column] = {
+RESULT_COLUMNS: Columns = {
     "speed": Column("m/s", "", "nominal speed of the trajectory; asked peak speed of a random path or of waypoints"),
     "rmse": Column("m", "world", "sqrt(mean ||e||^2) of the position error e"),
     "mean_error": Column("m", "world", "mean ||e||; Torrente et al. 2021 print this one as RMSE"),
@@ -116,7 +121,7 @@ RESULT_COLUMNS: dict[str, Column] = {
 
 # One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.
 _OWN = "see `unit`"
-STATISTIC_COLUMNS: dict[str, Column] = {
+STATISTIC_COLUMNS: Columns = {
     "speed": RESULT_COLUMNS["speed"],
     "setting": Column("", "", "what else varies between the conditions"),
     "variant": Column("", "", "settings of the controller that vary"),
@@ -163,7 +168,7 @@ _COEFFICIENTS = {
 }
 # What a controller or plant of Lei & Li's system logs besides.
 FLIGHT_COLUMNS |= {
-    **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
+    **_besides("", _COEFFICIENTS, "{}, in use"),
     "clips": Column("1", "", "entries of the estimate clipped so far"),
     "reopened": Column("1", "", "times the estimator found a change so far"),
     "phi_d": Column("rad", "FRD in NED", "desired roll angle"),
@@ -174,24 +179,18 @@ FLIGHT_COLUMNS |= {
     "limited": Column("1", "", "rotors commanded at the largest thrust"),
 }
 # What a controller logs whose model adapts in flight.
-FLIGHT_COLUMNS |= {
-    f"innovation_{i}": Column("m/s^2", "body", "residual acceleration less its prediction by the weights before it")
-    for i in _AXES
-}
-ESTIMATE_COLUMNS: dict[str, Column] = {
+FLIGHT_COLUMNS |= _each(
+    "innovation", "m/s^2", "body", "residual acceleration less its prediction by the weights before it"
+)
+ESTIMATE_COLUMNS: Columns = {
     "t": Column("s", "", "time since the start of the flight"),
-    **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
-    **{f"raw_{name}": column for name, column in _COEFFICIENTS.items()},
-    **{
-        f"std_{name}": column._replace(
-            description=f"the recursion's own deviation of the {column.description}; no interval"
-        )
-        for name, column in _COEFFICIENTS.items()
-    },
-    **{f"error_{i}": Column("m/s^2", "body", "specific force less its prediction") for i in _AXES},
+    **_besides("", _COEFFICIENTS, "{}, in use"),
+    **_besides("raw_", _COEFFICIENTS),
+    **_besides("std_", _COEFFICIENTS, "the recursion's own deviation of the {}; no interval"),
+    **_each("error", "m/s^2", "body", "specific force less its prediction"),
 }
 
-TUNING_COLUMNS: dict[str, Column] = {
+TUNING_COLUMNS: Columns = {
     "trial": Column("1", "", "number of the trial; 0 is the option as it is"),
     "flights": Column("1", "", "flights up to and with this trial"),
     "value": Column("1", "", "objective, the smaller the better (quadexp/tune/objective.py)"),

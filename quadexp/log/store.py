@@ -3,12 +3,13 @@
 Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and
 under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. The hash
 of the columns' types and values stands beside it and is checked where the file is read in full, that of the file's
-bytes behind it (see hashes.py). So a changed bit, an edited number and a file that another program wrote anew are
+bytes behind it (see integrity.py). So a changed bit, an edited number and a file that another program wrote anew are
 noticed.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import sys
@@ -21,8 +22,15 @@ import numpy as np
 from quadexp.errors import DataError, UsageError, WrongFileError
 from quadexp.files.names import check_names
 from quadexp.files.writer import written
-from quadexp.log.declared import check_declared, check_numbers
-from quadexp.log.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
+from quadexp.log.integrity import (
+    CONTENT_KEY,
+    check_declared,
+    check_numbers,
+    content_hash,
+    sealed_bytes,
+    sealed_value,
+    write_sealed,
+)
 from quadexp.log.schema import Flight, describe
 from quadexp.messages import printable
 from quadexp.physics.state import STATE_COLUMNS
@@ -32,24 +40,12 @@ SCHEMA = 2
 LONG = 200_000  # rows of a table that is read column by column
 METADATA_KEY = b"quadexp"
 HASH_KEY = b"quadexp_sha256"
-COMMANDS = {
-    "flight": "simulate",
-    "residuals": "collect",
-    "results": "evaluate",
-    "estimates": "identify",
-    "statistics": "evaluate",
-    "tuning": "tune",
-    "leaderboard": "bench",
-}
-
-# What the kinds of tables are called.
-NAMES = {
-    "flight": "a flight",
-    "residuals": "a data set",
-    "results": "a table of results",
-    "estimates": "a table of estimates",
-    "statistics": "a table of statistics",
-}
+KINDS = {  # of table: what it is called, and the command that makes it
+    "flight": ("a flight", "simulate"), "residuals": ("a data set", "collect"),
+    "results": ("a table of results", "evaluate"), "estimates": ("a table of estimates", "identify"),
+    "statistics": ("a table of statistics", "evaluate"), "tuning": ("a table of trials", "tune"),
+    "leaderboard": ("a leaderboard", "bench"),
+}  # fmt: skip
 MAGIC = b"PAR1"  # first bytes of a Parquet file
 
 # What stands in the record of a file, where it does.
@@ -60,18 +56,9 @@ RECORD: dict[str, type] = {
 
 def read_text(path: Path) -> str | None:
     """What a text file holds; None where there is none, or no text."""
-    try:
+    with contextlib.suppress(OSError, UnicodeError):
         return path.read_bytes().decode("utf-8")
-    except (OSError, UnicodeError):
-        return None
-
-
-def _field(name: str, array: Any, kind: str) -> Any:
-    import pyarrow as pa
-
-    column = describe(name, kind)
-    metadata = {"unit": column.unit, "frame": column.frame, "description": column.description}
-    return pa.field(name, array.type, metadata={key: value for key, value in metadata.items() if value} or None)
+    return None
 
 
 def write_table(
@@ -82,15 +69,15 @@ def write_table(
 
     arrays = {name: _arrow(values) for name, values in columns.items()}
     record = json.dumps({**metadata, "kind": kind, "schema": SCHEMA}, sort_keys=True, default=_plain)
-    fields = [_field(name, array, kind) for name, array in arrays.items()]
+    about = {name: {k: v for k, v in describe(name, kind)._asdict().items() if v} or None for name in arrays}
+    fields = [pa.field(name, array.type, metadata=about[name]) for name, array in arrays.items()]
     content = content_hash(arrays, arrays.values())
     digest = _digest(record.encode(), list(arrays), content)
     schema = pa.schema(fields, metadata={METADATA_KEY: record, HASH_KEY: digest, CONTENT_KEY: content})
     table = pa.Table.from_arrays(list(arrays.values()), schema=schema)
     text = [name for name, array in arrays.items() if pa.types.is_string(array.type)]
-    options = {"compression": "zstd", "use_dictionary": text, "write_page_checksum": True}
     with written(path, force=force) as file:
-        write_sealed(table, file, **options)
+        write_sealed(table, file, compression="zstd", use_dictionary=text, write_page_checksum=True)
     return Path(path)
 
 
@@ -122,14 +109,9 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
 
     path = Path(path)
     _check_kind_of_file(path, kind)
-    if not path.is_file():
-        maker = f" (made by `quadexp {COMMANDS[kind]}`)" if kind in COMMANDS else ""
-        raise UsageError(f"{path}: no such file{maker}")
     try:
         schema = pq.read_schema(path)
-    except (pa.ArrowException, OSError, MemoryError) as error:
-        raise DataError(f"{path}: not a Parquet file, or damaged ({first_line(error)}){_remade(kind)}") from None
-    except (UnicodeError, ValueError, OverflowError) as error:
+    except (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError) as error:
         raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
     raw = (schema.metadata or {}).get(METADATA_KEY, b"")
     try:
@@ -146,15 +128,16 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
         raise DataError(f"{path}: damaged, {wrong[0]!r} of its record is {str(record[wrong[0]])[:40]!r}")
     check_names(record, str(path))
     if kind is not None and found != kind:
-        raise WrongFileError(f"{path}: is {NAMES.get(found, found)}, {needed(kind)}")
+        raise WrongFileError(f"{path}: is {KINDS.get(found, (found,))[0]}, {_needed(kind)}")
     return record
 
 
-def needed(kind: str | None) -> str:
+def _needed(kind: str | None) -> str:
     """What is needed instead of a file of another kind, as the end of a message."""
     if kind is None:
         return "a file that quadexp wrote is needed here"
-    return f"{NAMES.get(kind, kind)} is needed here (made by `quadexp {COMMANDS[kind]}`)"
+    what, command = KINDS[kind]
+    return f"{what} is needed here (made by `quadexp {command}`)"
 
 
 def example_in(folder: Path) -> str:
@@ -165,18 +148,18 @@ def example_in(folder: Path) -> str:
 
 
 def _check_kind_of_file(path: Path, kind: str | None) -> None:
-    """Raise WrongFileError for a folder, with what to give instead, and for a file that is no Parquet file."""
+    """Raise UsageError where there is none, WrongFileError for a folder, with what to give instead, and for what is no
+    Parquet file."""
     if path.is_dir():
         hint = example_in(path) if kind in ("flight", None) else ""
-        raise WrongFileError(f"{path}: is a folder, {needed(kind)}{hint}")
-    try:
-        with open(path, "rb") as file:
-            start = file.read(len(MAGIC))
-    except OSError:
-        return  # which is said where it is read
-    if start != MAGIC:
-        what = "is empty" if not start else "not a Parquet file, or damaged from its first byte on"
-        raise WrongFileError(f"{path}: {what}; {needed(kind)}{_remade(kind)}")
+        raise WrongFileError(f"{path}: is a folder, {_needed(kind)}{hint}")
+    if not path.is_file():
+        maker = f" (made by `quadexp {KINDS[kind][1]}`)" if kind in KINDS else ""
+        raise UsageError(f"{path}: no such file{maker}")
+    with contextlib.suppress(OSError), open(path, "rb") as file:  # which is said where it is read
+        if (start := file.read(len(MAGIC))) != MAGIC:
+            what = "is empty" if not start else "not a Parquet file, or damaged from its first byte on"
+            raise WrongFileError(f"{path}: {what}; {_needed(kind)}{_remade(kind)}")
 
 
 def _remade(kind: str | None) -> str:
@@ -232,30 +215,21 @@ def _read_columns(file: Any) -> tuple[dict[str, np.ndarray], bytes]:
     return columns, content
 
 
-def _check_content(path: str | Path, metadata: Mapping[bytes, bytes], content: bytes, kind: str) -> None:
-    """Raise DataError where the columns are not those that were written; a file of before there was a hash is said."""
-    stored = metadata.get(CONTENT_KEY)
-    if stored is None:
-        _say_unhashed(path)
-    elif stored != content:
-        raise DataError(
-            f"{path}: its columns do not match their hash: it was edited or damaged after it was written;"
-            f" make it again{_remade(kind)}"
-        )
-
-
 _unhashed: list[str] = []  # files without a hash of their columns that were read
 
 
-def _say_unhashed(path: str | Path) -> None:
-    """Once a process, so that a hundred files are not a hundred lines."""
-    if not _unhashed:
-        print(
-            f"note: {printable(path)}: written before columns were hashed, so an edited number would not be noticed"
-            " (`quadexp show FILE` says it of each file)",
-            file=sys.stderr,
-        )
-    _unhashed.append(str(path))
+def _check_content(path: str | Path, metadata: Mapping[bytes, bytes], content: bytes, kind: str) -> None:
+    """Raise DataError where the columns are not those that were written; a file of before there was a hash is said,
+    once a process, so that a hundred files are not a hundred lines."""
+    stored = metadata.get(CONTENT_KEY)
+    if stored is None:
+        if not _unhashed:
+            text = "written before columns were hashed, so an edited number would not be noticed"
+            print(f"note: {printable(path)}: {text} (`quadexp show FILE` says it of each file)", file=sys.stderr)
+        _unhashed.append(str(path))
+    elif stored != content:
+        text = "its columns do not match their hash: it was edited or damaged after it was written; make it again"
+        raise DataError(f"{path}: {text}{_remade(kind)}")
 
 
 def column_names(path: str | Path, kind: str) -> tuple[list[str], dict[str, Any]]:
@@ -308,9 +282,8 @@ def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where:
             continue
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
-            raise DataError(
-                f"{where}: column {name!r} is {values[bad[0]]} at row {bad[0]} ({len(bad)} such rows of {len(values)})"
-            )
+            rows = f"at row {bad[0]} ({len(bad)} such rows of {len(values)})"
+            raise DataError(f"{where}: column {name!r} is {values[bad[0]]} {rows}")
 
 
 def check_whole(record: Mapping[str, Any], where: str) -> None:
@@ -327,10 +300,8 @@ def check_order(t: np.ndarray, where: str) -> None:
     late = np.flatnonzero(~(np.diff(t) > 0))
     if len(late):
         k = int(late[0])
-        raise DataError(
-            f"{where}: time does not go on from row {k} ({t[k]:.6g} s) to row {k + 1} ({t[k + 1]:.6g} s): sort the"
-            " rows, keep one of each time, or import the log again"
-        )
+        rows = f"row {k} ({t[k]:.6g} s) to row {k + 1} ({t[k + 1]:.6g} s)"
+        raise DataError(f"{where}: time does not go on from {rows}: sort the rows, or import the log again")
 
 
 def check_attitude(columns: Mapping[str, np.ndarray], where: str) -> None:

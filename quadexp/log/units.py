@@ -26,7 +26,7 @@ UNITS: dict[str, dict[str, float]] = {
     "force": {"N": 1.0, "mN": 1e-3, "gf": 1e-3 * STANDARD_GRAVITY},
     "none": {"1": 1.0},
 }  # fmt: skip
-ELECTRICAL = ("erpm",)  # turns of the motor's field: pole pairs times those of the rotor
+ELECTRICAL = "erpm"  # turns of the motor's field: pole pairs times those of the rotor
 
 # Axes of a frame in ENU or FLU, as the log's components: "y x -z" says ENU = (log y, log x, -log z).
 WORLD_FRAMES = {"enu": "x y z", "nwu": "-y x z", "ned": "y x -z", "nue": "z x y", "eus": "x -z y"}
@@ -73,8 +73,3 @@ def mounting_matrix(angles: Sequence[float]) -> np.ndarray:
 
     roll, pitch, yaw = angles
     return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix())
-
-
-def is_rotation(matrix: np.ndarray) -> bool:
-    """Whether axes, (3, 3) with entries 0 and +-1, are right-handed."""
-    return bool(np.linalg.det(matrix) > 0)

@@ -17,7 +17,7 @@ from matplotlib.colors import LogNorm, Normalize
 from quadexp.errors import UsageError
 from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
-from quadexp.log.signal.windows import STREAMS, Pair, cut, pairs
+from quadexp.log.signal.windows import Pair, cut, pairs, streams_of
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.style import COLOURS, ERROR_COLOURS, HUES, Figure, entries, error_bar, looks, plain_log, styled
 
@@ -199,29 +199,27 @@ def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -
 def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
     """Times of the windows, (n, k) (s), and what two streams say of the same quantity in each, by relation."""
     t = np.asarray(flight.t, float)
-    there = {name: columns for name, columns in STREAMS.items() if set(columns) <= set(flight.columns)}
-    streams = {name: flight.stack(columns).astype(float) for name, columns in there.items()}
-    streams = {name: values for name, values in streams.items() if np.isfinite(values).all(axis=1).mean() > 0.5}
+    streams = {name: x for name, x in streams_of(flight).items() if np.isfinite(x).all(axis=1).mean() > 0.5}
     good = np.isfinite(t) & np.all([np.isfinite(values).all(axis=1) for values in streams.values()], axis=0)
     windows = cut(t, streams, good, flight.columns.get("segment"))
-    return windows.t, {pair.relation: pair for pair in pairs(windows)} if len(windows.t) else {}
+    return windows.t, {pair.name: pair for pair in pairs(windows)} if len(windows.t) else {}
 
 
 def _overlay(panel: Any, t: np.ndarray, pair: Pair, row: int, sensor: str, computed: str) -> None:
     """The two lines of a panel, and its limits."""
     half = t.shape[1] // 2
-    halves = len(pair.found) == 2 * len(t)  # both halves of a window were compared
+    halves = len(pair.measured) == 2 * len(t)  # both halves of a window were compared
     time = np.concatenate([t[:, half // 2], t[:, half + half // 2]]) if halves else t[:, half]
     order = np.argsort(time, kind="stable")
-    time, expected, measured = time[order], pair.expected[order, row], pair.found[order, row]
+    time, expected, measured = time[order], pair.expected[order, row], pair.measured[order, row]
     gaps = np.diff(time)
     broken = np.flatnonzero(gaps > 3 * np.median(gaps)) + 1 if len(time) > 2 else np.zeros(0, int)
     time, expected, measured = (np.insert(x, broken, np.nan) for x in (time, expected, measured))
     panel.plot(time, expected, color=COLOURS[1], lw=1.6, label=computed)
-    if not pair.relation.startswith("thrust"):
+    if not pair.name.startswith("thrust"):
         panel.plot(time, measured, color=COLOURS[2], lw=0.8, label=sensor)
     low, high = np.nanquantile(np.concatenate([expected, measured]), [1 - QUIET, QUIET])
-    margin = max(0.15 * (high - low), 3 * pair.floor)
+    margin = max(0.15 * (high - low), 3 * pair.relation.floor)
     above = HEADROOM * (high - low + 2 * margin) if row == 0 else 0.0
     panel.set_ylim(low - margin, high + margin + above)
 

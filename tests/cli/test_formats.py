@@ -29,7 +29,7 @@ CALLS = {  # of each command: a call that answers with a table
     "show": ("show", "results"),
     "check": ("check", "a.parquet"),
     "identify": ("identify", "logged.parquet", "--no-figures", "--out", "e", "--force"),
-    "import": ("import", "a.parquet", "--log-format", "quadexp", "--keep", "--out", "flights", "--force"),
+    "import": ("import", "a.csv", "--keep", "--out", "flights", "--force"),
     "results": ("results", "results"),
     "validate": ("validate", "models/vehicle", "--flights", "logged.parquet"),
     "compare": ("compare", "results", "other"),
@@ -60,6 +60,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(made)
         assert run("simulate", *SHORT, "--out", "a.parquet")[0] == 0
+        assert run("export", "a.parquet", "--to", "csv", "--out", "a.csv")[0] == 0
         write_flight("logged.parquet", recorded_flight(1, crazyflie(), duration=8))
         assert run("identify", "logged.parquet", "--no-figures", "--out", "models/vehicle")[0] == 0
         assert run("collect", "collect.duration=12", "--out", "data.parquet")[0] == 0

@@ -124,7 +124,6 @@ def test_a_compiler_that_fails(tmp_path):
 @pytest.mark.parametrize(
     ("missing", "words"),
     [
-        ("mcap", ("export", "{flight}", "--to", "mcap")),
         ("rerun", ("export", "{flight}", "--to", "rerun")),
         ("distributed", ("evaluate", "--sweep", "--no-figures", *FLY[1:], "engine=dask")),
     ],

@@ -158,7 +158,7 @@ ELSEWHERE = {
     "quadexp.files.writer": "the writer",
     "quadexp.compile.backend": "a lock, and what is compiled, in a private folder",
     "quadexp.log.cell_store": "a lock",
-    "quadexp.log.exporters.rerun_file": "in a private folder",
+    "quadexp.log.exporters": "in a private folder",
     "quadexp.sweeps.cluster": "in a private folder",
     "quadexp.report.style": "hands what it is given on to matplotlib",
 }

@@ -109,37 +109,22 @@ def test_another_schema(tmp_path, monkeypatch):
         read_flight(path)
 
 
-class TestOutputs:
-    def test_looking_leaves_nothing_and_writing_makes_the_folders(self, tmp_path):
-        path = check_output(tmp_path / "new" / "deep" / "a.parquet")
-        check_output(tmp_path / "other" / "folder", folder=True)
-        assert not any(tmp_path.iterdir())
-        assert write_flight(path, straight_flight()).exists()
+def test_looking_for_a_place_leaves_nothing_and_writing_makes_the_folders(tmp_path):
+    path = check_output(tmp_path / "new" / "deep" / "a.parquet")
+    assert check_output(tmp_path, folder=True) == tmp_path and not any(tmp_path.iterdir())
+    assert write_flight(path, straight_flight()).exists() and check_output(path, force=True) == path
 
-    def test_an_existing_file_is_refused_unless_forced(self, tmp_path):
-        path = tmp_path / "a.parquet"
-        path.touch()
-        with pytest.raises(UsageError, match="exists already; pass --force"):
-            check_output(path)
-        assert check_output(path, force=True) == path
 
-    def test_a_folder_where_a_file_is_needed(self, tmp_path):
-        with pytest.raises(UsageError, match="is a folder"):
-            check_output(tmp_path, force=True)
-
-    def test_an_empty_folder_is_nothing_in_the_way(self, tmp_path):
-        assert check_output(tmp_path, folder=True) == tmp_path
-
-    @pytest.mark.parametrize("blocked", ["/proc/quadexp/a.parquet", "/dev/null/a.parquet"])
-    def test_a_place_that_cannot_be_written(self, blocked):
-        # A read-only folder for whoever runs this, root included (root ignores permission bits).
-        with pytest.raises(UsageError, match="cannot be written there"):
-            check_output(blocked)
-
-    def test_below_a_regular_file(self, tmp_path):
-        (tmp_path / "file").touch()
-        with pytest.raises(UsageError, match="cannot be written there"):
-            check_output(tmp_path / "file" / "a.parquet")
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [("file", "exists already; pass --force"), ("", "is a folder"), ("file/a.parquet", "cannot be written there"),
+     # a read-only folder for whoever runs this, root included (root ignores permission bits)
+     ("/proc/quadexp/a.parquet", "cannot be written there"), ("/dev/null/a.parquet", "cannot be written there")],
+)  # fmt: skip
+def test_a_place_that_will_not_do(tmp_path, place, said):
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=said):
+        check_output(tmp_path / place, force=said == "is a folder")
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32", "int8", "int16", "int32", "int64", "uint8"])

@@ -13,13 +13,13 @@ import numpy as np
 
 from quadexp.log.check import rotors, samples, search
 from quadexp.log.check.candidates import KEYS, Candidate
-from quadexp.log.check.commands import check_commands, check_flown, check_voltage
 from quadexp.log.check.duplicates import check_duplicates
 from quadexp.log.check.finding import Finding, worst_first
+from quadexp.log.check.rotors import check_commands, check_flown, check_voltage
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream, increasing
 from quadexp.log.signal.offset import find_offsets, turning_offset
-from quadexp.log.signal.windows import STREAMS, Windows, cut
+from quadexp.log.signal.windows import Windows, cut, streams_of
 from quadexp.physics.vehicle import Vehicle
 
 __all__ = ["Finding", "check_flight", "check_flights", "inspect_flight"]
@@ -49,24 +49,22 @@ def check_flights(
     """Findings of every flight by its name, those about several flights (duplicates, rotors) among them."""
     same = check_duplicates(flights) if len(flights) > 1 else {}
     found: dict[str, list[Finding]] = {}
-    silent: dict[tuple[Vehicle, str], list[tuple[str, rotors.Motion]]] = {}
+    unsure: dict[tuple[Vehicle, str], dict[str, rotors.Motion]] = {}
     for name, flight in flights.items():
         vehicle = vehicles.get(name) if isinstance(vehicles, Mapping) else vehicles
         findings, _, motion = inspect_flight(flight, vehicle)
         found[name] = same.get(name, []) + findings
-        if vehicle is None or motion is None:
-            continue
-        verdict, kind = rotors.judge([motion], vehicle), rotors.signal_kind(flight)
-        found[name] += rotors.rotor_findings(verdict, kind, vehicle)
-        if verdict is None or not (verdict.sure and verdict.spin):
-            silent.setdefault((vehicle, kind), []).append((name, motion))
-    for (vehicle, kind), members in silent.items():  # flights too short by themselves may tell it together
-        if len(members) > 1:
-            verdict = rotors.judge([motion for _, motion in members], vehicle)
-            for name, _ in members:
-                known = {one.name for one in found[name]}
-                together = rotors.rotor_findings(verdict, kind, vehicle)
-                found[name] += [one for one in together if one.name not in known]
+        if vehicle is not None and motion is not None:
+            verdict, kind = rotors.judge([motion], vehicle), rotors.signal_kind(flight)
+            found[name] += rotors.rotor_findings(verdict, kind, vehicle)
+            if verdict is None or not (verdict.sure and verdict.spin):
+                unsure.setdefault((vehicle, kind), {})[name] = motion
+    for (vehicle, kind), motions in unsure.items():  # flights too short by themselves may tell it together
+        verdict = rotors.judge([*motions.values()], vehicle) if len(motions) > 1 else None
+        together = rotors.rotor_findings(verdict, kind, vehicle)
+        for name in motions:
+            known = {finding.name for finding in found[name]}
+            found[name] += [finding for finding in together if finding.name not in known]
     return {name: worst_first(findings) for name, findings in found.items()}
 
 
@@ -80,7 +78,7 @@ def inspect_flight(
     if len(t) < 3:
         text = f"{len(t)} samples"
         return [Finding("no_flight", "blocking", "all samples", text, f"{SHORT:g} s of flight")], bad_rows, None
-    streams = _streams(flight)
+    streams = {name: x for name, x in streams_of(flight).items() if np.isfinite(x).all(axis=1).any()}
     found = samples.check_clock(t, streams, flight.columns.get("segment"))
     found += samples.check_finite(flight.columns, t)
     repeated, first = samples.check_repeats(flight.columns, t)
@@ -116,14 +114,18 @@ def inspect_flight(
     bad = _spiky(streams, len(t)) | lost | stuck | ~_finite(streams)
     repaired, explained = _consistency(t, streams, bad, segment)
     found += explained + _check_offset(repaired, t, ~bad)
-    spikes, spiky = samples.check_spikes(repaired, t, _limits(vehicle))
+    hardest = HARD_LIMIT
+    if vehicle is not None:
+        thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+        hardest = min(HARD_LIMIT, THRUST_MARGIN * thrust + 2 * vehicle.gravity)
+    spikes, spiky = samples.check_spikes(repaired, t, {"f": hardest})
     for name, mask in spiky.items():
         mark(f"{KEYS[name]}_outlier", mask)
     wrong = np.logical_or.reduce([lost, *(spiky[name] for name in "pv" if name in spiky)])
     for one, when in search.stray(cut(t, repaired, _finite(repaired) & ~wrong, segment)):
         found.append(one)
         spike = spiky.get("w" if one.name == "rate_outlier" else "f", np.zeros(len(t), bool))
-        mark(one.name, _within(t, when[~_holds(t, when, spike)]))  # a spike is bad, not the windows around it
+        mark(one.name, _stray_rows(t, when, spike))
     found += [one for one in spikes if one.name not in {other.name for other in found}]
     commands, impossible = check_commands(kept, vehicle)
     mark("impossible_command", impossible)
@@ -136,34 +138,20 @@ def inspect_flight(
     return worst_first(found), bad_rows, motion
 
 
-def _holds(t: np.ndarray, when: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Whether each stretch of `when`, (n, 2) (s), contains one of the samples, (n,)."""
-    count = np.concatenate([[0], np.cumsum(rows)])
-    return count[np.searchsorted(t, when[:, 1], side="right")] > count[np.searchsorted(t, when[:, 0])]
-
-
-def _within(t: np.ndarray, when: np.ndarray) -> np.ndarray:
-    """Samples in any of the stretches when (n, 2) (s), (k,)."""
+def _stray_rows(t: np.ndarray, when: np.ndarray, spikes: np.ndarray) -> np.ndarray:
+    """Samples, (k,), in the stretches when (n, 2) (s) that hold no spike, (k,): else the spike alone is bad."""
+    first, stop = np.searchsorted(t, when[:, 0]), np.searchsorted(t, when[:, 1], side="right")
+    count = np.concatenate([[0], np.cumsum(spikes)])
+    without = count[stop] == count[first]
     edges = np.zeros(len(t) + 1, int)
-    np.add.at(edges, np.searchsorted(t, when[:, 0]), 1)
-    np.add.at(edges, np.searchsorted(t, when[:, 1], side="right"), -1)
+    np.add.at(edges, first[without], 1)
+    np.add.at(edges, stop[without], -1)
     return np.cumsum(edges)[:-1] > 0
 
 
 def _finite(streams: Mapping[str, np.ndarray]) -> np.ndarray:
     """Samples at which every stream has numbers, (k,)."""
     return np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in streams.values()])
-
-
-def _streams(flight: Flight) -> dict[str, np.ndarray]:
-    """The motion's streams that the flight has, those without a single finite sample left out."""
-    found = {}
-    for name, columns in STREAMS.items():
-        if set(columns) <= set(flight.columns):
-            values = np.stack([flight.columns[column] for column in columns], axis=-1).astype(float, copy=False)
-            if np.isfinite(values).all(axis=1).any():
-                found[name] = values
-    return found
 
 
 def _spiky(streams: Mapping[str, np.ndarray], length: int) -> np.ndarray:
@@ -193,8 +181,8 @@ def _consistency(
             for name in set("wf") & streams.keys():
                 columns = np.nan_to_num(streams[name]).T
                 shifted[name] = np.stack([np.interp(t + late.seconds, t, column) for column in columns], axis=-1)
-    taken, windows, found = search.explain(cut(t, shifted, ~bad, segment))
-    return _repaired(t, streams, taken), found + search.disagreements(windows)
+    taken, found = search.explain(cut(t, shifted, ~bad, segment))
+    return _repaired(t, streams, taken), found
 
 
 def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candidate]) -> dict[str, np.ndarray]:
@@ -224,11 +212,3 @@ def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.nda
     text += f", correlation {offset.correlation:.2f}"
     severity, where = "blocking" if abs(offset.seconds) > OFFSET_BLOCKS else "warning", "w_*, acc_* against q_*, p_*"
     return [Finding("time_offset", severity, where, text, f"{limit * 1e3:.0f} ms", "`import --align` corrects it")]
-
-
-def _limits(vehicle: Vehicle | None) -> dict[str, float]:
-    """Largest specific force that can be real."""
-    if vehicle is None:
-        return {"f": HARD_LIMIT}
-    thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
-    return {"f": min(HARD_LIMIT, THRUST_MARGIN * thrust + 2 * vehicle.gravity)}

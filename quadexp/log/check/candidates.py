@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from quadexp.log.importers.mapping import correction
 from quadexp.log.importers.raw import corrected
 from quadexp.log.signal import Stream
-from quadexp.log.signal.windows import STREAMS, UP, Pair, Windows, pairs
-from quadexp.log.units import axes_matrix, axes_words
+from quadexp.log.signal.windows import RELATIONS, STREAMS, UP, Pair, Windows, pairs
+from quadexp.log.units import UNITS, axes_matrix, axes_words
 from quadexp.messages import yaml
 
 COLUMNS = {"p": "p_*", "v": "v_*", "w": "w_*", "f": "acc_*", "q": "q_*", "t": "t"}
@@ -179,9 +179,8 @@ def _attitudes(present: frozenset[str]) -> Iterator[Row]:
 
 def clock_candidate(gain: float) -> Candidate:
     """The clock runs `gain` times too fast, so that every rate of change is too small by that factor."""
-    known = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-    unit = next((unit for unit, factor in known.items() if abs(gain / factor - 1) < 0.05), None)
-    lines: Correction = {"time": {"unit": unit} if unit else {"scale": _digits(1 / gain)}}
+    unit = next((unit for unit, size in UNITS["time"].items() if size < 1 and abs(gain * size - 1) < 0.05), None)
+    lines: Correction = {"time": {"unit": unit} if unit else {"scale": float(f"{1 / gain:.5g}")}}
     text = f"{unit}, not s" if unit else f"the clock runs {gain:.4g} times as fast as the motion"
     return Candidate("units" if unit else "clock_scale", "t", text, lines)
 
@@ -190,13 +189,9 @@ def scale_candidates(gain: float, streams: str) -> tuple[Candidate, ...]:
     """One of two streams is too large by a factor that no unit explains; `gain`: of the first over the second."""
     factors = [(streams[0], gain, 1.3), *([("p", 1 / gain, 1.4)] if streams[1] == "p" else [])]
     return tuple(
-        Candidate("scale", name, f"{factor:.4g} times too large", {KEYS[name]: {"scale": _digits(1 / factor)}}, cost)
-        for name, factor, cost in factors
+        Candidate("scale", name, f"{size:.4g} times too large", {KEYS[name]: {"scale": float(f"{1 / size:.5g}")}}, cost)
+        for name, size, cost in factors
     )
-
-
-def _digits(factor: float) -> float:
-    return float(f"{factor:.5g}")
 
 
 # --------------------------------------------------------------------------------------------------------- mounting
@@ -226,32 +221,31 @@ def mounting_candidates(windows: Windows) -> list[Candidate]:
     the body's z nearly always, so that an accelerometer alone hardly tells a turn about z: where its standard error is
     too large for what it finds, that turn is left out.
     """
-    found = {pair.relation: pair for pair in pairs(windows)}
-    if "force" not in found and "force (p)" in found:
-        found["force"] = found["force (p)"]
+    found = {pair.name: pair for pair in pairs(windows)}
+    if "force (p)" in found:
+        found.setdefault("force", found["force (p)"])
     made = []
     for streams, (relations, cost, words) in SENSORS.items():
-        known = [pair for relation in relations if (pair := found.get(relation)) is not None]
-        estimated = _estimate(known, len(windows.t)) if len(known) == len(relations) else None
-        if estimated is not None:
-            made.append(_candidate(streams, *estimated, cost, words))
+        if set(relations) <= found.keys():
+            estimated = _estimate([found[name] for name in relations], len(windows.t))
+            made += [] if estimated is None else [_candidate(streams, *estimated, cost, words)]
     return made
 
 
 def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | None:
-    """The rotation of the found sides of these relations onto the expected ones, and the standard errors of the turn
+    """The rotation of the measured sides of these relations onto the expected ones, and the standard errors of the turn
     about x, y, z (deg); None where there is none."""
-    alone = all(pair.relation != "rate" for pair in known)
-    expected, found, stretch = [], [], []
-    for pair in known:
-        if pair.relation == "rate" and np.sqrt(np.mean(np.sum(pair.expected**2, axis=1))) < LEAST_MOTION * pair.floor:
+    alone = all(pair.name != "rate" for pair in known)
+    parts = []
+    for name, expected, measured in known:
+        floor = RELATIONS[name].floor
+        if name == "rate" and np.sqrt(np.mean(np.sum(expected**2, axis=1))) < LEAST_MOTION * floor:
             return None
-        size = np.linalg.norm(pair.expected - _kabsch(pair.expected, pair.found).apply(pair.found), axis=1)
+        size = np.linalg.norm(expected - _kabsch(expected, measured).apply(measured), axis=1)
         near = size <= np.quantile(size, KEPT_WINDOWS)
-        expected.append(pair.expected[near] / pair.floor)
-        found.append(pair.found[near] / pair.floor)
-        stretch.append((np.arange(len(pair.found)) % windows * STRETCHES // windows)[near])
-    x, y, part = np.concatenate(expected), np.concatenate(found), np.concatenate(stretch)
+        stretch = np.arange(len(measured)) % windows * STRETCHES // windows
+        parts.append((expected[near] / floor, measured[near] / floor, stretch[near]))
+    x, y, part = (np.concatenate(side) for side in zip(*parts, strict=True))
     if len(x) < 3 * STRETCHES or not (np.isfinite(x).all() and np.isfinite(y).all()):
         return None
     turn = _kabsch(x, y)

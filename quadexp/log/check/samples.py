@@ -65,7 +65,7 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
     kept = np.ones(len(t), bool)
     if not names or len(t) < LEAST_ROWS:
         return [], kept
-    number = _row_numbers([columns[name] for name in names])
+    number = row_numbers([columns[name] for name in names])
     _, first, inverse = np.unique(number, return_index=True, return_inverse=True)
     again = first[inverse.ravel()] < np.arange(len(t))
     for start, stop in runs(np.concatenate([[False], number[1:] == number[:-1]])):
@@ -79,7 +79,7 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
     return [of_rows("duplicated_rows", severity, "", rows, t, text, "none")], kept & ~again
 
 
-def _row_numbers(columns: list[np.ndarray]) -> np.ndarray:
+def row_numbers(columns: list[np.ndarray]) -> np.ndarray:
     """A number for every sample, (k,): the same for the same bits, another one (but for 1 in 2^64) for others."""
     total = np.zeros(len(columns[0]), np.uint64)
     for column in columns:
@@ -97,50 +97,40 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
     least = max(LEAST_ROWS, int(np.ceil(FROZEN / step))) if step > 0 else len(t) + 1
     moving = _moving(streams, t)
     for name, values in streams.items():
-        same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
-        stuck = [
-            (start - 1, stop) for start, stop in runs(same)
-            if stop - start + 1 >= least and np.mean(moving[name][start - 1 : stop]) > MOVES
-        ]  # fmt: skip
+        same = np.concatenate([(values[1:] == values[:-1]).all(axis=1), [False]])  # as the next one
+        stuck, mask = 0, np.zeros(len(t), bool)
+        for start, stop in runs(same):
+            if stop - start + 1 >= least and np.mean(moving[name][start : stop + 1]) > MOVES:
+                mask[start : stop + 1], stuck = True, stuck + 1
+        frozen |= mask
         if stuck:
-            mask = np.zeros(len(t), bool)
-            for start, stop in stuck:
-                mask[start:stop] = True
-            frozen |= mask
-            worst = max(stuck, key=lambda run: run[1] - run[0])
-            text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {len(stuck)} times"
+            worst = longest(mask)
+            text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {stuck} times"
             text += f" ({mask.mean():.1%} of the samples)"
             severity = "blocking" if mask.mean() > 0.02 else "warning"
             found.append(of_rows("frozen_sensor", severity, COLUMNS[name], worst, t, text, f"{FROZEN:g} s"))
-            continue
-        axes, proved = _still_axes(name, values, streams, t)
-        if axes:
-            columns = " ".join(STREAMS[name][i] for i in axes)
-            text = "one value throughout while " + ("the vehicle moves along it" if proved else "the others change")
-            found.append(Finding("frozen_sensor", "blocking" if proved else "warning", columns, text, f"{FROZEN:g} s"))
+        elif columns := _still_axes(name, streams, t):
+            text = "one value throughout while the vehicle moves along it"
+            found.append(Finding("frozen_sensor", "blocking", columns, text, f"{FROZEN:g} s"))
     return found, frozen
 
 
-def _still_axes(name: str, values: np.ndarray, streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[int], bool]:
-    """Axes that never change though others of the sensor do, and whether another stream moves along one of them.
+def _still_axes(name: str, streams: dict[str, np.ndarray], t: np.ndarray) -> str:
+    """Columns that never change though another stream moves along them.
 
-    A simulated flight in a plane has such axes, and its attitude too: nothing is wrong with it.
+    A simulated flight in a plane has axes that never change, and its attitude too: nothing is wrong with it.
     """
-    still = np.ptp(values, axis=0) == 0
-    if name == "q" or still.all() or not still.any():
-        return [], False
-    axes = [int(i) for i in np.flatnonzero(still)]
-    twin = {"p": "v", "v": "p", "w": "q"}.get(name)
-    if twin not in streams:
-        return (axes if name != "f" or values[0, axes].any() else []), False
+    still, twin = np.ptp(streams[name], axis=0) == 0, {"p": "v", "v": "p", "w": "q"}.get(name, "")
+    if still.all() or not still.any() or twin not in streams:
+        return ""
     part = slice(None, None, max(1, len(t) // MOST_ROWS))
     other = streams[twin][part]
     if name == "v":
         other = np.diff(other, axis=0) / np.diff(t[part])[:, None]
     elif name == "w":
         other = attitude_rate(t[part], other)
-    moving = [i for i in axes if np.sqrt(np.nanmean(other[:, i] ** 2)) > MOVES]
-    return moving, bool(moving)
+    moves = np.sqrt(np.nanmean(other**2, axis=0)) > MOVES
+    return " ".join(column for column, dead in zip(STREAMS[name], still & moves, strict=True) if dead)
 
 
 def _moving(streams: dict[str, np.ndarray], t: np.ndarray) -> dict[str, np.ndarray]:
@@ -214,25 +204,23 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
         return [], dead
     x = np.concatenate([streams[name] for name in names], axis=1)
     bend, usual, limit = _bend(x, t, m)
-    if not bend.shape[1]:
-        return [], dead
-    lines = []
-    for start, stop in runs(np.asarray((bend <= limit).all(axis=1))):
+    longest_line, lines = (0, 0), 0
+    for start, stop in runs(np.asarray((bend <= limit).all(axis=1))) if len(usual) else ():
         low, high = max(0, start - m), min(len(t), stop + m)  # the line goes on to where its ends are
         kink = max(float((bend[part] / usual).max(initial=0.0)) for part in (slice(low, start), slice(stop, stop + m)))
         if t[high - 1] - t[low] >= LEAST_LINE and kink > KINK:
-            dead[low:high] = True
-            lines.append((low, high))
+            dead[low:high], lines = True, lines + 1
+            longest_line = max(longest_line, (low, high), key=lambda line: line[1] - line[0])
     if not lines:
         return [], dead
-    start, stop = max(lines, key=lambda run: run[1] - run[0])
+    start, stop = longest_line
     what = "stands still" if np.ptp(x[start:stop], axis=0).max() == 0 else "is a straight line"
-    several = f", {len(lines)} such stretches" if len(lines) > 1 else ""
+    several = f", {lines} such stretches" if lines > 1 else ""
     text = f"the state {what} for {t[stop - 1] - t[start]:.2f} s ({dead.mean():.1%} of the samples{several})"
     text += ": nothing was logged, values were filled in"
     severity = "blocking" if dead.mean() > LINE_BLOCKS else "warning"
     columns = ", ".join(COLUMNS[name] for name in names)
-    return [of_rows("dead_logger", severity, columns, (start, stop), t, text, f"{LEAST_LINE:g} s", CUT)], dead
+    return [of_rows("dead_logger", severity, columns, longest_line, t, text, f"{LEAST_LINE:g} s", CUT)], dead
 
 
 def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -246,18 +234,13 @@ def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray,
     share = ((t[m:-m] - t[: -2 * m]) / np.maximum(t[2 * m :] - t[: -2 * m], 1e-9))[:, None]
     bend[m:-m] = 2 * np.minimum(*(np.abs(first + s * (last - first) - middle) for s in (share, 0.5)))
     bend[~np.isfinite(bend)] = np.inf
-    kept, usual, limit = [], [], []
-    for i, column in enumerate(x.T):
-        inner = bend[m:-m, i]
-        inner = inner[np.isfinite(inner) & (inner > 1e-12 * max(1e-12, np.nanmax(np.abs(column))))]
-        if len(inner) < 10:
-            continue
-        size, digit = float(np.median(inner)), _digit(column)
-        if 4.2 * digit <= ROUNDED * size:
-            kept.append(i)
-            usual.append(size)
-            limit.append(max(STRAIGHT * size, 4.2 * digit))
-    return bend[:, kept], np.array(usual), np.array(limit)
+    least = 1e-12 * np.maximum(1e-12, np.nanmax(np.abs(x), axis=0))
+    inner = np.where(np.isfinite(bend) & (bend > least), bend, np.nan)
+    tells = np.isfinite(inner).sum(axis=0) >= 10
+    usual = np.array([np.nanmedian(column) if known else 0.0 for column, known in zip(inner.T, tells, strict=True)])
+    digit = 4.2 * np.array([_digit(column) for column in x.T])
+    tells &= digit <= ROUNDED * usual
+    return bend[:, tells], usual[tells], np.maximum(STRAIGHT * usual, digit)[tells]
 
 
 def _digit(column: np.ndarray) -> float:
@@ -277,16 +260,15 @@ def check_clock(
     A step longer than GAP periods is a gap if the flight went on meanwhile, and a leap of the clock if position did not
     move as far as the velocity times the step says. streams: p and v, (k, 3). segment (k,): gaps already marked.
     """
+    bad = np.flatnonzero(~np.isfinite(t))
+    if len(bad):
+        return [Finding("not_finite", "blocking", f"t, sample {bad[0]}", f"{len(bad)} times", "none")]
     found: list[Finding] = []
 
     def add(name: str, severity: str, k: int, text: str, allowed: str, advice: str = "", last: int = -1) -> None:
         span = (float(t[k]), float(t[last])) if last >= 0 else None
         found.append(Finding(name, severity, f"t, sample {k + 1}", text, allowed, advice, span))
 
-    bad = np.flatnonzero(~np.isfinite(t))
-    if len(bad):
-        add("not_finite", "blocking", int(bad[0]) - 1, f"{len(bad)} times", "none")
-        return found
     steps = np.diff(t)
     back, same, positive = np.flatnonzero(steps < 0), np.flatnonzero(steps == 0), steps[steps > 0]
     if len(back):
@@ -333,9 +315,7 @@ def _leaps(k: int, t: np.ndarray, period: float, streams: Mapping[str, np.ndarra
     else:
         before = (p[k] - p[k - 2]) / max(t[k] - t[k - 2], period)
         after = (p[k + 2] - p[k + 1]) / max(t[k + 2] - t[k + 1], period)
-    if not np.isfinite([before, after, p[k], p[k + 1]]).all():
-        return False
     speed, gone = np.linalg.norm((before + after) / 2), np.linalg.norm(p[k + 1] - p[k])
     turned = np.linalg.norm(after - before)
-    # a vehicle that flew on for the whole step would be far away, or would have changed its velocity
+    # a vehicle that flew on for the whole step would be far away, or would have changed its velocity; NaN is no leap
     return bool(speed * (t[k + 1] - t[k]) > 0.05 and gone < 3 * speed * period + 0.01 and turned < 0.2 * speed + 0.05)

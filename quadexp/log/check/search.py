@@ -28,7 +28,7 @@ from quadexp.log.check.candidates import (
     scale_candidates,
 )
 from quadexp.log.check.finding import LEAVE_OUT, Finding
-from quadexp.log.signal.windows import SIDES, Pair, Windows, pairs
+from quadexp.log.signal.windows import Pair, Relation, Windows, pairs
 
 INDEPENDENT = 60
 LEAST_WINDOWS = 10
@@ -45,16 +45,6 @@ TELLING = 0.6  # of a residual that may be left once a factor is undone
 CLEAR = 0.4  # of a residual that may be left for a log without IMU to have axes that no convention has
 ALIKE = 0.98  # correlation above which a factor between two streams is judged
 DISAGREE = 0.7  # residual over signal above which two streams disagree
-WEIGHT = {"force (p)": 0.5, "thrust (p)": 0.5}
-WORDS = {
-    "velocity": ("v against dp/dt", "m/s"),
-    "rate": ("w against the derivative of the attitude", "rad/s"),
-    "force": ("acc against R^T (dv/dt + g)", "m/s^2"),
-    "force (p)": ("acc against R^T (d2p/dt2 + g)", "m/s^2"),
-    "push": ("acc_z against thrust along +z", "m/s^2"),
-    "thrust": ("R^T (dv/dt + g) against thrust along +z", "m/s^2"),
-    "thrust (p)": ("R^T (d2p/dt2 + g) against thrust along +z", "m/s^2"),
-}
 
 
 class Agreement(NamedTuple):
@@ -64,7 +54,7 @@ class Agreement(NamedTuple):
     residual beyond the floor, in floors.
     """
 
-    relation: str
+    relation: Relation
     residual: np.ndarray
     signal: np.ndarray
     correlation: float
@@ -86,12 +76,12 @@ class Agreement(NamedTuple):
 
     @property
     def columns(self) -> str:
-        return ", ".join(COLUMNS[stream] for stream in SIDES[self.relation])
+        return ", ".join(COLUMNS[stream] for stream in self.relation.streams)
 
     @property
     def words(self) -> str:
-        what, unit = WORDS[self.relation]
-        return f"{what}: differs by {self.left:.3g} {unit} rms of {np.linalg.norm(self.signal):.3g}"
+        size = np.linalg.norm(self.signal)
+        return f"{self.relation.words}: differs by {self.left:.3g} {self.relation.unit} rms of {size:.3g}"
 
 
 Agreements = dict[str, Agreement]  # by relation
@@ -99,17 +89,17 @@ Agreements = dict[str, Agreement]  # by relation
 
 def agreement(pair: Pair, floor: float | None = None) -> Agreement:
     """Compare the two sides of a relation over the smaller nine tenths of its windows. floor: other than the usual."""
-    gap = pair.found - pair.expected
+    gap = pair.measured - pair.expected
     half, most = len(gap) // 2, int(KEPT * (len(gap) - 1))
     scale = np.maximum(np.partition(np.abs(gap), half, axis=0)[half], 1e-9)
     apart = np.einsum("ni,ni,i->n", gap, gap, scale**-2)
     kept = apart <= np.partition(apart, most)[most]
-    gap, expected, seen = gap[kept], pair.expected[kept], pair.found[kept]
+    gap, expected, seen = gap[kept], pair.expected[kept], pair.measured[kept]
     a, b = expected - expected.mean(axis=0), seen - seen.mean(axis=0)
     aa, bb, ab = float(np.vdot(a, a)), float(np.vdot(b, b)), float(np.vdot(a, b))
     correlation, gain = (ab / np.sqrt(aa * bb), float(np.sqrt(bb / aa) * np.sign(ab))) if aa * bb > 0 else (0.0, 1.0)
     square = np.mean(gap**2, axis=0)
-    weight, floor = WEIGHT.get(pair.relation, 1.0), floor or pair.floor
+    weight, floor = pair.relation.weight, floor or pair.relation.floor
     return Agreement(
         pair.relation, np.sqrt(square), a.std(axis=0), float(correlation), gain, floor,
         size=float(np.sqrt(np.vdot(expected, expected) / len(gap))),
@@ -120,7 +110,7 @@ def agreement(pair: Pair, floor: float | None = None) -> Agreement:
 
 def agreements(windows: Windows, known: Agreements | None = None, changed: str = "tpqvwf") -> Agreements:
     """Of every relation; those that have none of the streams `changed` are taken from `known`."""
-    return {**(known or {}), **{pair.relation: agreement(pair) for pair in pairs(windows, changed)}}
+    return {**(known or {}), **{pair.name: agreement(pair) for pair in pairs(windows, changed)}}
 
 
 def evidence(relations: Agreements) -> float:
@@ -192,7 +182,7 @@ class Trial:
     def finding(self, rival: Trial | None) -> Finding:
         """rival: the next best candidate, where it lies less than MARGIN behind."""
         one, name = self.candidate, self.telling
-        rest, unit = self.after[name].left, WORDS[name][1]
+        rest, unit = self.after[name].left, self.after[name].relation.unit
         text = f"{one.text}: {self.before[name].words}, by {rest:.3g} {unit} once that is corrected"
         advice = "correct the mapping of the import: " + ", ".join(f"`{line}`" for line in one.lines)
         advice += f"; or import {one.options}" if one.options else ""
@@ -205,9 +195,8 @@ class Trial:
         return Finding(one.fault, one.severity, one.where, text, allowed, advice, correction=one.correction)
 
 
-def explain(windows: Windows) -> tuple[list[Candidate], Windows, list[Finding]]:
-    """The candidates that explain the flight, best first; the windows after them; and the findings, a misfit that none
-    explains among them.
+def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
+    """The candidates that explain the flight, best first; and the findings, what none explains among them.
 
     A turned sensor is the first candidate: another one is taken only where it explains the flight clearly better. One
     that would block and leaves MOST_LEFT of the misfit or more is not taken.
@@ -238,7 +227,15 @@ def explain(windows: Windows) -> tuple[list[Candidate], Windows, list[Finding]]:
         taken.append(best.candidate)
         windows, named = best.windows, []
         before = agreements(windows)
-    return taken, windows, findings
+    for relation in before.values():
+        moving = np.linalg.norm(relation.signal) > 2 * relation.floor
+        if moving and relation.ratio > DISAGREE and relation.correlation < 0.5:
+            text = (
+                f"{relation.words}, correlation {relation.correlation:.2f}; no change of unit, frame or sign mends it"
+            )
+            allowed = f"{DISAGREE:.0%} of the signal"
+            findings.append(Finding("inconsistent", "blocking", relation.columns, text, allowed))
+    return taken, findings
 
 
 def _tried(one: Candidate, windows: Windows, before: Agreements) -> Trial | None:
@@ -340,12 +337,12 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
     if len(windows.t) < LEAST_WINDOWS:
         return []
     found = []
-    every = {pair.relation: pair for pair in pairs(windows)}
+    every = {pair.name: pair for pair in pairs(windows)}
     for name, relations in (("acceleration_outlier", ("force", "force (p)")), ("rate_outlier", ("rate",))):
         pair = next((every[relation] for relation in relations if relation in every), None)
         if pair is None:
             continue
-        size = np.linalg.norm(pair.found - pair.expected, axis=1)
+        size = np.linalg.norm(pair.measured - pair.expected, axis=1)
         limit = max(STRAY * 1.4826 * float(np.median(size)), STRAY_FLOOR[name])
         bad = size > limit
         if bad.mean() < 0.005 or bad.mean() > 0.4:  # a knock, or something else than a stretch
@@ -353,19 +350,8 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
         ends = np.stack([windows.t[:, 0], windows.t[:, -1]], axis=1)
         when = (np.concatenate([ends, ends]) if len(size) == 2 * len(ends) else ends)[bad]
         low, high = float(when[:, 0].min()), float(when[:, 0].max())
-        text = f"off by up to {size.max():.4g} {WORDS[pair.relation][1]} in {bad.mean():.1%} of the windows"
+        text = f"off by up to {size.max():.4g} {pair.relation.unit} in {bad.mean():.1%} of the windows"
         where = f"{COLUMNS['w' if name == 'rate_outlier' else 'f']}, {low:.2f}..{high:.2f} s"
         allowed = f"{limit:.3g} from the motion"
         found.append((Finding(name, "blocking", where, text, allowed, LEAVE_OUT, (low, high)), when))
-    return found
-
-
-def disagreements(windows: Windows) -> list[Finding]:
-    """Relations that no candidate explains."""
-    found = []
-    for one in agreements(windows).values():
-        moving = np.linalg.norm(one.signal) > 2 * one.floor
-        if moving and one.ratio > DISAGREE and one.correlation < 0.5:
-            text = f"{one.words}, correlation {one.correlation:.2f}; no change of unit, frame or sign mends it"
-            found.append(Finding("inconsistent", "blocking", one.columns, text, f"{DISAGREE:.0%} of the signal"))
     return found

@@ -12,8 +12,8 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.mapping import PLACES, ROTORS, Crop, columns_of
 from quadexp.log.importers.raw import RawLog
-from quadexp.log.signal import Stream, continuous, derivative, resample, runs
-from quadexp.log.signal.stream import GAP_PERIODS
+from quadexp.log.signal import GAP_PERIODS, Stream, continuous, derivative, runs
+from quadexp.log.signal.resample import resample
 from quadexp.physics.vehicle import Vehicle
 
 HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
@@ -86,38 +86,31 @@ def assemble(
 
 def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
     """Leave out what was logged for a small part of the flight: all streams are cut to the time they share."""
-    spans = {name: (streams[name].t[0], streams[name].t[-1]) for name in CORE if name in streams}
-    longest = max((end - start for start, end in spans.values()), default=0.0)
-    for name, (start, end) in spans.items():
-        if end - start < LEAST_SHARE["core"] * longest:
-            notes.append(f"{name}: {end - start:.3g} s of {longest:.3g} s: left out")
+
+    def leave_out(name: str, covered: float, whole: float, share: float) -> None:
+        if covered < share * whole:
+            notes.append(f"{name}: {covered:.3g} s of {whole:.3g} s: left out")
             del streams[name]
-    begin = max((streams[name].t[0] for name in CORE if name in streams), default=0.0)
-    finish = min((streams[name].t[-1] for name in CORE if name in streams), default=0.0)
+
+    spans = {name: streams[name].t[-1] - streams[name].t[0] for name in CORE if name in streams}
+    for name, span in spans.items():
+        leave_out(name, span, max(spans.values()), LEAST_SHARE["core"])
+    core = [streams[name].t for name in CORE if name in streams]
+    begin, finish = max((t[0] for t in core), default=0.0), min((t[-1] for t in core), default=0.0)
     for name in [name for name in streams if name.startswith("reference")]:
         t = streams[name].t[(streams[name].t >= begin) & (streams[name].t <= finish)]
         step = np.diff(t)
         covered = float(step[step <= GAP_PERIODS * np.median(step)].sum()) if len(step) else 0.0
-        if covered < LEAST_SHARE["reference"] * (finish - begin):
-            notes.append(f"{name}: {covered:.3g} s of {finish - begin:.3g} s: left out")
-            del streams[name]
+        leave_out(name, covered, finish - begin, LEAST_SHARE["reference"])
 
 
 def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
     for name, stream in streams.items():
-        length = stream.t[-1] - stream.t[0]
-        step = np.diff(stream.t)
+        length, step = stream.t[-1] - stream.t[0], np.diff(stream.t)
         covered = float(np.minimum(step, 10 * np.median(step)).sum())
-        if length > MOST_EMPTY * covered:
-            row = int(np.argmax(step))
-            raise DataError(
-                f"{path}: {name}: its clock jumps by {step[row]:.6g} s after row {row}; all else spans {covered:.4g} s"
-            )
-        if length > LONGEST:
-            raise DataError(
-                f"{path}: {name} spans {length:.4g} s, {LONGEST:.0f} s (a week) is the most: the unit of its time is"
-                " wrong, or its clock jumps"
-            )
+        if length > min(MOST_EMPTY * covered, LONGEST):
+            row, what = int(np.argmax(step)), "its clock jumps, or the unit of its time is wrong"
+            raise DataError(f"{path}: {name} spans {length:.6g} s, {step[row]:.6g} s of it after row {row}: {what}")
 
 
 def _shared_period(streams: dict[str, Stream]) -> float | None:
@@ -252,8 +245,7 @@ def _sort_rotors(
     """Bring the streams of the rotors into the vehicle's order."""
     signals = [name for name in ROTORS if name in streams]
     if vehicle is None:
-        if signals:
-            notes.append("rotors stand in the log's order: no --vehicle says which is where")
+        notes += ["rotors stand in the log's order: no --vehicle says which is where"] if signals else []
         return
     for name in signals:
         t, values = streams[name]
@@ -274,8 +266,7 @@ def rotor_order(layout: tuple[str, ...], vehicle: Vehicle) -> list[int]:
         sign = (0 if abs(x) < reach else int(np.sign(x)), 0 if abs(y) < reach else int(np.sign(y)))
         places = [k for k, place in enumerate(layout) if PLACES[place] == sign]
         if len(places) != 1:
-            raise UsageError(
-                f"the log's motors are {', '.join(layout)}, but rotor {i} of {vehicle.name} is at x={x:g}, y={y:g} m"
-            )
+            where = f"rotor {i} of {vehicle.name} is at x={x:g}, y={y:g} m"
+            raise UsageError(f"the log's motors are {', '.join(layout)}, but {where}")
         order.append(places[0])
     return order

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -255,12 +255,3 @@ class Table:
                     best = (correlation - 0.002 * rank, Match(columns, correlation, gain))
         sure = best is not None and (best[1].correlation > least or bool(named))
         return best[1] if best is not None and sure else None
-
-    def alike(self, width: int, taken: Sequence[int]) -> Iterator[list[int]]:
-        """Free columns side by side that could be motors: positive, of one size, and moving."""
-        for columns in self.side_by_side(width, taken):
-            mean, spread = self.means[:, columns].mean(axis=0), self.means[:, columns].std(axis=0)
-            if self.means[:, columns].min() < 0 or mean.min() <= 0 or spread.min() < 0.01 * mean.mean():
-                continue
-            if np.ptp(mean) < 0.4 * mean.mean() and spread.max() < 4 * spread.min():
-                yield columns

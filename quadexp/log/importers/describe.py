@@ -19,15 +19,13 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
 from quadexp.log.check.candidates import READINGS, Candidate, flow
-from quadexp.log.check.finding import longest
-from quadexp.log.check.rotors import Fit, stretch
 from quadexp.log.check.search import MARGIN, PER_COST, agreement, explain
 from quadexp.log.importers.columns import Match, Table, groups, numbered_quaternion, unit_of
-from quadexp.log.importers.mapping import PLACES, QUANTITIES
+from quadexp.log.importers.mapping import QUANTITIES
 from quadexp.log.importers.readers import reader_of
 from quadexp.log.importers.table import numbers, open_table
 from quadexp.log.signal import continuous
-from quadexp.log.signal.windows import FLOOR, Windows, changes, pairs
+from quadexp.log.signal.windows import RELATIONS, Windows, changes, pairs
 from quadexp.log.units import UNITS
 from quadexp.messages import printable
 
@@ -37,7 +35,6 @@ EPOCHS = {"ns": 1e18, "us": 1e15, "ms": 1e12}  # about now, since 1970
 LEAST_SAMPLES = 50
 FEW = 60  # windows that every frame is tried on
 SURE, LIKELY, GUESS = 0.95, 0.7, 0.4
-LEAST_EXPLAINED = 0.08  # of the angular acceleration, for the places of motors to be stated
 WORLDS = {  # frame of the log's world: what it is, cost
     "ENU": ("z up; which way x points from north cannot be known from the data", 0.0), "NED": ("z down", 0.1),
     "z x y": ("y up", 2.5), "x -z y": ("y down", 2.5), "y z x": ("x up", 2.5), "z -y x": ("x down", 2.5),
@@ -54,7 +51,6 @@ RANGES = (
     (2200, "pulses", 0.8, 1000, 2000, ": pulse widths in us"),
     (2200, "", LIKELY, 0, 2000, ": DShot or Betaflight counts"), (np.inf, "bits", 0.8, 0, 65535, ": 16 bits"),
 )  # fmt: skip
-BY_SIGNS = {signs: place for place, signs in PLACES.items()}  # of x and y, FLU
 
 
 class Proposal(NamedTuple):
@@ -106,9 +102,9 @@ class Description:
 def describe_log(path: Path) -> Description:
     """Propose a mapping for a table. Raises DataError for what is none, or has no clock."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        if (reader := reader_of(path)) not in ("csv", "quadexp"):
+        if (reader := reader_of(path)) != "csv":
             raise DataError(
-                f"{path}: {reader} says itself what its fields are, so it needs no mapping: import it as it is"
+                f"{path}: {reader} says itself what its fields are: it needs no mapping, import it as it is"
             )
         names, data = numbers(opened := open_table(path))
         clock, time = _clock(path, names, data)
@@ -167,7 +163,6 @@ class _Proposals:
         self.names, self.table = names, table
         self.fields: dict[str, Proposal] = {}
         self.streams: dict[str, np.ndarray] = {}
-        self.lines: list[Candidate] = []  # what is made of the streams: frames first, then corrections
         self.places: dict[str, list[int]] = {}
 
     @property
@@ -289,10 +284,7 @@ class _Proposals:
         scored = [(value, one) for one in self._conventions() if (value := _explained(one, few)) is not None]
         scored.sort(key=lambda pair: -pair[0])
         value, best = scored[0]
-        explained, after, _ = explain(best.apply(log))
-        mends = [one for one in explained if one.blocks]
-        self.lines = [best, *mends]
-        self.streams = {name: after.streams[name] for name in self.streams}
+        mends = [one for one in explain(best.apply(log))[0] if one.blocks]
         for key in ("world", "body", "attitude"):
             chosen = best.correction.get(key)
             others = [(v, one) for v, one in scored if one.correction.get(key) != chosen]
@@ -333,41 +325,25 @@ class _Proposals:
             if abs(mean[2]) > 3 * np.abs(mean[:2]).max():
                 body, why = "FLU" if mean[2] > 0 else "FRD", f"the accelerometer's mean along z is {mean[2]:+.3g}"
                 self.fields["body"] = Proposal(body, LIKELY, why)
-                self.lines = [Candidate("", "wf", "", {"body": body})]
 
     # ----------------------------------------------------------------------------------------------------- rotors
     def rotors(self) -> None:
-        """The motors' commands or speeds, and which motor is where."""
-        table, named = self.table, self.table.named
-        known = [(kind, g) for kind in ("rotor_speed", "motor") for g in named.get(kind, [])]
-        known = [(k, g) for k, g in known if not set(g) & set(self.taken) and np.ptp(table.x[:, g], axis=0).min() > 0]
-        known = [(kind, g) for kind, g in known if table.x[:, g].min() >= -0.2 * table.x[:, g].max()]
-        ranked = []
-        for kind, columns in known or [("motor", g) for g in table.alike(4, self.taken)]:
-            layout, rank = self._layout(columns), 0.0
-            if "f" in self.streams:
-                squares = (table.windows[..., columns] ** 2).sum(axis=2).mean(axis=1)
-                rank = abs(float(np.corrcoef(squares, self.streams["f"][..., 2].mean(axis=1))[0, 1]))
-            if known or layout or rank > 0.5:
-                ranked.append((0.0 if known else rank + bool(layout), kind, columns, layout))
-        for _, kind, columns, layout in sorted(ranked, key=lambda one: -one[0])[: None if known else 1]:
-            quantity, lines, sure, why = self._range(columns, kind)
-            if quantity in self.fields:
-                continue
-            if layout:
-                lines["layout"] = layout
-                why += "; places from the angular acceleration"
-            elif len(columns) == 4:
-                why += "; which is where is not clear: taken in the vehicle's order unless a `layout` is given"
-            self.propose(quantity, columns, sure if known else min(sure, 0.55), why, **lines)
+        """The motors' commands or speeds, by their names; which motor is where says the check of the flight."""
+        x = self.table.x
+        for kind in ("rotor_speed", "motor"):
+            for columns in self.table.named.get(kind, []):
+                still = np.ptp(x[:, columns], axis=0).min() == 0
+                if set(columns) & set(self.taken) or still or x[:, columns].min() < -0.2 * x[:, columns].max():
+                    continue
+                quantity, lines, sure, why = self._range(columns, kind)
+                if quantity not in self.fields:
+                    why += "; taken in the vehicle's order unless a `layout` is given: `quadexp check` says the order"
+                    self.propose(quantity, columns, sure, why, **lines)
 
     def _range(self, columns: list[int], kind: str) -> tuple[str, dict[str, Any], float, str]:
         """Quantity and range or unit, by the size of the values."""
-        x, name, written = (
-            self.table.x[:, columns],
-            self.names[columns[0]].lower(),
-            self.written(columns, "rotor_speed"),
-        )
+        x, name = self.table.x[:, columns], self.names[columns[0]].lower()
+        written = self.written(columns, "rotor_speed")
         largest, middle = float(x.max()), float(np.median(x))
         why = f"median {middle:.4g}, largest {largest:.5g}"
         if written == "erpm" or (kind == "rotor_speed" and "erpm" in name):
@@ -384,31 +360,6 @@ class _Proposals:
             if largest <= limit and said[holds]:
                 return "motor_command", {"range": [low, high]}, sure, f"{why}{what}"
         return "rotor_speed", {"unit": "rpm"}, 0.5, why
-
-    def _layout(self, columns: list[int]) -> list[str] | None:
-        """Places of four motors, None where not clear: wx' ~ sum y_i T_i, wy' ~ -sum x_i T_i, so that the signs of a
-        regression are those of the arms."""
-        if len(columns) != 4 or "w" not in self.streams:
-            return None
-        table = self.table
-        squares = (table.x[:, columns] / table.x[:, columns].mean()) ** 2
-        mean = squares.mean(axis=1)
-        first, last = longest(mean > 0.1 * np.percentile(mean, 95))
-        apart = squares - mean[:, None]  # what all motors do together turns nothing
-        signals = stretch(table.t[first:last], self._rates()[first:last], apart[first:last], np.eye(3))
-        if signals is None:
-            return None
-        torques, shares = Fit(*signals).columns()
-        places = [BY_SIGNS[int(np.sign(-y)) or 1, int(np.sign(x)) or 1] for x, y, _ in torques.T]
-        return places if len(set(places)) == 4 and shares[:2].min() > LEAST_EXPLAINED else None
-
-    def _rates(self) -> np.ndarray:
-        """Body rates of the whole table, (k, 3) (rad/s, FLU)."""
-        w = self.table.x[:, self.places["rate"]] * UNITS["rate"][self.fields["rate"].value["unit"]]
-        for one in self.lines:
-            if lines := {key: value for key, value in one.correction.items() if key in ("body", "rate")}:
-                w = Candidate("", "w", "", lines).apply(Windows(self.table.t[None], {"w": w[None]})).streams["w"][0]
-        return w
 
     def others(self) -> None:
         """Battery and wind, by their names."""
@@ -428,7 +379,10 @@ def _explained(one: Candidate, windows: Windows) -> float | None:
     The drag of a log without accelerometer is the same in every convention: it is no reason to doubt one.
     """
     relations = pairs(one.apply(windows))
-    pull = next(pair.expected for pair in relations if pair.relation.startswith(("force", "thrust"))).mean(axis=0)
+    pull = next(pair.expected for pair in relations if pair.name.startswith(("force", "thrust"))).mean(axis=0)
     if np.argmax(np.abs(pull)) != 2 or pull[2] < 0:
         return None
-    return sum(agreement(pair, min(pair.floor, FLOOR["force"])).evidence for pair in relations) - PER_COST * one.cost
+    return (
+        sum(agreement(pair, min(pair.relation.floor, RELATIONS["force"].floor)).evidence for pair in relations)
+        - PER_COST * one.cost
+    )

@@ -21,8 +21,8 @@ errors name file, line and key.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from collections.abc import Mapping as Mapped
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,18 +30,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.log.units import (
-    BODY_FRAMES,
-    ELECTRICAL,
-    UNITS,
-    WORLD_FRAMES,
-    axes_matrix,
-    is_rotation,
-    mounting_matrix,
-    unit_factor,
-)
+from quadexp.log.units import BODY_FRAMES, ELECTRICAL, UNITS, WORLD_FRAMES, axes_matrix, mounting_matrix, unit_factor
 from quadexp.messages import suggestion
-from quadexp.parts.plain_data import read_data
+from quadexp.parts.plain_data import read_mapping
 
 
 class Quantity(NamedTuple):
@@ -104,7 +95,7 @@ class Crop:
 
 
 class Clock(NamedTuple):
-    """column, and factor to seconds."""
+    """factor: to seconds."""
 
     column: str
     factor: float
@@ -157,18 +148,10 @@ def load_mapping(path: Path) -> Mapping:
     import yaml
 
     try:
-        values = read_data(path)
+        values = read_mapping(path)
         root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such mapping") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read ({error})") from None
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f":{mark.line + 1}" if mark else ""
-        raise UsageError(f"{path}{line}: not YAML ({getattr(error, 'problem', None) or error})") from None
-    if not isinstance(values, dict):
-        raise UsageError(f"{path}: not a mapping: `time: {{column: ..., unit: s}}` and such lines are needed")
+    except OSError as error:
+        raise UsageError(f"{path}: no mapping can be read there ({error.strerror or error})") from None
     return _Reader(path, _lines(root)).mapping(values)
 
 
@@ -180,10 +163,9 @@ def correction(lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
 def _lines(node: Any, prefix: str = "") -> dict[str, int]:
     """Dotted key -> line."""
     lines: dict[str, int] = {}
-    if node.id == "mapping":
-        for key, value in node.value:
-            name = f"{prefix}{key.value}"
-            lines |= {name: key.start_mark.line + 1, **_lines(value, f"{name}.")}
+    for key, value in node.value if getattr(node, "id", "") == "mapping" else ():
+        name = f"{prefix}{key.value}"
+        lines |= {name: key.start_mark.line + 1, **_lines(value, f"{name}.")}
     return lines
 
 
@@ -194,9 +176,11 @@ class _Reader:
         self.path, self.lines = path, lines
 
     def at(self, key: str) -> str:
-        parts = key.split(".")
-        line = next((self.lines[k] for n in range(len(parts), 0, -1) if (k := ".".join(parts[:n])) in self.lines), 1)
-        return f"{self.path}:{line}: {key}"
+        """The key with its file and line, or the line of what holds it."""
+        place = key
+        while place and place not in self.lines:
+            place = place.rpartition(".")[0]
+        return f"{self.path}:{self.lines.get(place, 1)}: {key}"
 
     def fail(self, key: str, text: str) -> UsageError:
         return UsageError(f"{self.at(key)}: {text}")
@@ -215,11 +199,13 @@ class _Reader:
                 where = f"{key}.{name}".removeprefix(".")
                 raise self.fail(where, f"unknown key{suggestion(name, allowed)}; allowed are {', '.join(allowed)}")
 
-    def numbers(self, key: str, value: Any, counts: Sequence[int], what: str) -> list[float]:
-        """A number, or a list of them, of so many numbers."""
+    def numbers(
+        self, key: str, value: Any, counts: Sequence[int], what: str, allowed: Callable[[float], bool] = math.isfinite
+    ) -> list[float]:
+        """A number, or a list of so many of them, each finite and allowed."""
         items = value if isinstance(value, list) else [value]
         real = all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in items)
-        if not real or len(items) not in counts:
+        if not real or len(items) not in counts or not all(map(allowed, items)):
             raise self.fail(key, f"{value!r} must be {what}")
         return items
 
@@ -270,9 +256,7 @@ class _Reader:
         if not isinstance(value.get("column"), (str, int)):
             raise self.fail(f"{key}.column", "must name one column")
         factor = unit_factor("time", str(value.get("unit", "s")), self.at(f"{key}.unit"))
-        (scale,) = self.numbers(f"{key}.scale", value.get("scale", 1.0), [1], "one positive number")
-        if scale <= 0:
-            raise self.fail(f"{key}.scale", f"{scale!r} must be one positive number")
+        (scale,) = self.numbers(f"{key}.scale", value.get("scale", 1.0), [1], "one positive number", lambda x: x > 0)
         return Clock(str(value["column"]), factor * scale)
 
     def entry(self, name: str, value: Any, frames: dict[str, np.ndarray]) -> Entry:
@@ -300,40 +284,33 @@ class _Reader:
             what = "[value of command 0, value of command 1]"
             low, high = map(float, self.numbers(f"{name}.range", value["range"], [2], what))
             if low == high:
-                raise self.fail(f"{name}.range", f"must be {what}")
+                raise self.fail(f"{name}.range", f"must be {what}, and these differ")
             options |= {"low": low, "high": high}
         if value.get("layout"):
             self.layout(name, value["layout"], len(columns))
         what = "one number, or one a column, and not zero"
-        scale = np.array(self.numbers(f"{name}.scale", value.get("scale", 1.0), [1, len(columns)], what), float)
-        if not scale.all():
-            raise self.fail(f"{name}.scale", f"must be {what}")
-        return Entry(columns, factor * scale, **options)
+        scale = self.numbers(f"{name}.scale", value.get("scale", 1.0), [1, len(columns)], what, bool)
+        return Entry(columns, factor * np.array(scale, float), **options)
 
     def pole_pairs(self, unit: str, value: Any) -> float:
         """Turns of the field for one of the rotor, 1 for a unit that counts the rotor's own."""
-        if unit not in ELECTRICAL:
-            if value is not None:
-                raise self.fail("rotor_speed.pole_pairs", f"goes with unit {' or '.join(ELECTRICAL)}, not {unit}")
-            return 1.0
-        if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= 100:
-            what = "is missing" if value is None else f"{value!r} must be a whole number from 1 to 100"
-            raise self.fail("rotor_speed.pole_pairs", f"{what}: magnets of the motor over two, as `pole_pairs: 7`")
-        return float(value)
+        key, electrical = "rotor_speed.pole_pairs", unit == ELECTRICAL
+        if electrical == (value is None):
+            text = f"goes with unit {ELECTRICAL}, not {unit}" if value is not None else f"is missing, with unit {unit}"
+            raise self.fail(key, f"{text}: magnets of the motor over two, as `pole_pairs: 7`")
+        what = "a whole number from 1 to 100"
+        given = 1 if value is None else value
+        return float(self.numbers(key, given, [1], what, lambda x: isinstance(x, int) and 1 <= x <= 100)[0])
 
     def names(self, name: str, value: dict[str, Any]) -> tuple[str, ...]:
         given = value.get("columns", value.get("column"))
         if isinstance(given, (str, int)) and not isinstance(given, bool):
             given = [given]
-        if not isinstance(given, list) or not given:
-            raise self.fail(f"{name}.columns", "must be a list of the log's columns")
-        own = len(QUANTITIES[name].columns)
-        widths: Sequence[int] = (3, 4) if own == 4 else range(1, 33) if name in ROTORS else (own,)
-        count = " or ".join(map(str, widths)) if name not in ROTORS else "1 to 32"
-        if len(given) not in widths:
-            raise self.fail(f"{name}.columns", f"{len(given)} columns are given, {count} are needed")
-        if len(set(map(str, given))) < len(given):
-            raise self.fail(f"{name}.columns", "one column is given twice")
+        width = len(QUANTITIES[name].columns)
+        least, most = (3, 4) if width == 4 else (1, 32) if name in ROTORS else (width, width)
+        if not isinstance(given, list) or len(set(map(str, given))) < len(given) or not least <= len(given) <= most:
+            count = f"{least} to {most}" if least < most else str(least)
+            raise self.fail(f"{name}.columns", f"must be a list of the log's columns: {count} are needed, each once")
         return tuple(map(str, given))
 
     def frame(self, name: str, value: dict[str, Any], frames: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -363,7 +340,7 @@ class _Reader:
         direction = self.one_of(f"{name}.direction", value.get("direction", DIRECTIONS[0]), DIRECTIONS)
         if "frame" in value:
             raise self.fail(f"{name}.frame", "give the frames as `world:` and `body:` at the top")
-        if not is_rotation(frames["world"] @ frames["body"]):
+        if np.linalg.det(frames["world"] @ frames["body"]) < 0:
             raise self.fail("body", "of the world and the body frame one is left-handed: no attitude joins them")
         return {"order": order, "inverse": direction == DIRECTIONS[1], "axes": frames["body"], "world": frames["world"]}
 

@@ -23,7 +23,6 @@ from quadexp.log.signal import Stream, increasing
 from quadexp.log.signal.windows import multiply
 from quadexp.physics.vehicle import GRAVITY
 
-MOST_COPIES = 0.2  # share of the rows that may be copies of earlier ones, time and all
 MOST_LATE = 0.01  # share of the rows that may lie out of order
 
 
@@ -47,9 +46,7 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     Raises DataError where no number is left, or the clock runs backwards.
     """
     count, values = len(t), values.reshape(len(t), -1)
-    good = np.isfinite(t)
-    for column in values.T:
-        good &= np.isfinite(column)
+    good = np.isfinite(t) & np.isfinite(values).all(axis=1)
     if not good.any():
         raise DataError(f"{path}: {name}: not one row of {count} is a number throughout")
     if not good.all():
@@ -58,20 +55,11 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     late = increasing(t)
     if late.all():
         return Stream(t, values)
-    first = np.sort(np.unique(np.column_stack([t, values]), axis=0, return_index=True)[1])
-    if (1 - MOST_COPIES) * len(t) <= len(first) < len(t):
-        notes.append(
-            f"{name}: {len(t) - len(first)} of {len(t)} rows are copies of earlier ones, time and all: dropped"
-        )
-        t, values = t[first], values[first]
-        late = increasing(t)
     lost, back = int((~late).sum()), np.flatnonzero(np.diff(t) < 0)
     if len(back) and lost > max(2, MOST_LATE * len(t)):
         row = int(back[0]) + 1
-        raise DataError(
-            f"{path}: {name}: time goes backwards at row {row} ({t[row - 1]:.9g} -> {t[row]:.9g} s;"
-            f" {lost} of {len(t)} rows are out of order)"
-        )
+        text = f"({t[row - 1]:.9g} -> {t[row]:.9g} s; {lost} of {len(t)} rows are out of order)"
+        raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}")
     if lost:
         what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
         notes.append(f"{name}: {lost} of {len(t)} rows {what}: dropped")

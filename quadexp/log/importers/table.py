@@ -6,7 +6,9 @@ brackets stay part of the column's name. A file without a header has the names "
 
 from __future__ import annotations
 
+import contextlib
 import io
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, missing_package
-from quadexp.log.declared import allowed_bytes
+from quadexp.log.integrity import allowed_bytes
 from quadexp.log.store import first_line
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
@@ -61,6 +63,8 @@ def kind_of(path: Path, head: bytes) -> str:
     """ "hdf5", "text", or "" for what is no table, by the first bytes. Raises DataError for text that is none to us."""
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
         return "hdf5"
+    if head.startswith(b"PAR1"):
+        raise DataError(f"{path}: Parquet: a flight of this program needs no import, use it as it is")
     if head.startswith(b"version https://git-lfs"):
         raise DataError(f"{path}: a pointer of Git LFS, not the log itself: fetch it with `git lfs pull`")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -79,12 +83,13 @@ def open_table(path: Path) -> Table:
 def _open_text(path: Path) -> Table:
     with open(path, "rb") as file:
         head = file.read(HEAD)
-    encoding = _encoding(path)
-    whole = len(head) < HEAD
-    text = head.decode(encoding, errors="replace").removeprefix("\ufeff")
-    lines = text.splitlines()
-    if not whole:
-        lines = lines[:-1]
+    cut = 0 if len(head) < HEAD else head.rfind(b"\n") + 1 or HEAD  # a line that is not whole is no row
+    head = head[: cut or None]
+    try:
+        encoding, text = "utf-8", head.decode("utf-8")
+    except UnicodeDecodeError:  # a degree sign in a name, say
+        encoding, text = "latin-1", head.decode("latin-1")
+    lines = text.removeprefix("\ufeff").splitlines()
     if not lines or max(map(len, lines)) > LONGEST_LINE:
         raise DataError(f"{path}: not a table: no line ends within {LONGEST_LINE} characters")
     row, delimiter = _first_row(path, lines)
@@ -99,21 +104,9 @@ def _open_text(path: Path) -> Table:
         if len(header) == width:
             names = header
         elif above == row - 1 and not comment:
-            raise DataError(
-                f"{path}: line {above + 1} names {len(header)} columns, but line {row + 1} has {width} values"
-            )
+            named = f"line {above + 1} names {len(header)} columns"
+            raise DataError(f"{path}: {named}, but line {row + 1} has {width} values")
     return Table(path, _unique(names), delimiter, row, encoding=encoding)
-
-
-def _encoding(path: Path) -> str:
-    """UTF-8, or Latin-1 where it is not that throughout (a degree sign in a name, say)."""
-    try:
-        with open(path, encoding="utf-8") as file:
-            while file.read(1 << 22):
-                pass
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -137,11 +130,9 @@ def _first_row(path: Path, lines: list[str]) -> tuple[int, str]:
 
 
 def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    with contextlib.suppress(ValueError):
+        return float(text) is not None
+    return False
 
 
 def _unique(names: Iterable[str]) -> tuple[str, ...]:
@@ -192,10 +183,8 @@ def _read_text(table: Table, names: list[str], notes: list[str], rows: int | Non
     except (pa.ArrowInvalid, OSError) as error:
         raise DataError(f"{table.path}: {_where(first_line(error), table)}") from None
     if len(malformed) > max(2, 0.01 * count):
-        raise DataError(
-            f"{table.path}: {len(malformed)} of {count + len(malformed)} lines have another number of values than"
-            f" the header's {len(table.columns)}: truncated, or not one table"
-        )
+        lines = f"{len(malformed)} of {count + len(malformed)} lines have another number of values than the header's"
+        raise DataError(f"{table.path}: {lines} {len(table.columns)}: truncated, or not one table")
     if malformed:
         notes.append(f"{len(malformed)} lines with another number of values than {len(table.columns)}: left out")
     pa.default_memory_pool().release_unused()
@@ -222,8 +211,6 @@ def _floats(column: Any) -> np.ndarray:
 
 def _where(text: str, table: Table) -> str:
     """Arrow's message with the column's name for its number."""
-    import re
-
     column = re.search(r"CSV column #c?(\d+)", text)
     value, row = re.search(r"invalid value '([^']*)'", text), re.search(r"Row #(\d+)", text)
     if not column or not value or int(column[1]) >= len(table.columns):
@@ -239,16 +226,16 @@ def numbers(table: Table) -> tuple[list[str], np.ndarray]:
     Raises DataError where no column holds numbers.
     """
     names = list(table.columns[:DESCRIBED_COLUMNS])
-    columns: dict[str, np.ndarray] = {}
-    while names and not columns:
+    while names:
         try:
             columns = table.read(names, [], DESCRIBED_ROWS)
+            break
         except DataError as error:
             words = [name for name in names if f"column {name!r} holds" in str(error)]
             if not words:
                 raise
             names.remove(words[0])
-    if not names:
+    else:
         raise DataError(f"{table.path}: no column of numbers")
     ((length, _),) = Counter(map(len, columns.values())).most_common(1)
     names = [name for name in names if len(columns[name]) == length]

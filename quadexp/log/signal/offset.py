@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.log.signal import Stream, as_stream, period
 from quadexp.log.signal.resample import resample
-from quadexp.log.signal.stream import Stream, as_stream, period
 from quadexp.log.signal.windows import attitude_rate
 from quadexp.physics.vehicle import GRAVITY
 
@@ -37,7 +37,7 @@ PARTS, PART = 6, 20.0  # how many stretches of a long flight are looked at, and 
 
 
 class Offset(NamedTuple):
-    """seconds: of b behind a. error: its standard error (s). correlation: at the peak, -1..1. gain: of b over a.
+    """seconds: of b behind a. error: its standard error (s). correlation: at the peak, -1..1.
 
     rival: height of the next peak over that of the first (near 1: periodic motion, cannot tell). certain: correlation
     above LEAST_CORRELATION, no rival, a small error, stretches of the log that agree, peak not at the edge.
@@ -46,7 +46,6 @@ class Offset(NamedTuple):
     seconds: float
     error: float
     correlation: float
-    gain: float
     rival: float
     certain: bool
 
@@ -57,8 +56,6 @@ def estimate_offset(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.nd
     Raises DataError where there is too little common data or nothing moves.
     """
     a, b = as_stream(a, "first stream"), as_stream(b, "second stream")
-    if a.values.shape[1] != b.values.shape[1]:
-        raise DataError(f"streams of {a.values.shape[1]} and {b.values.shape[1]} columns cannot be correlated")
     rate = min(1 / period(a.t), 1 / period(b.t), 100.0)  # Hz, of the common clock
     common = resample({"a": a, "b": b}, rate, quaternions=(), least=2 * LARGEST)
     reach = int(np.ceil(LARGEST * rate)) + 1
@@ -74,7 +71,6 @@ def estimate_offset(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.nd
     if not (total[1].max() > 0 and total[2].max() > 0):
         raise DataError("one of the streams does not move: no offset can be estimated")
     seconds, height, rival, at_edge = _peak(total, rate)
-    gain = height * float(np.sqrt(total[2].max() / total[1].max()))
     error, agrees = np.inf, False
     if shortest >= BLOCK * rate:  # else all of it is in a moment or two
         rest = [_peak(total - stretch, rate)[0] for stretch in sums]
@@ -83,7 +79,7 @@ def estimate_offset(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.nd
         agrees = np.mean(np.abs(alone - seconds) < 4 * np.sqrt(len(rest)) * error + 0.002) > 0.7
     clear = height > LEAST_CORRELATION and rival < AMBIGUOUS and not at_edge
     certain = clear and agrees and error < LARGEST_ERROR and abs(seconds) <= LARGEST
-    return Offset(seconds, error, height, gain, rival, bool(certain))
+    return Offset(seconds, error, height, rival, bool(certain))
 
 
 def _in_band(values: np.ndarray, rate: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.signal.stream import GAP_PERIODS, Stream, as_stream, period, stretches
+from quadexp.log.signal import GAP_PERIODS, Stream, as_stream, continuous, period, stretches
 
 STOPBAND = 60.0  # dB
 PASSBAND = 0.4  # of the new rate
@@ -51,10 +51,6 @@ def resample(
     where it is known better. least: shortest segment kept (s).
     Raises DataError where a stream is unusable or where they have no time in common.
     """
-    if not streams:
-        raise DataError("no stream to resample")
-    if not (np.isfinite(rate) and rate > 0):
-        raise DataError(f"rate={rate}: must be positive (Hz)")
     clean = {name: as_stream(stream, name) for name, stream in streams.items()}
     limit = {name: GAP_PERIODS * max(period(s.t), 1 / rate) for name, s in clean.items()} | dict(gaps or {})
     start = max(s.t[0] for s in clean.values())
@@ -64,9 +60,7 @@ def resample(
     if count < 2:
         latest = max(clean, key=lambda name: clean[name].t[0])
         earliest = min(clean, key=lambda name: clean[name].t[-1])
-        raise DataError(
-            f"{latest} starts at {start:.3f} s and {earliest} ends at {end:.3f} s: they have no time in common"
-        )
+        raise DataError(f"{latest} starts at {start:.3f} s, {earliest} ends at {end:.3f} s: no time in common")
     t = start + np.arange(count) / rate
     kept = np.ones(count, bool)
     pieces = {}
@@ -199,10 +193,3 @@ def slerp(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
     second = np.where(small, share, np.sin(share * angle) / sine)
     out = first * a + second * b
     return out / np.linalg.norm(out, axis=1, keepdims=True)
-
-
-def continuous(q: np.ndarray) -> np.ndarray:
-    """Quaternions (k, 4) with the sign of each chosen to lie on the side of the one before."""
-    flips = np.sum(q[1:] * q[:-1], axis=1) < 0
-    sign = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2, -1.0, 1.0)])
-    return q * sign[:, None]

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import GRAVITY
 
 WINDOW = 0.1  # s
@@ -33,14 +34,36 @@ STREAMS = {
     "w": ("w_x", "w_y", "w_z"),
     "f": ("acc_x", "acc_y", "acc_z"),
 }
-# The streams that a relation compares.
-SIDES = {
-    "velocity": "pv", "rate": "qw", "push": "f", "force": "vqf", "force (p)": "pqf", "thrust": "vq", "thrust (p)": "pq",
-}  # fmt: skip
-# What clean logs differ by, root mean square over an axis: a motion capture of 0.1 mm and its filtered velocity, a
-# hobby gyro's vibration averaged over a window, an attitude wrong by 2 degrees (0.35 m/s^2) and, without an
-# accelerometer, the drag of a fast flight.
-FLOOR = {"velocity": 0.02, "rate": 0.05, "push": 1.5, "force": 0.3, "force (p)": 0.3, "thrust": 1.5, "thrust (p)": 1.5}
+
+
+def streams_of(flight: Flight) -> dict[str, np.ndarray]:
+    """The streams that a flight has, by letter, (k, 3 or 4)."""
+    there = {name: columns for name, columns in STREAMS.items() if set(columns) <= set(flight.columns)}
+    return {name: flight.stack(columns).astype(float, copy=False) for name, columns in there.items()}
+
+
+class Relation(NamedTuple):
+    """streams: that it compares, by letter. floor: what clean logs differ by, root mean square over an axis. weight: of
+    what it says, where another relation of the same streams says it too."""
+
+    streams: str
+    floor: float
+    unit: str
+    words: str
+    weight: float = 1.0
+
+
+# Floors: a motion capture of 0.1 mm and its filtered velocity, a hobby gyro's vibration averaged over a window, an
+# attitude wrong by 2 degrees (0.35 m/s^2) and, without an accelerometer, the drag of a fast flight.
+RELATIONS = {
+    "velocity": Relation("pv", 0.02, "m/s", "v against dp/dt"),
+    "rate": Relation("qw", 0.05, "rad/s", "w against the derivative of the attitude"),
+    "push": Relation("f", 1.5, "m/s^2", "acc_z against thrust along +z"),
+    "force": Relation("vqf", 0.3, "m/s^2", "acc against R^T (dv/dt + g)"),
+    "force (p)": Relation("pqf", 0.3, "m/s^2", "acc against R^T (d2p/dt2 + g)", 0.5),
+    "thrust": Relation("vq", 1.5, "m/s^2", "R^T (dv/dt + g) against thrust along +z"),
+    "thrust (p)": Relation("pq", 1.5, "m/s^2", "R^T (d2p/dt2 + g) against thrust along +z", 0.5),
+}
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -63,16 +86,15 @@ class Windows:
 
 
 class Pair(NamedTuple):
-    """Two sides of one relation, (n, 3) each."""
+    """Two sides of one relation of RELATIONS, (n, 3) each: as others have it, and as its own sensor has it."""
 
-    relation: str
+    name: str
     expected: np.ndarray
-    found: np.ndarray
+    measured: np.ndarray
 
     @property
-    def floor(self) -> float:
-        """What sensors of this kind may differ by."""
-        return FLOOR[self.relation]
+    def relation(self) -> Relation:
+        return RELATIONS[self.name]
 
 
 def cut(
@@ -106,7 +128,7 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     p, q, v, w, f = (streams.get(name) for name in "pqvwf")
 
     def wanted(relation: str) -> bool:
-        return "t" in touching or bool(set(SIDES[relation]) & set(touching))
+        return "t" in touching or bool(set(RELATIONS[relation].streams) & set(touching))
 
     made = []
     if p is not None and v is not None and wanted("velocity"):

@@ -45,7 +45,7 @@ def broken(flight: Flight, one: Candidate) -> Flight:
     fixed = {name: values for name, values in streams.items() if name not in one.streams}
     for name in one.streams:
         width = streams[name].shape[-1]
-        # a rotation matrix of which the transformation of vectors may make use is that of the attitude as it is found
+        # of vectors, the attitude as it is found may be made use of
         beside = fixed | {"q": streams["q"]}
 
         def made(x: np.ndarray, name: str = name, beside: dict = beside) -> np.ndarray:
@@ -91,30 +91,23 @@ def flights():
     return [imitated(seed, vehicle, duration=12) for vehicle, seed in (("torrente", 300), ("crazyflie", 301))]
 
 
-@pytest.mark.parametrize("one", OTHERS, ids=named)
+@pytest.mark.parametrize("one", OTHERS[::2], ids=named)
 def test_the_printed_correction_mends_the_import(flights, tmp_path, one):
     mends(tmp_path, flights[0], one)
 
 
-@pytest.mark.parametrize("k", range(3))
+@pytest.mark.parametrize("k", range(2))
 def test_so_do_those_of_axes(flights, tmp_path, k):
     """Axes swapped and reversed, drawn at random, on two vehicles."""
-    drawn = np.random.default_rng(k).choice(len(TURNS), 2, replace=False)
-    for i in drawn:
-        mends(tmp_path, flights[k % 2], TURNS[i])
+    for i in np.random.default_rng(k).choice(len(TURNS), 2, replace=False):
+        mends(tmp_path, flights[k], TURNS[i])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("vehicle", "seed"), [("blackbird", 310), ("lei_li", 311), ("crazyflie", 312)])
-def test_every_candidate_on_one_of_three_vehicles(tmp_path, vehicle, seed):
-    flight = imitated(seed, vehicle, duration=12)
-    wrong = []
-    for one in EVERY[seed - 310 :: 3]:
-        try:
-            mends(tmp_path, flight, one)
-        except AssertionError as error:
-            wrong.append((named(one), str(error)[:300]))
-    assert not wrong, wrong
+@pytest.mark.parametrize("one", EVERY, ids=named)
+def test_every_candidate_on_one_of_three_vehicles(tmp_path, one):
+    k = EVERY.index(one) % 3
+    mends(tmp_path, imitated(310 + k, ("blackbird", "lei_li", "crazyflie")[k], duration=12), one)
 
 
 def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
@@ -127,7 +120,7 @@ def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
                 made[key] = {**made.get(key, {}), **value} if isinstance(value, dict) else value
         return flow(made)
 
-    for one in OTHERS[::6]:
+    for one in OTHERS[1::14]:
         mends(tmp_path, flights[1], one, in_place)
 
 

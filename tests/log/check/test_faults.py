@@ -10,8 +10,9 @@ from quadexp.log.check import check_flight, check_flights
 from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose
 from tests.log.imitated import imitated
+from tests.models.recorded_data import nanobench
 
-from .faults import FAULTS, NANOBENCH, inject, nanobench
+from .faults import FAULTS, inject
 
 REAL = "B3_figure8_fast_rep1"
 INTERPRETED = ("controller.backend=interpreted", "plant.backend=interpreted")
@@ -29,107 +30,60 @@ COMMON = {  # on the real flight too; the others there are slow tests
     "acceleration_in_g", "scalar_last", "ned_position_and_velocity", "gyro_axes_swapped", "imu_50_ms_late",
     "time_jump", "command_spikes", "frozen_gyro",
 }  # fmt: skip
-REPEATED = {
-    "velocity_axes_swapped",
-    "accelerometer_axis_flipped",
-    "block_written_twice",
-    "time_back",
-    "frozen_position",
-}
-needs_nanobench = pytest.mark.skipif(not NANOBENCH.is_dir(), reason="../shared/data/nanobench is not here")
+REPEATED = {"accelerometer_axis_flipped", "block_written_twice", "time_back", "frozen_position"}
 
 
 @pytest.fixture(scope="module")
-def flights():
-    flown = {"simulated": fly_one(compose([*NOMINAL, "trajectory=circle", "trajectory.speed=8", "sensor=lei_li"]))}
-    if NANOBENCH.is_dir():
-        flown["real"] = nanobench(REAL)
-    return flown
+def simulated():
+    return fly_one(compose([*NOMINAL, "trajectory=circle", "trajectory.speed=8", "sensor=lei_li"]))
 
 
 def serious(findings):
     return [one for one in findings if one.severity != "info"]
 
 
-CASES = [
-    *(
-        pytest.param("simulated", name, id=f"simulated-{name}", marks=[pytest.mark.slow] if name in REPEATED else [])
-        for name in FAULTS
-    ),
-    *(
-        pytest.param(
-            "real", name, id=f"real-{name}", marks=[needs_nanobench, *([] if name in COMMON else [pytest.mark.slow])]
-        )
-        for name in FAULTS
-    ),
-]
+def names_it(flight, name, vehicle=None):
+    """The fault is the first finding, and none of another's units, frames or signs."""
+    found = [one.name for one in serious(check_flight(inject(flight, name), vehicle))]
+    assert found and found[0] == FAULTS[name][0], found
+    others = {"units", "sign_flip", "axis_swap", "ned_not_converted", "frame_velocity", "inconsistent"}
+    assert not set(found[1:]) - {found[0]} & others
 
 
-@pytest.mark.parametrize(("source", "name"), CASES)
-def test_fault_is_named_and_nothing_else(name, source, flights, vehicle):
-    limits = vehicle if source == "simulated" else None
-    found = serious(check_flight(inject(flights[source], name), limits))
-    named = [one for one in found if one.name == FAULTS[name][0]]
-    assert named, [one.message for one in found]
-    assert found[0].name == FAULTS[name][0], [one.message for one in found]
-    others = {one.name for one in found} - {FAULTS[name][0]}
-    assert not others & {"units", "sign_flip", "axis_swap", "ned_not_converted", "frame_velocity", "inconsistent"}
+def slow_unless(names, quick):
+    return [pytest.param(name, marks=[pytest.mark.slow] * (name not in quick)) for name in names]
 
 
-@pytest.mark.parametrize("source", ["simulated", pytest.param("real", marks=needs_nanobench)])
-def test_clean(source, flights):
-    assert not serious(check_flight(flights[source]))
+@pytest.mark.parametrize("name", slow_unless(FAULTS, FAULTS.keys() - REPEATED))
+def test_fault_is_named_and_nothing_else(name, simulated, vehicle):
+    names_it(simulated, name, vehicle)
 
 
-@pytest.mark.parametrize(
-    "name", [*CLEAN_QUICK, *(pytest.param(n, marks=pytest.mark.slow) for n in CLEAN if n not in CLEAN_QUICK)]
-)
-def test_clean_simulated_flights(name, vehicle):
-    flight = fly_one(compose(list(CLEAN[name])))
-    assert not serious(check_flight(flight)), name
+@pytest.mark.parametrize("name", slow_unless(FAULTS, COMMON))
+def test_fault_of_a_real_flight_is_named_and_nothing_else(name):
+    names_it(nanobench(REAL), name)
 
 
-@needs_nanobench
-@pytest.mark.parametrize("name", ["B2_circle_fast_rep2", "B9_trefoil_fast_rep14", "B9_trefoil_slow_rep12"])
+@pytest.mark.parametrize("name", slow_unless(CLEAN, CLEAN_QUICK))
+def test_clean_simulated_flights(name):
+    assert not serious(check_flight(fly_one(compose(list(CLEAN[name])))))
+
+
+@pytest.mark.parametrize("name", [REAL, "B2_circle_fast_rep2", "B9_trefoil_fast_rep14", "B9_trefoil_slow_rep12"])
 def test_clean_real_flights(name):
     assert {one.name for one in serious(check_flight(nanobench(name)))} <= {"saturation"}  # they were at full command
 
 
-@needs_nanobench
-@pytest.mark.slow
-def test_traps_of_the_folder():
-    names = ["B9_trefoil_slow_rep12", "B9_trefoil_slow_rep7", "B3_figure8_fast_rep1"]
-    log = {name: nanobench(name) for name in names}
-    log["B2_circle_medium_rep3"] = nanobench("B2_circle_medium_rep3")
-    log["B7_oval_slow_rep1"] = nanobench("B7_oval_slow_rep1", crop=False)
-    found = {name: {one.name for one in findings if one.blocks} for name, findings in check_flights(log).items()}
-    assert found["B9_trefoil_slow_rep12"] == set() and found["B3_figure8_fast_rep1"] == set()
-    assert found["B9_trefoil_slow_rep7"] == {"duplicate"}
-    assert found["B7_oval_slow_rep1"] == {"no_flight"}
-    assert {"impossible_command", "acceleration_outlier"} <= found["B2_circle_medium_rep3"]
-    assert not found["B2_circle_medium_rep3"] & {"units", "sign_flip", "axis_swap", "inconsistent"}
-
-
-@pytest.mark.parametrize("source", ["simulated", pytest.param("real", marks=needs_nanobench)])
-def test_a_duplicate_cropped_shifted_and_resampled(source, flights):
-    """Every other row of the middle, on another clock, in another unit."""
-    whole = flights[source]
-    part = {name: values[len(values) // 5 : -len(values) // 5 : 2] for name, values in whole.columns.items()}
-    part = {name: values * (1 / 9.81 if name.startswith("acc") else 1) for name, values in part.items()}
-    part["t"] = part["t"] - 3.2171
-    found = check_flights({"a": whole, "b": Flight(part, {"recorded": True})})
-    assert [one.name for one in found["b"] if "duplicate" in one.name] == ["duplicate"]
-    assert "duplicate" not in {one.name for one in found["a"]}
-
-
-def test_two_flights_of_one_path_are_no_duplicates(flights):
+def test_a_duplicate_cropped_and_thinned(simulated):
+    """Every other row of the middle, on another clock; another flight of the same path is none."""
+    part = {n: x[len(x) // 5 : -len(x) // 5 : 2] - 3.2171 * (n == "t") for n, x in simulated.columns.items()}
     again = fly_one(compose([*NOMINAL, "trajectory=circle", "trajectory.speed=8", "sensor=lei_li", "seed=1"]))
-    found = check_flights({"a": flights["simulated"], "b": again})
-    assert "duplicate" not in {one.name for one in found["b"]}
+    found = check_flights({"a": simulated, "b": Flight(part, {"recorded": True}), "c": again})
+    assert ["duplicate" in {one.name for one in found[name]} for name in "abc"] == [False, True, False]
 
 
-def test_two_faults_at_once_are_both_named(flights):
-    both = inject(inject(flights["simulated"], "acceleration_in_g"), "gyro_axes_swapped")
+def test_two_faults_at_once_are_both_named(simulated):
+    both = inject(inject(simulated, "acceleration_in_g"), "gyro_axes_swapped")
     assert {one.name for one in check_flight(both) if one.blocks} == {"units", "axis_swap"}
 
 
@@ -142,9 +96,9 @@ def test_it_asks_where_the_data_do_not_decide(speed, asks):
     assert ("decide between" in found.advice) == asks == ("log units" in found.measured)
 
 
-def test_without_some_streams(flights):
+def test_without_some_streams(simulated):
     """A log without velocity or without an accelerometer still shows its faults."""
-    columns = flights["simulated"].columns
+    columns = simulated.columns
     no_velocity = Flight({k: v for k, v in columns.items() if k not in ("v_x", "v_y", "v_z")}, {})
     no_imu = Flight({k: v for k, v in columns.items() if not k.startswith(("acc", "w_"))}, {})
     assert not serious(check_flight(no_velocity)) and not serious(check_flight(no_imu))

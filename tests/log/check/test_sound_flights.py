@@ -13,11 +13,13 @@ from quadexp.log.schema import Flight
 from tests.log.importers import logs
 
 
+def vectors(**values: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{name}_{axis}": x[:, i] for name, x in values.items() for i, axis in enumerate("xyz")}
+
+
 def flight_of(f: logs.Truth, **changes: np.ndarray) -> Flight:
-    values = {"p": f.p, "v": f.v, "w": f.w, "acc": f.acc} | changes
     columns = {"t": f.t} | {f"q_{axis}": f.q[:, i] for i, axis in enumerate("wxyz")}
-    columns |= {f"{name}_{axis}": x[:, i] for name, x in values.items() for i, axis in enumerate("xyz")}
-    return Flight(columns, {"recorded": True})
+    return Flight(columns | vectors(**({"p": f.p, "v": f.v, "w": f.w, "acc": f.acc} | changes)), {"recorded": True})
 
 
 def blocking(flight: Flight) -> list[str]:
@@ -37,10 +39,7 @@ def hover(rng, p: float, v: float, *, rate: float = 50.0, duration: float = 20.0
     columns = {"t": t, "q_w": np.ones(k), "q_x": tilt[:, 0] / 2, "q_y": tilt[:, 1] / 2, "q_z": 1e-4 * np.sin(t)}
     w = np.column_stack([np.gradient(tilt, t, axis=0), 0 * t]) + rng.normal(0, 0.03, (k, 3))
     acc = np.column_stack([rng.normal(0, 0.1, (k, 2)), 9.81 + rng.normal(0, 0.3, k)])
-    for name, x in (("p", wander(rng, (k, 3), p, rate, 1.0)), ("v", wander(rng, (k, 3), v, rate, 1.0))):
-        columns |= {f"{name}_{axis}": x[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"w_{axis}": w[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"acc_{axis}": acc[:, i] for i, axis in enumerate("xyz")}
+    columns |= vectors(p=wander(rng, (k, 3), p, rate, 1.0), v=wander(rng, (k, 3), v, rate, 1.0), w=w, acc=acc)
     columns |= {f"motor_command_{i}": 0.5 + rng.normal(0, 0.01, k) for i in range(4)}
     return Flight(columns, {"recorded": True})
 
@@ -76,17 +75,14 @@ def test_a_tumble_is_not_in_centimetres(rng):
     v = np.gradient(p, t, axis=0)
     angle = np.cumsum(wander(rng, 600, 1.0, 50.0, 0.2) * (0.5 + 6 * (t > 6))) / 50
     q = {"q_w": np.cos(angle / 2), "q_x": np.sin(angle / 2), "q_y": 1e-3 * np.sin(t), "q_z": 1e-3 * np.cos(t)}
-    columns = {"t": t} | q | {f"{n}_{a}": x[:, i] for n, x in (("p", p), ("v", v)) for i, a in enumerate("xyz")}
-    assert "units" not in {one.name for one in check_flight(Flight(columns, {}))}
+    assert "units" not in {one.name for one in check_flight(Flight({"t": t} | q | vectors(p=p, v=v), {}))}
 
 
 def test_an_estimate_that_wanders_is_no_wrong_clock(rng):
     """Velocity 4 % too large beside an error of 8 % that no factor takes away."""
     f = logs.truth(30.0, 20.0)
-    slow = logs.Truth(f.t, 0.1 * f.p, f.q, 0.1 * f.v, f.w, f.acc, f.command, f.voltage)
-    v = 1.04 * slow.v + wander(rng, f.v.shape, 0.08 * slow.v.std(), 20.0, 0.15)
-    columns = {"t": f.t} | {f"{n}_{a}": x[:, i] for n, x in (("p", slow.p), ("v", v)) for i, a in enumerate("xyz")}
-    assert not blocking(Flight(columns, {"recorded": True}))
+    v = 0.1 * (1.04 * f.v + wander(rng, f.v.shape, 0.08 * f.v.std(), 20.0, 0.15))
+    assert not blocking(Flight({"t": f.t} | vectors(p=0.1 * f.p, v=v), {"recorded": True}))
 
 
 def test_a_glitch_or_two_do_not_block(rng):
@@ -103,8 +99,7 @@ def test_a_hover_seen_by_motion_capture_alone(rng):
     """It may stand in the air, so it is said and let through; one that does not move by a centimetre stands."""
     t = np.arange(1000) / 50
     for size, severity in ((0.02, "warning"), (0.0005, "blocking")):
-        p = wander(rng, (1000, 3), size, 50.0, 1.0)
-        columns = {"t": t} | {f"p_{axis}": p[:, i] for i, axis in enumerate("xyz")}
+        columns = {"t": t} | vectors(p=wander(rng, (1000, 3), size, 50.0, 1.0))
         (found,) = [one for one in check_flight(Flight(columns, {})) if one.name == "no_flight"]
         assert found.severity == severity
 
@@ -114,14 +109,12 @@ def test_an_hour_at_400_hz(rng):
     """1.44 million rows in less memory than 600 MB on top of the flight."""
     f = logs.truth(62.8318, 400.0)
     rows = np.arange(1_440_000) % len(f.t)
-    noise = {"p": 1e-4, "v": 1e-3, "w": 0.02, "acc": 0.2}
+    sizes = {"p": 1e-4, "v": 1e-3, "w": 0.02, "acc": 0.2}
+    noisy = {name: getattr(f, name)[rows] + rng.normal(0, size, (len(rows), 3)) for name, size in sizes.items()}
     columns = {"t": np.arange(len(rows)) / 400} | {f"q_{axis}": f.q[rows, i] for i, axis in enumerate("wxyz")}
-    for name, x in (("p", f.p), ("v", f.v), ("w", f.w), ("acc", f.acc)):
-        columns |= {f"{name}_{a}": x[rows, i] + rng.normal(0, noise[name], len(rows)) for i, a in enumerate("xyz")}
     columns |= {f"motor_command_{i}": f.command[rows, i] for i in range(4)}
-    flight = Flight(columns, {})
-    found = check_flight(flight)
-    assert not [one for one in found if one.blocks]
+    flight = Flight(columns | vectors(**noisy), {})
+    assert not blocking(flight)
     tracemalloc.start()
     check_flight(flight)
     peak = tracemalloc.get_traced_memory()[1]

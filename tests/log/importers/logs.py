@@ -12,13 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.experiment.import_flights import import_files
 from quadexp.log.importers import Options
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
+from quadexp.physics.vehicle import Vehicle
 from tests.log.imitated import attitude_of
+from tests.models.recorded_data import FOLDER
 
 G = 9.81
 DRAG = np.array([0.4, 0.3, 0.1])  # 1/s, body axes
@@ -63,9 +66,9 @@ def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0) -> Truth:
     w = np.concatenate([w[:1], 0.5 * (w[1:] + w[:-1]), w[-1:]])
     torque = np.gradient(w, t, axis=0)
     thrust = force[:, 2] + DRAG[2] * body[:, 2]
-    mixed = np.stack(
-        [thrust / 4 + 0.02 * (y * torque[:, 0] - x * torque[:, 1]) + 0.05 * s_ * torque[:, 2] for x, y, s_ in ROTORS], 1
-    )
+    x, y, spin = ROTORS.T
+    mixed = thrust[:, None] / 4 + 0.02 * (np.outer(torque[:, 0], y) - np.outer(torque[:, 1], x))
+    mixed += 0.05 * np.outer(torque[:, 2], spin)
     command = np.sqrt(np.clip(mixed, 0.01, None) / 6.0)
     q = R.as_quat(scalar_first=True)
     q *= np.cumprod(np.concatenate([[1.0], np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)]))[:, None]
@@ -74,11 +77,9 @@ def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0) -> Truth:
     return Truth(t[k], p[k], q[k], v[k], w[k], force[k], command[k], voltage[k])
 
 
-def write_csv(path: Path, columns: dict[str, np.ndarray], digits: int = 9) -> Path:
-    names = ",".join(columns)
-    np.savetxt(
-        path, np.column_stack(list(columns.values())), delimiter=",", header=names, comments="", fmt=f"%.{digits + 6}g"
-    )
+def write_csv(path: Path, columns: dict[str, np.ndarray], digits: int = 15) -> Path:
+    values = np.column_stack(list(columns.values()))
+    np.savetxt(path, values, delimiter=",", header=",".join(columns), comments="", fmt=f"%.{digits}g")
     return path
 
 
@@ -110,7 +111,7 @@ def euroc(path: Path, f: Truth) -> Path:
         **_named("b_w_RS_S_x [rad s^-1]|b_w_RS_S_y [rad s^-1]|b_w_RS_S_z [rad s^-1]", 0 * f.w + 0.01),
         **_named("a_RS_S_x [m s^-2]|a_RS_S_y [m s^-2]|a_RS_S_z [m s^-2]", f.acc),
         **_named("w_RS_S_x [rad s^-1]|w_RS_S_y [rad s^-1]|w_RS_S_z [rad s^-1]", f.w),
-    }, digits=13)  # fmt: skip
+    }, digits=19)  # fmt: skip
 
 
 def ulog2csv(path: Path, f: Truth) -> Path:
@@ -121,7 +122,7 @@ def ulog2csv(path: Path, f: Truth) -> Path:
         **_named("accelerometer_m_s2[0]|accelerometer_m_s2[1]|accelerometer_m_s2[2]", f.acc @ FRD),
         **_named("output[0]|output[1]|output[2]|output[3]", 1000 + 1000 * f.command[:, [0, 2, 3, 1]]),
         "voltage_v": f.voltage,
-    }, digits=12)  # fmt: skip
+    }, digits=18)  # fmt: skip
 
 
 def betaflight(path: Path, f: Truth) -> Path:
@@ -133,11 +134,9 @@ def betaflight(path: Path, f: Truth) -> Path:
     names |= _named("motor[0]|motor[1]|motor[2]|motor[3]", 48 + 1999 * f.command[:, [1, 0, 2, 3]])
     names |= {"vbatLatest (V)": f.voltage}
     write_csv(path, names)
-    lines = path.read_text().splitlines()
-    lines[0] += ",flightModeFlags (flags)"
-    path.write_text(
-        "\n".join([lines[0].replace(",", ", "), *(f"{line},ANGLE_MODE|HORIZON" for line in lines[1:])]) + "\n"
-    )
+    head, *rows = path.read_text().splitlines()
+    rows = [f"{row},ANGLE_MODE|HORIZON" for row in rows]
+    path.write_text("\n".join([f"{head},flightModeFlags (flags)".replace(",", ", "), *rows, ""]))
     return path
 
 
@@ -226,6 +225,12 @@ class ULogWriter:
             row = [value if real else int(value) for value, real in zip(row, floats, strict=True)]
             self.data.append((stamp, self._message(b"D", pack.pack(number, stamp, *row))))
 
+    def imu(self, t: np.ndarray, w: np.ndarray, acc: np.ndarray) -> None:
+        """sensor_combined, of rates and specific force in FRD."""
+        fields = "float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;"
+        self.format("sensor_combined", f"uint64_t timestamp;{fields}")
+        self.topic("sensor_combined", t, np.column_stack([w, np.full(len(t), 4000), acc]), "3fI3f")
+
     def write(self, path: Path) -> Path:
         formats = [self._message(b"F", f"{name}:{fields}".encode()) for name, fields in self.formats.items()]
         ordered = [message for _, message in sorted(self.data, key=lambda item: item[0])]
@@ -238,15 +243,11 @@ def ulog(path: Path, f: Truth, version: str = "new", start: float = 5.0) -> Path
     t, position, velocity = f.t + start, f.p @ NED.T, f.v @ NED.T
     q, w, acc = frd_quaternion(f), f.w @ FRD, f.acc @ FRD
     motors = f.command[:, [0, 2, 3, 1]]
-    log = ULogWriter(
-        {"PWM_MAIN_MIN": 1000.0, "PWM_MAIN_MAX": 2000.0} if version == "new" else {"PWM_MIN": 1000.0, "PWM_MAX": 2000.0}
-    )
+    name = "PWM_MAIN" if version == "new" else "PWM"
+    log = ULogWriter({f"{name}_MIN": 1000.0, f"{name}_MAX": 2000.0})
     log.format("vehicle_local_position", "uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;")
     log.topic("vehicle_local_position", t[::2], np.hstack([position, velocity])[::2], "6f")
-    log.format(
-        "sensor_combined", "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;"
-    )
-    log.topic("sensor_combined", t, np.column_stack([w, np.full(len(t), 5000), acc]), "3fI3f")
+    log.imu(t, w, acc)
     log.format("battery_status", "uint64_t timestamp;float voltage_v;")
     log.topic("battery_status", t[::20], f.voltage[::20, None], "f")
     if version == "new":
@@ -274,51 +275,55 @@ def ulog(path: Path, f: Truth, version: str = "new", start: float = 5.0) -> Path
 
 # -------------------------------------------------------------------------------------------------------------- ROS
 def rosbag(path: Path, f: Truth, version: int) -> Path:
-    """Odometry (velocity in the body), IMU, battery; of ROS 1 (a file) or ROS 2 (a folder)."""
+    """Odometry (velocity in the body), IMU, a set-point; of ROS 1 (a file) or ROS 2 (a folder)."""
+    from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    if version == 1:
-        from rosbags.rosbag1 import Writer
+    writer = rosbag1.Writer(path) if version == 1 else rosbag2.Writer(path, version=9)
+    encode = store.serialize_ros1 if version == 1 else store.serialize_cdr
+    make = {name.rsplit("/", 1)[-1]: kind for name, kind in store.types.items()}
+    topics = {"/drone/odometry": "nav_msgs/msg/Odometry", "/drone/imu/data": "sensor_msgs/msg/Imu",
+              "/drone/setpoint": "geometry_msgs/msg/PoseStamped"}  # fmt: skip
 
-        writer, encode = Writer(path), store.serialize_ros1
-    else:
-        from rosbags.rosbag2 import Writer as Writer2
+    def vector(values: np.ndarray, kind: str = "Vector3"):
+        return make[kind](*map(float, values))
 
-        writer, encode = Writer2(path, version=9), store.serialize_cdr  # type: ignore[assignment]
-    T = store.types
-    prefix = "{}/msg/{}"
-    make = {name.rsplit("/", 1)[-1]: kind for name, kind in T.items()}
-    vector = lambda v: make["Vector3"](*map(float, v))  # noqa: E731
-    quaternion = lambda q: make["Quaternion"](float(q[1]), float(q[2]), float(q[3]), float(q[0]))  # noqa: E731
+    def pose(position: np.ndarray, q: np.ndarray):
+        return make["Pose"](vector(position, "Point"), vector(q[[1, 2, 3, 0]], "Quaternion"))
 
     def header(k: int, stamp: float, frame: str):
-        time = T["builtin_interfaces/msg/Time"](int(stamp), int(round(1e9 * (stamp % 1))))
+        time = store.types["builtin_interfaces/msg/Time"](int(stamp), int(round(1e9 * (stamp % 1))))
         return make["Header"](k, time, frame) if version == 1 else make["Header"](time, frame)
 
-    body, none = f.R.apply(f.v, inverse=True), np.zeros(36)
+    body, none, zero = f.R.apply(f.v, inverse=True), np.zeros(36), np.zeros(9)
     with writer:
-        odometry = writer.add_connection("/drone/odometry", prefix.format("nav_msgs", "Odometry"), typestore=store)
-        imu = writer.add_connection("/drone/imu/data", prefix.format("sensor_msgs", "Imu"), typestore=store)
-        wanted = writer.add_connection(
-            "/drone/setpoint", prefix.format("geometry_msgs", "PoseStamped"), typestore=store
-        )
+        to = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
         for k, t in enumerate(f.t + 1.7e9):
-            stamp = int(round(1e9 * t))
-            pose = make["Pose"](make["Point"](*map(float, f.p[k])), quaternion(f.q[k]))
-            twist = make["Twist"](vector(body[k]), vector(f.w[k]))
-            message = make["Odometry"](
-                header(k, t, "world"),
-                "base_link",
-                make["PoseWithCovariance"](pose, none),
-                make["TwistWithCovariance"](twist, none),
-            )
-            writer.write(odometry, stamp, encode(message, odometry.msgtype))
-            zero = np.zeros(9)
-            message = make["Imu"](
-                header(k, t, "imu"), quaternion(f.q[k]), zero, vector(f.w[k]), zero, vector(f.acc[k]), zero
-            )
-            writer.write(imu, stamp, encode(message, imu.msgtype))
-            shifted = make["Pose"](make["Point"](*map(float, f.p[k] + 1)), quaternion(f.q[k]))
-            writer.write(wanted, stamp, encode(make["PoseStamped"](header(k, t, "world"), shifted), wanted.msgtype))
+            twist = make["TwistWithCovariance"](make["Twist"](vector(body[k]), vector(f.w[k])), none)
+            where = make["PoseWithCovariance"](pose(f.p[k], f.q[k]), none)
+            turn = vector(f.q[k][[1, 2, 3, 0]], "Quaternion")
+            imu = header(k, t, "imu"), turn, zero, vector(f.w[k]), zero, vector(f.acc[k]), zero
+            messages = (
+                make["Odometry"](header(k, t, "world"), "base_link", where, twist), make["Imu"](*imu),
+                make["PoseStamped"](header(k, t, "world"), pose(f.p[k] + 1, f.q[k])),
+            )  # fmt: skip
+            for connection, message in zip(to.values(), messages, strict=True):
+                writer.write(connection, int(round(1e9 * t)), encode(message, connection.msgtype))
     return path
+
+
+def recorded(name: str) -> Path:
+    """A folder of recorded flights; the test is skipped where it is not there."""
+    if not (FOLDER / name).is_dir():
+        pytest.skip(f"the flights of {name} are not beside the repository (../shared/data/{name})")
+    return FOLDER / name
+
+
+def quad_x() -> Vehicle:
+    """1 kg, rotors front right, back right, back left, front left."""
+    return Vehicle(
+        1.0, ((0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.02)),
+        ((0.1, -0.1, 0.0), (-0.1, -0.1, 0.0), (-0.1, 0.1, 0.0), (0.1, 0.1, 0.0)),
+        (-1.0, 1.0, -1.0, 1.0), 0.013, 0.0, 10.0, 20.0, name="quad_x",
+    )  # fmt: skip

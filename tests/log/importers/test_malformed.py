@@ -64,11 +64,10 @@ def test_truncated_anywhere(tmp_path):
     """Cut at any place, a log gives a flight or one line."""
     f = logs.truth(3.0, 50.0)
     whole = logs.ulog(tmp_path / "a.ulg", f).read_bytes()
-    for share in np.linspace(0, 0.999, 25):
+    for share in np.linspace(0, 0.999, 15):
         (tmp_path / "b.ulg").write_bytes(whole[: int(share * len(whole))])
         try:
-            flight, _ = import_log(tmp_path / "b.ulg", None, Options())
-            assert np.isfinite(flight.t).all()
+            assert np.isfinite(import_log(tmp_path / "b.ulg", None, Options())[0].t).all()
         except QuadexpError as error:
             assert "\n" not in str(error)
 
@@ -113,7 +112,6 @@ def test_missing_topic_is_named(tmp_path):
         ("world: NET\ntime: {column: t}\nposition: {columns: [x, y, z]}\n", 1, "NED"),
         ("time: {column: t}\nmotor_command:\n  columns: [a, b, c]\n  layout: [front, back, up]\n", 4, "front_right"),
         ("position: {columns: [x, y, z]}\n", 1, "time: is missing"),
-        ("time: {column: t}\nposition: [\n", 3, "not YAML"),
         *((f"time: {{column: t}}\n{line}\n", 2, said) for line, said in (
             ("position: {columns: [x, y, z], unit: yards}", "allowed are m, cm"),
             ("attitude: {columns: [a, b, c, d], order: wxxz}", "wxyz, xyzw"),

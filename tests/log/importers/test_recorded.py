@@ -10,6 +10,7 @@ from quadexp.experiment.import_flights import import_files
 from quadexp.log.importers import Options, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from tests.log.importers import logs
 
 
 def body_velocity(flight: Flight) -> np.ndarray:
@@ -19,15 +20,12 @@ def body_velocity(flight: Flight) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("name", "d_x", "d_y"),
-    [
-        ("B2_circle_fast_rep2", 0.388, 0.418),
-        ("B9_trefoil_fast_rep14", 0.414, 0.393),
-        ("B3_figure8_fast_rep1", 0.405, 0.406),
-    ],
-)
-def test_nanobench_drag(nanobench, name, d_x, d_y):
+    [("B2_circle_fast_rep2", 0.388, 0.418), ("B9_trefoil_fast_rep14", 0.414, 0.393),
+     ("B3_figure8_fast_rep1", 0.405, 0.406)],
+)  # fmt: skip
+def test_nanobench_drag(name, d_x, d_y):
     """a_x = -d v_x + b on body axes, against the figures that come with the data, within 1 %."""
-    flight, _ = import_log(nanobench / f"{name}.csv", None, Options())
+    flight, _ = import_log(logs.recorded("nanobench") / f"{name}.csv", None, Options())
     v = body_velocity(flight)
     assert -np.polyfit(v[:, 0], flight["acc_x"], 1)[0] == pytest.approx(d_x, rel=0.01)
     assert -np.polyfit(v[:, 1], flight["acc_y"], 1)[0] == pytest.approx(d_y, rel=0.01)
@@ -35,12 +33,10 @@ def test_nanobench_drag(nanobench, name, d_x, d_y):
     assert flight["p_z"].min() > 0.5
 
 
-def test_nanobench_traps_are_named(nanobench, tmp_path):
+def test_nanobench_traps_are_named(tmp_path):
     """A duplicate, commands that cannot be, and a file without a flight: each named, none written."""
-    found = {
-        one.log.stem: one
-        for one in import_files(sorted(nanobench.glob("*.csv")), tmp_path, Options(), vehicle="crazyflie")
-    }
+    files = sorted(logs.recorded("nanobench").glob("*.csv"))
+    found = {one.log.stem: one for one in import_files(files, tmp_path, Options(), vehicle="crazyflie")}
     assert {path.stem for path in tmp_path.glob("*.parquet")} == {
         "B2_circle_fast_rep2", "B3_figure8_fast_rep1", "B9_trefoil_fast_rep14", "B9_trefoil_slow_rep12",
     }  # fmt: skip
@@ -52,11 +48,11 @@ def test_nanobench_traps_are_named(nanobench, tmp_path):
     assert again.metadata["vehicle"]["name"] == "crazyflie" and again.metadata["recorded"]
 
 
-def test_blackbird_nominal_and_linear_drag(blackbird):
+def test_blackbird_nominal_and_linear_drag():
     """Residual of least squares over both parts: 0.727 m/s^2 with an offset alone, 0.323 with linear drag, +-3 %."""
     velocities, residuals = [], []
     for part in ("train", "test"):
-        flight, _ = import_log(blackbird / part / "data.hdf5", None, Options())
+        flight, _ = import_log(logs.recorded("blackbird_clover") / part / "data.hdf5", None, Options())
         residual = flight.stack(["acc_x", "acc_y", "acc_z"])
         residual[:, 2] -= flight["thrust_acceleration"]
         velocities.append(body_velocity(flight))

@@ -1,8 +1,8 @@
 """One module a format, of its name. It declares
 
     ABOUT                        for the list of formats
-    recognises(path, head)       how sure it is that the file is its own, by its first bytes (None: a folder): 0 to 2
-    read(path, named)            RawLog, or a Flight that is taken as it is; named: the --log-format that was asked for
+    recognises(path, head)       whether the file is its own, by its first bytes (None: a folder)
+    read(path, named)            its RawLog; named: the --log-format that was asked for
 
 and nothing else lists it: a module that is here is a format.
 """
@@ -17,7 +17,6 @@ from typing import Protocol
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.raw import RawLog
-from quadexp.log.schema import Flight
 
 HEAD = 4096  # bytes
 
@@ -25,15 +24,16 @@ HEAD = 4096  # bytes
 class Reader(Protocol):
     ABOUT: str
 
-    def recognises(self, path: Path, head: bytes | None) -> int: ...
+    def recognises(self, path: Path, head: bytes | None) -> bool: ...
 
-    def read(self, path: Path, named: str) -> RawLog | Flight: ...
+    def read(self, path: Path, named: str) -> RawLog: ...
 
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Every format."""
-    return {one.name: import_module(f"{__name__}.{one.name}") for one in iter_modules(__path__)}
+    """Every format, the most general last: to it any text is a table."""
+    names = sorted((module.name for module in iter_modules(__path__)), key=lambda name: name == "csv")
+    return {name: import_module(f"{__name__}.{name}") for name in names}
 
 
 def reader_of(path: Path) -> str:
@@ -52,9 +52,8 @@ def reader_of(path: Path) -> str:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from None
         if not head:
             raise DataError(f"{path}: the file is empty")
-    sure = {name: reader.recognises(path, head) for name, reader in readers().items()}
-    best = max(sure, key=lambda name: sure[name])
-    if not sure[best]:
+    found = next((name for name, reader in readers().items() if reader.recognises(path, head)), None)
+    if found is None:
         what = "neither text nor" if head is not None else "a folder, but none of"
-        raise DataError(f"{path}: {what} {', '.join(f'{name} ({one.ABOUT})' for name, one in readers().items())}")
-    return best
+        raise DataError(f"{path}: {what} {', '.join(f'{name} ({r.ABOUT})' for name, r in readers().items())}")
+    return found

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, QuadexpError, missing_package
-from quadexp.log.declared import allowed_bytes
 from quadexp.log.importers.raw import RawLog, sorted_stream, with_attitude
+from quadexp.log.integrity import allowed_bytes
 from quadexp.log.signal import Stream
 from quadexp.log.store import first_line
 from quadexp.log.units import UNITS
@@ -48,9 +48,9 @@ ABOUT = "ROS 1 and ROS 2; needs [logs]"
 MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 
 
-def recognises(path: Path, head: bytes | None) -> int:
-    """A file of ROS 1 or of ROS 2; a folder of ROS 2. An MCAP of our own is surer to be that (quadexp.py)."""
-    return int((path / "metadata.yaml").is_file() if head is None else head.startswith(MAGIC))
+def recognises(path: Path, head: bytes | None) -> bool:
+    """A file of ROS 1 or of ROS 2; a folder of ROS 2."""
+    return (path / "metadata.yaml").is_file() if head is None else head.startswith(MAGIC)
 
 
 def read(path: Path, named: str) -> RawLog:
