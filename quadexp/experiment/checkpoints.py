@@ -11,7 +11,8 @@ from typing import Any
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.inputs import located
 from quadexp.experiment.kept import keep
-from quadexp.models.settings import MAKERS
+from quadexp.models.base import model_class
+from quadexp.models.residual import LEARNED
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 
@@ -49,7 +50,7 @@ def find_model(config: Config) -> ModelFile | None:
     for candidate in candidates:
         if (Path(candidate) / MODEL_FILE).is_file():
             return _file(candidate)
-    maker = MAKERS[residual]
+    maker = model_class(residual).maker
     if config.model:
         raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
     looked = " or ".join(candidates) or "nowhere"
@@ -65,7 +66,9 @@ def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
         raise UsageError(f"controller.models: {controller.name} needs one folder for each of {', '.join(kinds)}")
     for kind, folder in zip(kinds, controller.models, strict=True):
         if not (Path(folder) / MODEL_FILE).is_file():
-            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {MAKERS[kind]}")
+            raise UsageError(
+                f"controller.models: no checkpoint in {folder} for {kind}; make one: {model_class(kind).maker}"
+            )
     files = tuple(_file(folder) for folder in controller.models)
     together = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
     return ModelFile("+".join(file.path for file in files), together, files)
@@ -103,7 +106,7 @@ def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
 def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
     """The models of the air of some kinds, each from its own checkpoint."""
     files = iter(model.files if model else ())
-    return [_residual(kind, vehicle, next(files)) for kind in kinds if kind in MAKERS]
+    return [_residual(kind, vehicle, next(files)) for kind in kinds if kind in LEARNED]
 
 
 def _residual(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
@@ -114,7 +117,7 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     checkpoint = load_checkpoint(vehicle, model)
     checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
     if checkpoint.kind != kind:
-        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {MAKERS[kind]} makes")
+        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {model_class(kind).maker} makes")
     return replace(checkpoint.residual(vehicle, model.path), ranges=checkpoint.feature_range)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,11 @@ from quadexp.models.base import Model
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset, read_dataset
 from quadexp.models.evaluation import Fit, fit_with_report, without
-from quadexp.models.gaussian_process import GPModel, GPSettings
+from quadexp.models.gaussian_process import GPModel
 from quadexp.models.known_noise import explained, explained_lines
 from quadexp.models.linear_drag import LinearDrag
-from quadexp.models.neural import NeuralModel, NNSettings
+from quadexp.models.neural import NeuralModel
 from quadexp.parts.schema import Config
-from quadexp.parts.settings import part
 from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
@@ -83,8 +81,8 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
 def _asked(kind: str, config: Config) -> tuple[type[Model], Any]:
     """The kind of model, and the settings of its fit."""
     if kind == "gp":
-        return GPModel, part(GPSettings, config.gp, features=asdict(config.gp.features))
-    return (NeuralModel, part(NNSettings, config.nn)) if kind == "nn" else (LinearDrag, config.drag)
+        return GPModel, config.gp
+    return (NeuralModel, config.nn) if kind == "nn" else (LinearDrag, config.drag)
 
 
 def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cache
+from importlib import import_module
 from typing import Annotated, Any, ClassVar, NamedTuple, get_type_hints
 
 import msgspec
@@ -20,6 +21,7 @@ import numpy as np
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import Adapting
 from quadexp.models.residual import Residual
+from quadexp.parts.settings import Setting, record
 from quadexp.physics.vehicle import Vehicle
 
 Callback = Callable[[str, float], None]
@@ -28,6 +30,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0)]
 Output = Annotated[str, msgspec.Meta(pattern=r"^(a|tau)_[xyz]$")]  # quadexp.physics.correction.OUTPUTS
 Rotors = Annotated[int, msgspec.Meta(ge=1, le=64)]
+HOLDOUT = Setting("share of the flights held out of the fit, on which it is reported", "[0, 0.9]", "of the flights")
 
 
 class Shape(NamedTuple):
@@ -87,7 +90,8 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
     vehicle: {name, fingerprint}. dataset: record of the data: hash, rows, flights. settings: of the fit.
     feature_range: of its rows, see quadexp.models.support. versions: library -> version. linear_drag, of every kind:
-    the baseline, linear drag of the same rows. predictor: its name in tables. Settings: of its fit, a dataclass.
+    the baseline, linear drag of the same rows. predictor: its name in tables. maker: the command that makes its
+    checkpoint. Settings: of its fit.
     """
 
     vehicle: dict[str, Any] = {}
@@ -96,6 +100,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     feature_range: dict[str, Annotated[list[float], msgspec.Meta(min_length=2, max_length=2)]] = {}
     versions: dict[str, str] = {}
     predictor: ClassVar[str]
+    maker: ClassVar[str]
     Settings: ClassVar[type]
 
     def __post_init__(self) -> None:
@@ -158,6 +163,18 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     def numbers(self) -> dict[str, Any]:
         """What else of the model stands in the report of its fit, JSON-able."""
         return {}
+
+
+def model_class(kind: str) -> type[Model]:
+    """The models of a kind: the class with that tag, in the module of that name."""
+    module = import_module(f"quadexp.models.{kind}")
+    classes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, Model)]
+    return next(item for item in classes if item.__struct_config__.tag == kind)
+
+
+def fit_record(settings: Any) -> dict[str, Any]:
+    """The settings of a fit for its checkpoint."""
+    return {key: value for key, value in record(settings).items() if key != "name"}
 
 
 def rms(error: np.ndarray) -> float:

@@ -17,9 +17,9 @@ evaluates d = s phi - s Z, k = exp(-sum d^2), dy/dphi = -2 s (alpha k)^T d.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -29,7 +29,19 @@ from msgspec.structs import replace
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
-from quadexp.models.base import AXIS, Callback, Model, Output, Positive, Prediction, Record, Shape, Share
+from quadexp.models.base import (
+    AXIS,
+    HOLDOUT,
+    Callback,
+    Model,
+    Output,
+    Positive,
+    Prediction,
+    Record,
+    Shape,
+    Share,
+    fit_record,
+)
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import (
     N_PARAMETERS,
@@ -40,47 +52,86 @@ from quadexp.models.linear_drag import (
 )
 from quadexp.models.neural import one_thread
 from quadexp.models.online import Adapting, Block
-from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, feature_names, feature_places
-from quadexp.models.settings import GPKeys
+from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, check_features, feature_names, feature_places
 from quadexp.models.support import library_versions, origin, require_variation
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
+from quadexp.parts.part import Part
+from quadexp.parts.settings import SEEDS, Setting, Settings, key, lists, made
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
 CHUNK = 4096  # rows predicted at a time, to limit memory
 JITTER = 1e-8  # added to K of weights that adapt, as in the fit
-DEFAULT_FEATURES = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z", "thrust")}
 SUMS = Path(__file__).with_name("gp_sums.c")
 
 Sums = tuple[list[Expression], list[Expression]]  # over the points: one value per output, one slope per feature
 Structure = tuple[tuple[str, tuple[str, ...], int], ...]  # output, its features, its number of points
 
 
-@dataclass(frozen=True)
-class GPSettings(GPKeys):
-    """How the Gaussian processes are fitted (see GPKeys for the keys of the `gp` configuration group).
+def _features(output: str, *features: str) -> Any:
+    return key(features, Setting(f"features of the GP of {output}; []: no correction"))
 
-    features: output -> feature names (B_z); an output that is absent, or has none, is not corrected (B_d).
-    """
 
-    features: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: dict(DEFAULT_FEATURES))
+@dataclass(frozen=True, kw_only=True)
+class GPFeatures(Settings):
+    """For every output the features of its GP; an empty list leaves the output uncorrected."""
+
+    prefix: ClassVar[str] = "gp.features."
+
+    a_x: tuple[str, ...] = _features("a_x")
+    a_y: tuple[str, ...] = _features("a_y")
+    a_z: tuple[str, ...] = _features("a_z")
+    tau_x: tuple[str, ...] = _features("tau_x")
+    tau_y: tuple[str, ...] = _features("tau_y")
+    tau_z: tuple[str, ...] = _features("tau_z")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        chosen = {output: tuple(names) for output, names in self.features.items() if names}
-        object.__setattr__(self, "features", chosen)
-        if not chosen:
+        for output in OUTPUTS:
+            features = getattr(self, output)
+            check_features(f"gp.features.{output}", features)
+            if len(set(features)) < len(features):
+                raise UsageError(f"gp.features.{output}: {', '.join(features)} names a feature twice")
+        if not self.of_output:
             raise UsageError("gp.features: no output has a feature; name some, e.g. gp.features.a_x=[v_x]")
-        for output, names in chosen.items():
-            if output not in OUTPUTS:
-                raise UsageError(f"gp.features.{output}: no such output; allowed are {', '.join(OUTPUTS)}")
-            if len(set(names)) < len(names):
-                raise UsageError(f"gp.features.{output}: {', '.join(names)} names a feature twice")
 
-    def as_dict(self) -> dict[str, Any]:
-        features = {output: list(names) for output, names in self.features.items()}
-        return {"features": features} | {name: value for name, value in asdict(self).items() if name != "features"}
+    @property
+    def of_output(self) -> dict[str, tuple[str, ...]]:
+        """Output -> features (B_z), of the outputs that are corrected (B_d)."""
+        return {output: getattr(self, output) for output in OUTPUTS if getattr(self, output)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GPSettings(Part):
+    """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
+
+    prefix: ClassVar[str] = "gp."
+    inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
+    method: Literal["sgpr", "subset", "exact"] = key(
+        "sgpr", "variational bound of Titsias 2009, exact GP on a subset as in the paper, or exact GP on all rows"
+    )
+    mean: Literal["zero", "constant", "linear_drag", "quadratic", "blade_element"] = key(
+        "zero", "mean function under the GP"
+    )
+    seed: int = key(0, "seed of the choice of held-out flights and initial inducing points", SEEDS)
+    max_rows: int | None = key(
+        None, "largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"
+    )
+    max_exact_rows: int = key(1000, "largest number of rows for gp.method=exact", "[10, 100000]", "rows")
+    holdout: float = key(0.2, HOLDOUT)
+    refit: bool = key(True, "after the report, fit again to all flights")
+    alternatives: bool = key(True, "where a fit is no better than drag, report what other features give")
+    max_iterations: int = key(60, "largest number of L-BFGS iterations", "[1, 10000]")
+    jitter: float = key(1e-8, "added to K_ZZ, relative to the signal variance", "(0, 1e-6]")
+    features: GPFeatures = key(
+        GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust")), "features of every output"
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.features, Mapping):
+            object.__setattr__(self, "features", made(GPFeatures, self.features))
+        super().__post_init__()
 
 
 class OutputPosterior(Record, frozen=True):
@@ -140,7 +191,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
     outputs: Annotated[tuple[OutputPosterior, ...], msgspec.Meta(min_length=1)]
     mean: LinearDrag | TermMean | None
     linear_drag: LinearDrag
-    predictor = "gp"
+    predictor, maker = "gp", "quadexp fit-gp DATASET --out models/gp"
     Settings = GPSettings
 
     def __post_init__(self) -> None:
@@ -330,6 +381,7 @@ def fit_gp(
     from quadexp.models.sgpr import fit_output  # imports PyTorch
 
     settings = settings or GPSettings()
+    chosen = settings.features.of_output
     iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
     rng = np.random.default_rng(settings.seed)
     if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
@@ -343,7 +395,7 @@ def fit_gp(
     prior = None if mean is None else mean.acceleration(dataset)
     posteriors: list[OutputPosterior] = []
     with one_thread():
-        for i, (output, features) in enumerate(settings.features.items()):
+        for i, (output, features) in enumerate(chosen.items()):
             target = dataset.matrix([output])[:, 0]
             if prior is not None and output in AXIS:
                 target = target - prior[:, AXIS[output]]
@@ -352,7 +404,7 @@ def fit_gp(
 
             def report(done: float, output: str = output, i: int = i) -> None:
                 if callback is not None:
-                    callback(f"fit {output}", (i + done) / len(settings.features))
+                    callback(f"fit {output}", (i + done) / len(chosen))
 
             before = earlier[0] if earlier else None
             given = dataset.matrix(features), target, settings, iterations, rng, before, report
@@ -362,11 +414,14 @@ def fit_gp(
             posteriors.append(posterior)
     if callback is not None:
         callback("fit done", 1.0)
-    used = [name for names in settings.features.values() for name in names]
     versions = library_versions("numpy", "scipy", "torch", "gpytorch")
+    recorded = {"features": lists(chosen)} | {
+        name: value for name, value in fit_record(settings).items() if name != "features"
+    }
     return GPModel(
-        tuple(posteriors), mean, drag, settings=settings.as_dict(), versions=versions, **origin(dataset, used)
-    )
+        tuple(posteriors), mean, drag, settings=recorded, versions=versions,
+        **origin(dataset, [name for names in chosen.values() for name in names]),
+    )  # fmt: skip
 
 
 def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
@@ -376,7 +431,7 @@ def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
             f"gp.method=exact: {n} rows are more than gp.max_exact_rows={settings.max_exact_rows};"
             " use gp.method=sgpr, or draw fewer with gp.max_rows"
         )
-    for output, features in settings.features.items():
+    for output, features in settings.features.of_output.items():
         require_variation(dataset, [*features, output], len(features), f"gp.features.{output}")
     if settings.method != "exact" and n < settings.inducing:
         raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")

@@ -15,7 +15,8 @@ are 7 to 10 times too small on flights.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -23,14 +24,15 @@ import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import AXIS, Model, Prediction, Shape, Three
+from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
-from quadexp.models.settings import DragConfig
 from quadexp.models.support import origin
 from quadexp.models.thrust_scale import with_common_scale
+from quadexp.parts.part import Part
+from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
@@ -41,6 +43,21 @@ LABELS = {
     "hc1": "95 % interval as if rows were independent, too narrow for flights",  # of earlier versions
     "blocks": "95 % interval of quadexp identify",
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class DragSettings(Part):
+    """How linear drag is fitted; see quadexp/models/linear_drag.py."""
+
+    prefix: ClassVar[str] = "drag."
+
+    intercept: bool = key(True, "fit a constant acceleration in addition to the drag")
+    thrust: bool = key(True, "fit an error of the collective thrust, as a share, on the z axis")
+    loss: Literal["huber", "squares"] = key(
+        "huber", "Huber's, which the few fastest rows do not bend, or least squares as published"
+    )
+    holdout: float = key(0.2, HOLDOUT)
+    seed: int = key(0, "draws the held-out flights", SEEDS)
 
 
 class LinearDrag(Model, frozen=True, tag="linear_drag"):
@@ -65,7 +82,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
     loss: str = "huber"
     freedom: Annotated[np.ndarray, Shape("7")] = msgspec.field(default_factory=lambda: np.zeros(7))
     flights: int = 0
-    predictor = "linear_drag"
+    predictor, maker = "linear_drag", "quadexp fit-drag DATASET --out models/drag"
 
     @property
     def parameters(self) -> np.ndarray:
@@ -97,7 +114,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         return adapting_drag(vehicle, residual, deviation)
 
     @classmethod
-    def fit(cls, rows: ResidualDataset, settings: DragConfig, *, intervals: bool = True, **_: Any) -> LinearDrag:
+    def fit(cls, rows: ResidualDataset, settings: DragSettings, *, intervals: bool = True, **_: Any) -> LinearDrag:
         return fit_linear_drag(
             rows, intercept=settings.intercept, thrust=settings.thrust, loss=settings.loss, intervals=intervals
         )

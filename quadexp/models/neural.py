@@ -28,22 +28,22 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import AXIS, Callback, Model, Output, Prediction, Shape
+from quadexp.models.base import AXIS, HOLDOUT, Callback, Model, Output, Prediction, Shape, fit_record
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.models.online import Adapting, Block
-from quadexp.models.residual import OUTPUTS, Residual, feature_names, feature_places
-from quadexp.models.settings import NNKeys
+from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places
 from quadexp.models.support import library_versions, origin, require_variation
 from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
-from quadexp.parts.settings import record
+from quadexp.parts.part import Part
+from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
@@ -84,24 +84,36 @@ def activation(t: Expression) -> tuple[Expression, Expression]:
     return t * q, q * q * q
 
 
-@dataclass(frozen=True)
-class NNSettings(NNKeys):
-    """How the network is made and trained (see NNKeys for the keys of the `nn` configuration group)."""
+@dataclass(frozen=True, kw_only=True)
+class NNSettings(Part):
+    """How the neural network is made and trained; see quadexp/models/neural.py."""
+
+    prefix: ClassVar[str] = "nn."
+
+    features: tuple[str, ...] = key(("v_x", "v_y", "v_z", "thrust"), "features of all outputs")
+    outputs: tuple[str, ...] = key(("a_x", "a_y", "a_z"), "outputs; the others are not corrected")
+    hidden: tuple[int, ...] = key((16, 16), "units of every hidden layer", "[1, 1000]", "units")
+    spectral: float | None = key(
+        None, "largest slope of the scaled network, by spectral normalisation; null: no limit", "(0, 1000]"
+    )
+    max_iterations: int = key(400, "largest number of L-BFGS iterations", "[1, 100000]")
+    penalty: float = key(
+        1e-6, "penalty on every layer's mean square weight, relative to the outputs' mean square", "[0, 1]"
+    )
+    seed: int = key(0, "seed of held-out flights, first weights", SEEDS)
+    device: Literal["auto", "cpu", "cuda"] = key("cpu", "where torch trains; auto: a CUDA device where there is one")
+    holdout: float = key(0.2, HOLDOUT)
+    refit: bool = key(True, "after the report, fit again to all flights")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for output in self.outputs:
-            if output not in OUTPUTS:
-                raise UsageError(f"nn.outputs: {output!r} is no output; allowed are {', '.join(OUTPUTS)}")
+        check_features("nn.features", self.features)
         for key in ("features", "outputs"):
             names = getattr(self, key)
             if not names or len(set(names)) < len(names):
                 raise UsageError(f"nn.{key}=[{','.join(names)}]: at least one is needed, and each only once")
         if not self.hidden:
             raise UsageError("nn.hidden=[]: at least one hidden layer is needed")
-
-    def as_dict(self) -> dict[str, Any]:
-        return record(self)
 
 
 class NeuralModel(Model, frozen=True, tag="neural"):
@@ -119,7 +131,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     residual_std: Annotated[np.ndarray, Shape("outputs")]
     lipschitz: float
     linear_drag: LinearDrag
-    predictor = "nn"
+    predictor, maker = "nn", "quadexp fit-nn DATASET --out models/nn"
     Settings = NNSettings
 
     def __post_init__(self) -> None:
@@ -275,7 +287,7 @@ def fit_network(
     return NeuralModel(
         *network, np.sqrt(np.mean((y - network(x)) ** 2, axis=0)), lipschitz,
         fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=False),
-        settings=settings.as_dict(), versions=library_versions("numpy", "scipy", "torch"),
+        settings=fit_record(settings), versions=library_versions("numpy", "scipy", "torch"),
         **origin(dataset, settings.features),
     )  # fmt: skip
 

@@ -26,7 +26,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gpytorch
 import numpy as np
@@ -37,7 +37,8 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
 
-from quadexp.models.settings import GPKeys
+if TYPE_CHECKING:
+    from quadexp.models.gaussian_process import GPSettings
 
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
@@ -62,7 +63,7 @@ class Hyperparameters:
 def fit_output(
     z: np.ndarray,
     target: np.ndarray,
-    settings: GPKeys,
+    settings: GPSettings,
     iterations: int,
     rng: np.random.Generator,
     start: Any,

@@ -9,14 +9,13 @@ import pytest
 from quadexp.models.base import AXIS
 from quadexp.models.checkpoint import load_model, plain, record_of, save_model
 from quadexp.models.gaussian_process import GPModel, GPSettings
-from quadexp.models.linear_drag import LinearDrag
+from quadexp.models.linear_drag import DragSettings, LinearDrag
 from quadexp.models.neural import NeuralModel, NNSettings
-from quadexp.models.settings import DragConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 
 SETTINGS = {
-    LinearDrag: DragConfig(),
+    LinearDrag: DragSettings(),
     GPModel: GPSettings(inducing=5, max_iterations=5, mean="quadratic", features={"a_x": ("v_x",), "tau_y": ("w_y",)}),
     NeuralModel: NNSettings(hidden=(4,), max_iterations=5),
 }
