@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 
 import numpy as np
 import pytest
@@ -112,15 +112,6 @@ def lei_li(blade) -> Vehicle:
         rotor=rotor,
         thrust_coefficient=static.thrust,
     )
-
-
-@pytest.fixture(scope="module")
-def small_trials() -> Iterator[None]:
-    """The search for better features, with which a fit ends, on few rows: for tests of other things."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("quadexp.models.verdict.TRIAL_ROWS", 200)
-        patch.setattr("quadexp.models.verdict.TRIAL_ITERATIONS", 3)
-        yield
 
 
 @pytest.fixture

@@ -16,11 +16,21 @@ from quadexp.experiment.identify import own_vehicle, read_recorded
 from quadexp.files.writer import check_output
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
-from quadexp.models.lumped import momentum_of
 from quadexp.models.samples import Samples, gather_to_fit
-from quadexp.models.selection import HOVER_INFLOW, best_level, compare_curves, flight_by_flight, selection
+from quadexp.models.terms import momentum_of
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.vehicle_model import FitSettings, VehicleModel, curve_beside_quadratic, fit_level, fit_vehicle_model
+from quadexp.models.vehicle_model import (
+    HOVER_INFLOW,
+    FitSettings,
+    VehicleModel,
+    best_level,
+    compare_curves,
+    curve_beside_quadratic,
+    fit_level,
+    fit_vehicle_model,
+    flight_by_flight,
+    selection,
+)
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 

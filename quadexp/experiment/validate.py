@@ -16,19 +16,21 @@ from quadexp.experiment.checkpoints import load_identified
 from quadexp.files.writer import check_output, write_text
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
-from quadexp.models.open_loop import TURNING, Track, rollout_errors
 from quadexp.models.recorded import recorded_dataset
 from quadexp.models.samples import FlightRows, gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import TorqueModel, explained, torque_lines
 from quadexp.models.validation import (
     NOMINAL,
+    TURNING,
     Predictor,
     Residuals,
+    Track,
     band_rows,
     nominal,
     predictors,
     residuals,
+    rollout_errors,
     score_rows,
 )
 from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model

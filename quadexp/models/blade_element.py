@@ -206,17 +206,13 @@ def fit_blade_element(
 
 @lru_cache(maxsize=8)
 def _force_function(vehicle: Vehicle) -> ca.Function:
-    """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5).
-
-    With the balance g(V_I, theta) = 0, dV_I/dtheta = -(dg/dtheta) / (dg/dV_I): the iterations are not differentiated.
-    """
+    """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5)."""
     n = vehicle.n_rotors
     v, w, theta, induced = (ca.SX.sym(name, size) for name, size in (("v", 3), ("w", n), ("theta", 5), ("V_I", n)))
     flow = rotor_flow(vehicle, v)
     equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
-    through = -ca.jacobian(equation.value(induced), theta) / ca.repmat(equation.slope(induced), 1, 5)
-    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), through)
+    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), equation.derivative(induced, theta))
     solved = ca.substitute(
         [force / vehicle.mass, ca.densify(slope) / vehicle.mass], [induced], [safe_newton(equation, SAFE_ITERATIONS)]
     )

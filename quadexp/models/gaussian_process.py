@@ -40,7 +40,9 @@ from quadexp.models.base import (
     Record,
     Shape,
     Share,
-    fit_record,
+    origin,
+    quiet,
+    require_variation,
 )
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import (
@@ -52,15 +54,15 @@ from quadexp.models.linear_drag import (
 )
 from quadexp.models.neural import one_thread
 from quadexp.models.online import Adapting, Block
+from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, check_features, feature_names, feature_places
-from quadexp.models.support import library_versions, origin, require_variation
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
-from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, Settings, key, lists, made
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
+LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")  # that a fit depends on
 CHUNK = 4096  # rows predicted at a time, to limit memory
 JITTER = 1e-8  # added to K of weights that adapt, as in the fit
 SUMS = Path(__file__).with_name("gp_sums.c")
@@ -102,11 +104,18 @@ class GPFeatures(Settings):
         return {output: getattr(self, output) for output in OUTPUTS if getattr(self, output)}
 
 
+DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
+
+
+DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
+
+
 @dataclass(frozen=True, kw_only=True)
 class GPSettings(Part):
     """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
 
     prefix: ClassVar[str] = "gp."
+    features: GPFeatures = key(DEFAULT_FEATURES, "features of every output")
     inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
     method: Literal["sgpr", "subset", "exact"] = key(
         "sgpr", "variational bound of Titsias 2009, exact GP on a subset as in the paper, or exact GP on all rows"
@@ -121,12 +130,8 @@ class GPSettings(Part):
     max_exact_rows: int = key(1000, "largest number of rows for gp.method=exact", "[10, 100000]", "rows")
     holdout: float = key(0.2, HOLDOUT)
     refit: bool = key(True, "after the report, fit again to all flights")
-    alternatives: bool = key(True, "where a fit is no better than drag, report what other features give")
     max_iterations: int = key(60, "largest number of L-BFGS iterations", "[1, 10000]")
     jitter: float = key(1e-8, "added to K_ZZ, relative to the signal variance", "(0, 1e-6]")
-    features: GPFeatures = key(
-        GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust")), "features of every output"
-    )
 
     def __post_init__(self) -> None:
         if isinstance(self.features, Mapping):
@@ -368,7 +373,7 @@ def fit_gp(
     settings: GPSettings | None = None,
     *,
     start: GPModel | None = None,
-    callback: Callback | None = None,
+    callback: Callback = quiet,
     intervals: bool = True,
 ) -> GPModel:
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
@@ -403,8 +408,7 @@ def fit_gp(
             earlier = [o for o in start.outputs if (o.output, o.features, len(o.alpha)) == alike] if start else []
 
             def report(done: float, output: str = output, i: int = i) -> None:
-                if callback is not None:
-                    callback(f"fit {output}", (i + done) / len(chosen))
+                callback(f"fit {output}", (i + done) / len(chosen))
 
             before = earlier[0] if earlier else None
             given = dataset.matrix(features), target, settings, iterations, rng, before, report
@@ -412,16 +416,10 @@ def fit_gp(
             if output == "a_z":
                 posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
             posteriors.append(posterior)
-    if callback is not None:
-        callback("fit done", 1.0)
-    versions = library_versions("numpy", "scipy", "torch", "gpytorch")
-    recorded = {"features": lists(chosen)} | {
-        name: value for name, value in fit_record(settings).items() if name != "features"
-    }
-    return GPModel(
-        tuple(posteriors), mean, drag, settings=recorded, versions=versions,
-        **origin(dataset, [name for names in chosen.values() for name in names]),
-    )  # fmt: skip
+    callback("fit done", 1.0)
+    stated = origin(dataset, [name for names in chosen.values() for name in names], settings, LIBRARIES)
+    stated["settings"]["features"] = lists(chosen)
+    return GPModel(tuple(posteriors), mean, drag, **stated)
 
 
 def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
@@ -432,7 +430,7 @@ def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
             " use gp.method=sgpr, or draw fewer with gp.max_rows"
         )
     for output, features in settings.features.of_output.items():
-        require_variation(dataset, [*features, output], len(features), f"gp.features.{output}")
+        require_variation(dataset, features, [output], f"gp.features.{output}")
     if settings.method != "exact" and n < settings.inducing:
         raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
 

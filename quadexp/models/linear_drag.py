@@ -24,13 +24,12 @@ import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three
+from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
+from quadexp.models.recorded import with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
-from quadexp.models.support import origin
-from quadexp.models.thrust_scale import with_common_scale
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.drag import linear_drag_force

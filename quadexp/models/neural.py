@@ -35,13 +35,23 @@ import numpy as np
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import AXIS, HOLDOUT, Callback, Model, Output, Prediction, Shape, fit_record
+from quadexp.models.base import (
+    AXIS,
+    HOLDOUT,
+    Callback,
+    Model,
+    Output,
+    Prediction,
+    Shape,
+    origin,
+    quiet,
+    require_variation,
+)
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.models.online import Adapting, Block
+from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places
-from quadexp.models.support import library_versions, origin, require_variation
-from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.expression import Expression
@@ -108,10 +118,10 @@ class NNSettings(Part):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_features("nn.features", self.features)
-        for key in ("features", "outputs"):
-            names = getattr(self, key)
+        for name in ("features", "outputs"):
+            names = getattr(self, name)
             if not names or len(set(names)) < len(names):
-                raise UsageError(f"nn.{key}=[{','.join(names)}]: at least one is needed, and each only once")
+                raise UsageError(f"nn.{name}=[{','.join(names)}]: at least one is needed, and each only once")
         if not self.hidden:
             raise UsageError("nn.hidden=[]: at least one hidden layer is needed")
 
@@ -168,7 +178,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     @classmethod
     def fit(cls, rows: ResidualDataset, settings: NNSettings, **options: Any) -> NeuralModel:
         """See Model.fit; always from the start that the seed gives."""
-        return fit_network(rows, settings, callback=options.get("callback"))
+        return fit_network(rows, settings, callback=options.get("callback", quiet))
 
     @property
     def summary(self) -> str:
@@ -262,7 +272,7 @@ def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -
 
 
 def fit_network(
-    dataset: ResidualDataset, settings: NNSettings | None = None, *, callback: Callback | None = None
+    dataset: ResidualDataset, settings: NNSettings | None = None, *, callback: Callback = quiet
 ) -> NeuralModel:
     """Train a network on all rows of the dataset; callback: see Model.fit.
 
@@ -272,7 +282,7 @@ def fit_network(
     settings = settings or NNSettings()
     device = _device(settings.device)
     dataset = with_common_scale(dataset).dataset
-    require_variation(dataset, settings.features, len(settings.features), "nn.features")
+    require_variation(dataset, settings.features, (), "nn.features")
     x, y = dataset.matrix(settings.features), dataset.matrix(settings.outputs)
     centre, spread = x.mean(axis=0), x.std(axis=0)
     unit = np.sqrt(np.mean(y**2, axis=0))
@@ -287,8 +297,7 @@ def fit_network(
     return NeuralModel(
         *network, np.sqrt(np.mean((y - network(x)) ** 2, axis=0)), lipschitz,
         fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=False),
-        settings=fit_record(settings), versions=library_versions("numpy", "scipy", "torch"),
-        **origin(dataset, settings.features),
+        **origin(dataset, settings.features, settings, ("numpy", "scipy", "torch")),
     )  # fmt: skip
 
 
@@ -316,7 +325,7 @@ def _device(name: str) -> torch.device:
 
 
 def _train(
-    x: np.ndarray, y: np.ndarray, settings: NNSettings, device: torch.device, callback: Callback | None
+    x: np.ndarray, y: np.ndarray, settings: NNSettings, device: torch.device, callback: Callback
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Weights and biases of the scaled network for scaled features (k, d) and outputs (k, o)."""
     import torch
@@ -350,8 +359,7 @@ def _train(
     def step(_: np.ndarray) -> None:
         nonlocal done
         done += 1
-        if callback is not None:
-            callback("fit network", done / settings.max_iterations)
+        callback("fit network", done / settings.max_iterations)
 
     result = minimize(
         loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B", callback=step,

@@ -3,7 +3,7 @@
 Steps for each output: scaling (features to mean 0 and standard deviation 1, the target by its root mean square) ->
 hyperparameters of an exact GP on a few rows -> inducing points where the remaining variance is largest -> both
 optimised together, first on part of the rows, then on all -> posterior in physical units. Recorded flights are first
-brought to a common thrust scale (quadexp.models.thrust_scale).
+brought to a common thrust scale (quadexp.models.recorded).
 
 Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variational bound (2009, eq. 9),
 
@@ -207,7 +207,7 @@ class GPRegression(gpytorch.models.ExactGP):
         return -0.5 * (math.log(2 * math.pi) + (determinant + quadratic + trace).squeeze() / n)
 
 
-def maximise(model: GPRegression, iterations: int, report: Callable[[int], None] | None = None) -> float:
+def maximise(model: GPRegression, iterations: int, report: Callable[[int], None] = lambda done: None) -> float:
     """Maximise the model's objective in place by L-BFGS-B; returns it, per row.
 
     report: called with the number of iterations done.
@@ -238,8 +238,7 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
     def step(_: np.ndarray) -> None:
         nonlocal done
         done += 1
-        if report is not None:
-            report(done)
+        report(done)
 
     flat = np.concatenate([p.detach().numpy().reshape(-1) for p in parameters])
     with warnings.catch_warnings(), gpytorch.settings.max_cholesky_size(EXACT_LIMIT):

@@ -64,6 +64,10 @@ class Balance(NamedTuple):
         speed = self._speed(u)
         return self.K * (speed + induced * u / speed) + self.b
 
+    def derivative(self, induced: Expression, by: Expression) -> Expression:
+        """dV_I / d(by) of the solution, (n, p): -(dg/d(by)) / (dg/dV_I), the iterations are not differentiated."""
+        return -ca.jacobian(self.value(induced), by) / ca.repmat(self.slope(induced), 1, by.numel())
+
     def _speed(self, u: Expression) -> Expression:
         return ca.sqrt(self.in_plane_squared + u * u + TINY_SPEED**2)
 

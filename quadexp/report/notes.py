@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
-from quadexp.models.support import REPORTED_SHARE
+from quadexp.models.base import REPORTED_SHARE
 from quadexp.report.flown_by import mixed_programs
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound, is_invalid
 from quadexp.report.text import count, speed_text, too_few

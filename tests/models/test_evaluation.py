@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from quadexp.models.evaluation import evaluate, fit_with_report, score, split_by_flight
 from scipy.stats import norm
 
 from quadexp.errors import DataError
+from quadexp.models.base import feature_ranges, outside_shares
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.evaluation import evaluate, fit_with_report, score, split_by_flight
 from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.support import feature_ranges, outside_shares
 from quadexp.report.model_figures import curve, moved
 from tests.models.synthetic import synthetic_dataset
 
@@ -38,7 +38,7 @@ def test_split_keeps_flights_whole(dataset):
     assert len(split_by_flight(dataset, 1e-6)[1].flights) == 1 and len(split_by_flight(dataset, 0.99)[0].flights) == 1
 
 
-def test_report_is_about_flights_the_model_has_not_seen(dataset, small_trials):
+def test_report_is_about_flights_the_model_has_not_seen(dataset):
     fit = fit_with_report(dataset, GPModel, QUICK)
     rows = {(row["output"], row["predictor"]): row for row in fit.report["rows"]}
     for output in ("a_x", "a_y", "a_z"):

@@ -6,9 +6,8 @@ import pytest
 
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
-from quadexp.models.open_loop import Track, rollout_errors
 from quadexp.models.samples import read_rows
-from quadexp.models.validation import predictors
+from quadexp.models.validation import Track, predictors, rollout_errors
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.parts.compose import compose
 

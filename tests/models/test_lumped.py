@@ -10,10 +10,18 @@ import pytest
 
 from quadexp.errors import DataError
 from quadexp.models.checkpoint import load_model, save_model
-from quadexp.models.lumped import fit_inflow, momentum_of
 from quadexp.models.regression import regress
 from quadexp.models.residual import AXES
-from quadexp.models.terms import SELF_CONSISTENT, Z_TERMS, Inflow, TermStructure, all_columns, fit_terms
+from quadexp.models.terms import (
+    SELF_CONSISTENT,
+    Z_TERMS,
+    Inflow,
+    TermStructure,
+    all_columns,
+    fit_inflow,
+    fit_terms,
+    momentum_of,
+)
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
@@ -34,7 +42,7 @@ def air(lei_li, blade):
 def lumped_coefficients(
     geometry: RotorGeometry, blade: BladeCoefficients, mass: float, thrust_coefficient: float
 ) -> dict[tuple[str, str], float]:
-    """What the table of quadexp.models.lumped gives for a known rotor: (axis, term) -> value.
+    """What the table of quadexp.models.terms gives for a known rotor: (axis, term) -> value.
 
     thrust_coefficient: m times the thrust curve's c_2 (N s^2), which may differ from k_T,static: `thrust` corrects for
     it.

@@ -11,12 +11,17 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.base import rms
 from quadexp.models.gaussian_process import GPSettings, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.open_loop import Track, rollout_errors
-from quadexp.models.recorded import force_rows, logged_thrust, recorded_dataset, target_cost
+from quadexp.models.recorded import (
+    force_rows,
+    logged_thrust,
+    recorded_dataset,
+    target_cost,
+    tracked_scale,
+    with_common_scale,
+)
 from quadexp.models.samples import read_rows
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.thrust_scale import tracked_scale, with_common_scale
-from quadexp.models.validation import nominal, predictors, residuals, score_rows
+from quadexp.models.validation import Track, nominal, predictors, residuals, rollout_errors, score_rows
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 

@@ -5,8 +5,15 @@ from __future__ import annotations
 import pytest
 
 from quadexp.models.samples import gather
-from quadexp.models.selection import best_level, compare_curves, flight_by_flight, rmse, selection
-from quadexp.models.vehicle_model import FitSettings, fit_level
+from quadexp.models.vehicle_model import (
+    FitSettings,
+    best_level,
+    compare_curves,
+    fit_level,
+    flight_by_flight,
+    rmse,
+    selection,
+)
 from tests.models.recorded_data import blackbird, nanobench
 
 NANOBENCH = {

@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import load_model, save_model
-from quadexp.models.open_loop import Track, full_rollout, rollout_errors
 from quadexp.models.samples import gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import explained, fit_torque, torque_lines
-from quadexp.models.validation import predictors
+from quadexp.models.validation import Track, full_rollout, predictors, rollout_errors
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.log.imitated import imitated, vehicle_named
 

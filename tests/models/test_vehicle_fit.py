@@ -10,8 +10,15 @@ from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.regression import half_width
 from quadexp.models.samples import gather
-from quadexp.models.selection import best_level, left_out, selection
-from quadexp.models.vehicle_model import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
+from quadexp.models.vehicle_model import (
+    FitSettings,
+    best_level,
+    curve_beside_quadratic,
+    fit_level,
+    fit_vehicle_model,
+    left_out,
+    selection,
+)
 from tests.models.logged_flights import CURVE, DRAG, OFFSET, logged_flight, specific_force
 
 

@@ -23,9 +23,8 @@ from quadexp.log.store import read_flight
 from quadexp.models.blade_element import identify_flight
 from quadexp.models.dataset import read_dataset, residual_dataset, transitions
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.open_loop import Track, rollout_errors
 from quadexp.models.samples import gather, read_rows
-from quadexp.models.validation import predictors
+from quadexp.models.validation import Track, predictors, rollout_errors
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
