@@ -11,21 +11,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec.structs import replace as with_changes
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
 from quadexp.files.writer import check_output
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
 from quadexp.models.samples import Samples, gather_to_fit
 from quadexp.models.terms import momentum_of
-from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import (
     HOVER_INFLOW,
     FitSettings,
     VehicleModel,
     best_level,
     compare_curves,
-    curve_beside_quadratic,
     fit_level,
     fit_vehicle_model,
     flight_by_flight,
@@ -84,7 +82,6 @@ def identify_vehicle(
         "thrust": str(model.thrust), "models": {kind: terms.records() for kind, terms in model.models.items()},
         "other_loss": _other_loss(samples, settings), "flights": flight_by_flight(samples, settings),
         "curves": curves, "selection": ladder, "best": model.best, "best_row": best, "notes": list(model.notes),
-        "beside_quadratic": _beside_quadratic(samples, settings, model.thrust),
     }  # fmt: skip
     return VehicleIdentification(model, samples, report)
 
@@ -117,14 +114,6 @@ def _other_loss(samples: Samples, settings: FitSettings) -> dict[str, Any]:
     """Linear drag with the other loss: where the two differ by more than their errors, outliers matter."""
     other = replace(settings, loss="huber" if settings.loss == "squares" else "squares")
     return {"loss": other.loss, "rows": fit_level("linear", samples.thinned(OTHER_LOSS_SAMPLES), other).terms.records()}
-
-
-def _beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> str | None:
-    """The thrust curve if drag along z is quadratic, None where the flights do not determine it."""
-    try:
-        return str(curve_beside_quadratic(samples, settings, curve))
-    except DataError:
-        return None
 
 
 def write_identification(

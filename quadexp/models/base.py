@@ -121,6 +121,12 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
             if low > high:
                 raise ValueError(f"feature_range[{name!r}] is [{low}, {high}]; [least, largest] is needed")
 
+    @staticmethod
+    def require_each_once(outputs: Sequence[str]) -> None:
+        """Raise ValueError where an output is named twice."""
+        if len(set(outputs)) < len(outputs):
+            raise ValueError(f"outputs are {', '.join(outputs)}; each is allowed once")
+
     @property
     def kind(self) -> str:
         """The word for it in a checkpoint, and in controller.residual."""
@@ -148,14 +154,9 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
     @classmethod
     def fit(
-        cls,
-        rows: ResidualDataset,
-        settings: Any,
-        *,
-        start: Any = None,
-        intervals: bool = True,
+        cls, rows: ResidualDataset, settings: Any, *, start: Any = None, intervals: bool = True,
         callback: Callback = quiet,
-    ) -> Any:
+    ) -> Any:  # fmt: skip
         """The model that fits the rows.
 
         settings: of Settings. start: the same fitted to part of the rows. intervals: False omits those of linear drag.

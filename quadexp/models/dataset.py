@@ -184,13 +184,9 @@ def transitions(
 
 
 def residual_dataset(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    *,
-    frame: str = "midpoint",
-    names: Sequence[str] | None = None,
+    flights: Sequence[Flight], vehicle: Vehicle, *, frame: str = "midpoint", names: Sequence[str] | None = None,
     thrusts: Sequence[np.ndarray] | None = None,
-) -> ResidualDataset:
+) -> ResidualDataset:  # fmt: skip
     """The transitions of many flights in one table, each row with its flight.
 
     names: see `joined`. thrusts: of every flight those between its samples, see `transitions`; None: as commanded.

@@ -117,8 +117,8 @@ class GPSettings(Part):
     prefix: ClassVar[str] = "gp."
     features: GPFeatures = key(DEFAULT_FEATURES, "features of every output")
     inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
-    method: Literal["sgpr", "subset", "exact"] = key(
-        "sgpr", "variational bound of Titsias 2009, exact GP on a subset as in the paper, or exact GP on all rows"
+    method: Literal["sgpr", "subset"] = key(
+        "sgpr", "variational bound of Titsias 2009, or exact GP on a subset as in the paper"
     )
     mean: Literal["zero", "constant", "linear_drag", "quadratic", "blade_element"] = key(
         "zero", "mean function under the GP"
@@ -127,7 +127,6 @@ class GPSettings(Part):
     max_rows: int | None = key(
         None, "largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"
     )
-    max_exact_rows: int = key(1000, "largest number of rows for gp.method=exact", "[10, 100000]", "rows")
     holdout: float = key(0.2, HOLDOUT)
     refit: bool = key(True, "after the report, fit again to all flights")
     max_iterations: int = key(60, "largest number of L-BFGS iterations", "[1, 10000]")
@@ -201,9 +200,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        names = [posterior.output for posterior in self.outputs]
-        if len(set(names)) < len(names):
-            raise ValueError(f"outputs are {', '.join(names)}; each is allowed once")
+        self.require_each_once([posterior.output for posterior in self.outputs])
 
     def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
         """See Model.predict; prior mean included."""
@@ -261,13 +258,9 @@ def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], dev
 
 
 def gaussian_process_residual(
-    vehicle: Vehicle,
-    outputs: Sequence[OutputPosterior],
-    mean_parameters: npt.ArrayLike | None = None,
-    source: str = "",
-    *,
-    mean_terms: TermStructure | None = None,
-) -> Residual:
+    vehicle: Vehicle, outputs: Sequence[OutputPosterior], mean_parameters: npt.ArrayLike | None = None,
+    source: str = "", *, mean_terms: TermStructure | None = None,
+) -> Residual:  # fmt: skip
     """Residual of one or more GP outputs.
 
     mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (quadexp.models.linear_drag), or None.
@@ -310,16 +303,10 @@ def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, a
 
 def _compiled_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
     """As _matrix_sums, by gp_sums.c, one call per output."""
-    n_alpha, _ = _sizes(structure)
-    n_features = [len(features) for _, features, _ in structure]
-    kernels = {shape: _sums_function(*shape) for shape in zip(n_alpha, n_features, strict=True)}
-    arguments = zip(
-        _split(scaled, n_features),
-        _split(points, [m * d for m, d in zip(n_alpha, n_features, strict=True)]),
-        _split(alpha, n_alpha),
-        strict=True,
-    )
-    shapes = zip(n_alpha, n_features, strict=True)
+    shapes = [(m, len(features)) for _, features, m in structure]
+    sizes = [d for _, d in shapes], [m * d for m, d in shapes], [m for m, _ in shapes]
+    arguments = zip(*map(_split, (scaled, points, alpha), sizes), strict=True)
+    kernels = {shape: _sums_function(*shape) for shape in shapes}
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
     return [value for value, _ in results], [slope for _, slope in results]
 
@@ -369,19 +356,15 @@ def _scalar_functions(
 
 
 def fit_gp(
-    dataset: ResidualDataset,
-    settings: GPSettings | None = None,
-    *,
-    start: GPModel | None = None,
-    callback: Callback = quiet,
-    intervals: bool = True,
-) -> GPModel:
+    dataset: ResidualDataset, settings: GPSettings | None = None, *, start: GPModel | None = None,
+    callback: Callback = quiet, intervals: bool = True,
+) -> GPModel:  # fmt: skip
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
 
     start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
     then do. callback, intervals: see Model.fit.
-    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
-    than an exact GP can take, or where a feature is constant.
+    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points, or a
+    constant feature.
     """
     from quadexp.models.sgpr import fit_output  # imports PyTorch
 
@@ -391,28 +374,31 @@ def fit_gp(
     rng = np.random.default_rng(settings.seed)
     if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
         dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
-    _check(dataset, settings)
+    for output, features in chosen.items():
+        require_variation(dataset, features, [output], f"gp.features.{output}")
+    if dataset.n_rows < settings.inducing:
+        few = f"gp.inducing: {settings.inducing} points from {dataset.n_rows} rows"
+        raise DataError(f"{few}; collect more, or ask for fewer points")
     scaled = with_common_scale(dataset)
     dataset = scaled.dataset
     # Under a thrust curve the thrust term would duplicate the curve's scale.
     drag = fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=intervals)
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
+    earlier = {posterior.output: posterior for posterior in start.outputs} if start else {}
     posteriors: list[OutputPosterior] = []
     with one_thread():
         for i, (output, features) in enumerate(chosen.items()):
             target = dataset.matrix([output])[:, 0]
             if prior is not None and output in AXIS:
                 target = target - prior[:, AXIS[output]]
-            alike = (output, features, settings.inducing)
-            earlier = [o for o in start.outputs if (o.output, o.features, len(o.alpha)) == alike] if start else []
 
             def report(done: float, output: str = output, i: int = i) -> None:
                 callback(f"fit {output}", (i + done) / len(chosen))
 
-            before = earlier[0] if earlier else None
-            given = dataset.matrix(features), target, settings, iterations, rng, before, report
-            posterior = OutputPosterior(output, features, *fit_output(*given))
+            before = earlier.get(output)
+            fitted = fit_output(dataset.matrix(features), target, settings, iterations, rng, before, report)
+            posterior = OutputPosterior(output, features, *fitted)
             if output == "a_z":
                 posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
             posteriors.append(posterior)
@@ -420,19 +406,6 @@ def fit_gp(
     stated = origin(dataset, [name for names in chosen.values() for name in names], settings, LIBRARIES)
     stated["settings"]["features"] = lists(chosen)
     return GPModel(tuple(posteriors), mean, drag, **stated)
-
-
-def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
-    n = dataset.n_rows
-    if settings.method == "exact" and n > settings.max_exact_rows:
-        raise DataError(
-            f"gp.method=exact: {n} rows are more than gp.max_exact_rows={settings.max_exact_rows};"
-            " use gp.method=sgpr, or draw fewer with gp.max_rows"
-        )
-    for output, features in settings.features.of_output.items():
-        require_variation(dataset, features, [output], f"gp.features.{output}")
-    if settings.method != "exact" and n < settings.inducing:
-        raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
 
 
 def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:

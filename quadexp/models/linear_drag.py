@@ -199,13 +199,9 @@ def constant_mean(value: np.ndarray) -> LinearDrag:
 
 
 def fit_linear_drag(
-    dataset: ResidualDataset,
-    *,
-    intercept: bool = True,
-    thrust: bool = True,
-    loss: str = "huber",
+    dataset: ResidualDataset, *, intercept: bool = True, thrust: bool = True, loss: str = "huber",
     intervals: bool = True,
-) -> LinearDrag:
+) -> LinearDrag:  # fmt: skip
     """Regression of the residual acceleration on body velocity, axis by axis.
 
     intercept, thrust: whether b and kappa are fitted (False, False is the published model). loss: "huber" or "squares";

@@ -146,8 +146,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(set(self.outputs)) < len(self.outputs):
-            raise ValueError(f"outputs are {', '.join(self.outputs)}; each is allowed once")
+        self.require_each_once(self.outputs)
         sizes = self.network.sizes
         if not all(b.ndim == 1 for b in self.biases) or len(self.biases) < 2 or sizes[-1] != len(self.outputs):
             raise ValueError("biases must be one list for every layer, the last as long as the outputs")

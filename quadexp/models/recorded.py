@@ -104,14 +104,9 @@ def velocity_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, *, frame
 
 
 def recorded_dataset(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    curve: ThrustCurve,
-    *,
-    target: str = "specific_force",
-    frame: str = "midpoint",
-    names: Sequence[str] | None = None,
-) -> ResidualDataset:
+    flights: Sequence[Flight], vehicle: Vehicle, curve: ThrustCurve, *, target: str = "specific_force",
+    frame: str = "midpoint", names: Sequence[str] | None = None,
+) -> ResidualDataset:  # fmt: skip
     """The rows of many flights in one table, each row with its flight.
 
     names: see quadexp.models.dataset.joined. The metadata also contain the target, and the thrust curve, with which a

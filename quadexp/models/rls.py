@@ -178,13 +178,9 @@ class BladeElementRLS:
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        initial: BladeCoefficients,
-        settings: RLSSettings | None = None,
-        *,
+        self, vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings | None = None, *,
         backend: str = "interpreted",
-    ) -> None:
+    ) -> None:  # fmt: skip
         _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
         self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
         theta_0, s = initial.parameters(), self.settings

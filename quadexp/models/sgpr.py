@@ -61,14 +61,9 @@ class Hyperparameters:
 
 
 def fit_output(
-    z: np.ndarray,
-    target: np.ndarray,
-    settings: GPSettings,
-    iterations: int,
-    rng: np.random.Generator,
-    start: Any,
+    z: np.ndarray, target: np.ndarray, settings: GPSettings, iterations: int, rng: np.random.Generator, start: Any,
     report: Callable[[float], None],
-) -> tuple[Any, ...]:
+) -> tuple[Any, ...]:  # fmt: skip
     """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
 
     start: the same output's posterior, whose values replace the first stages. report: called with the completed share.
@@ -84,14 +79,12 @@ def fit_output(
             start.lengthscale / spread, start.signal_variance / unit**2, start.noise_variance / unit**2
         )
     else:
-        few = order if settings.method == "exact" else order[:PILOT_ROWS]
+        few = order[:PILOT_ROWS]
         pilot = GPRegression(x[few], y[few], Hyperparameters(np.ones(x.shape[1]), 1.0, 0.01), None, settings.jitter)
         bound = maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
         guess = pilot.hyperparameters
         candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
-        rows = order
-        if settings.method != "exact":
-            rows = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
+        rows = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
         points = x[rows]
 
     if settings.method == "sgpr":

@@ -325,19 +325,10 @@ class TermModel(Record, frozen=True):
 
 
 def fit_terms(
-    kind: str,
-    terms: Axes,
-    velocity: np.ndarray,
-    rotors: np.ndarray,
-    target: np.ndarray,
-    stretch: np.ndarray,
-    flight: np.ndarray,
-    *,
-    what: str,
-    momentum: Momentum = 0.0,
-    z: Regression | tuple[np.ndarray, np.ndarray] | None = None,
-    **options: Any,
-) -> TermModel:
+    kind: str, terms: Axes, velocity: np.ndarray, rotors: np.ndarray, target: np.ndarray, stretch: np.ndarray,
+    flight: np.ndarray, *, what: str, momentum: Momentum = 0.0,
+    z: Regression | tuple[np.ndarray, np.ndarray] | None = None, **options: Any,
+) -> TermModel:  # fmt: skip
     """The model that leaves least of target, (k, 3) (m/s^2), axis by axis; options: of `regress`.
 
     velocity, rotors: see TermModel.acceleration. z: in place of the columns along z, their derivative and the target,

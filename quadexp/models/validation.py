@@ -40,7 +40,7 @@ from quadexp.models.base import Model, outside_shares, rms
 from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
 from quadexp.models.recorded import tracked_scale
-from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.regression import resampling_weights
 from quadexp.models.residual import AXES
 from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.models.terms import TermModel
@@ -136,21 +136,21 @@ def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
     """One-step residuals of a predictor on flights, each with the predictor as it was fitted for it."""
     parts: list[tuple[np.ndarray, ...]] = []
     blocks, outside, rows = 0, 0, 0
-    for index, (predictor, one) in enumerate(predicted):
-        samples = one.samples
+    for index, (predictor, row) in enumerate(predicted):
+        samples = row.samples
         rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
         collective = rotors.sum(axis=1)
-        beyond = predictor.beyond(samples.velocity, one.rate, rotors)
+        beyond = predictor.beyond(samples.velocity, row.rate, rotors)
         error = samples.force - beyond
-        scale = tracked_scale(collective, error[:, 2], one.dt)
+        scale = tracked_scale(collective, error[:, 2], row.dt)
         tracked = error.copy()
         error[:, 2] -= collective
         tracked[:, 2] -= scale * collective
-        block = blocks + (np.arange(len(samples)) * one.dt // BLOCK).astype(int)
+        block = blocks + (np.arange(len(samples)) * row.dt // BLOCK).astype(int)
         blocks = int(block[-1]) + 1
-        parts.append((error, tracked, scale, np.full(len(samples), index), block, one.speed))
+        parts.append((error, tracked, scale, np.full(len(samples), index), block, row.speed))
         if predictor.ranges:
-            features = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
+            features = feature_rows(samples.velocity, row.rate, predictor.mass * rotors)
             outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
             rows += len(samples)
     error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
@@ -158,7 +158,7 @@ def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
     return Residuals(predicted[0][0].name, error, tracked, scale, flight, block, speed, share)
 
 
-def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:
+def score_rows(results: Sequence[Residuals], baseline: str = NOMINAL) -> list[Row]:
     """Per predictor one row as fitted and one tracked: RMS per axis and of the vector, with interval.
 
     share: ratio to the baseline's RMS as fitted. share_alike: ratio to the baseline's RMS, tracked if this row is. Both
@@ -167,18 +167,18 @@ def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[
     base = next((result for result in results if result.predictor == baseline), None)
     rows = []
     for result in results:
-        draws = Draws(result)
+        weights = resampling_weights(result.flight[np.unique(result.block, return_index=True)[1]], DRAWS)
         for tracked in (False, True):
             error = result.tracked if tracked else result.error
-            low, high = draws.limits(error)
             row: Row = {"predictor": result.predictor, "thrust_tracked": tracked, "rows": len(error)}
             row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
+            low, high = _limits(weights, result.block, error)
             row |= {"rms": rms(error), "rms_low": low, "rms_high": high, "outside": result.outside}
             row["rms_about_mean"] = rms(error - _flight_means(error, result.flight))
             if base is not None and len(base.error) == len(error):
                 alike = base.tracked if tracked else base.error
                 for name, other in (("share", base.error), ("share_alike", alike)):
-                    low, high = draws.limits(error, other)
+                    low, high = _limits(weights, result.block, error, other)
                     row |= {name: rms(error) / rms(other), f"{name}_low": low, f"{name}_high": high}
             rows.append(row)
     return rows
@@ -191,25 +191,12 @@ def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
     return (sums / np.bincount(group)[:, None])[group]
 
 
-class Draws:
-    """Resamples of a predictor's errors: of flights, or of blocks where there are few. group: block of every sample,
-    (k,). counts: of every block in each resample, (DRAWS, blocks)."""
-
-    def __init__(self, errors: Residuals) -> None:
-        groups = errors.flight if len(np.unique(errors.flight)) >= FLIGHT_CLUSTERS else errors.block
-        _, self.group = np.unique(groups, return_inverse=True)
-        count = int(self.group.max()) + 1
-        self.counts = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
-
-    def squares(self, error: np.ndarray) -> np.ndarray:
-        """Sum of the squared errors (k, 3) in every resample, (DRAWS,)."""
-        return self.counts @ np.bincount(self.group, np.sum(error**2, axis=1), self.counts.shape[1])
-
-    def limits(self, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
-        """Ends of the interval of the RMS, or of its ratio to that of other errors."""
-        number = self.counts @ np.bincount(self.group) if base is None else self.squares(base)
-        tail = 50 * (1 - CONFIDENCE)
-        return np.percentile(np.sqrt(self.squares(error) / number), [tail, 100 - tail]).tolist()
+def _limits(weights: np.ndarray, block: np.ndarray, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
+    """Ends of the interval of the RMS of errors (k, 3), or of its ratio to that of others; weights: of the blocks."""
+    squares = weights @ np.bincount(block, np.sum(error**2, axis=1))
+    number = weights @ (np.bincount(block) if base is None else np.bincount(block, np.sum(base**2, axis=1)))
+    tail = 50 * (1 - CONFIDENCE)
+    return np.percentile(np.sqrt(squares / number), [tail, 100 - tail]).tolist()
 
 
 def band_rows(results: Sequence[Residuals]) -> list[Row]:
@@ -231,22 +218,22 @@ class Track:
     """A flight's measured motion at the samples, and the accelerations by a predictor's thrust curve: `rotors` at the
     accelerometer's reading of each sample, `ahead` over the motion that begins there."""
 
-    def __init__(self, one: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
-        flight, at, self.predictor = one.flight, slice(one.first, None), predictor
-        self.name, self.dt, self.speed = one.name, one.dt, one.speed
+    def __init__(self, row: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
+        flight, at, self.predictor = row.flight, slice(row.first, None), predictor
+        self.name, self.dt, self.speed = row.name, row.dt, row.speed
         self.position, self.velocity = flight.stack(POINT)[at], flight.stack(WORLD_VELOCITY)[at]
         self.quaternion = flight.stack(QUATERNION)[at]
         self.rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
         self.matrix = self.rotation.as_matrix()
-        self.rate, self.time, self.segment = one.rate, one.samples.time, one.samples.segment
+        self.rate, self.time, self.segment = row.rate, row.samples.time, row.samples.segment
         self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
-        self.rotors = predictor.curve.of_signal(one.samples.signal, one.samples.voltage)
-        self.ahead = one.samples.during(self.rotors)
-        beyond = predictor.beyond(one.samples.velocity, self.rate, self.rotors)
-        thrust = one.samples.force[:, 2] - beyond[:, 2]
+        self.rotors = predictor.curve.of_signal(row.samples.signal, row.samples.voltage)
+        self.ahead = row.samples.during(self.rotors)
+        beyond = predictor.beyond(row.samples.velocity, self.rate, self.rotors)
+        thrust = row.samples.force[:, 2] - beyond[:, 2]
         self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
         self.gravity = gravity
-        self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, one.samples.force, gravity)
+        self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, row.samples.force, gravity)
 
     def starts(self, steps: int) -> np.ndarray:
         """Samples followed by `steps` more in the same segment, spread over the flight."""
@@ -347,13 +334,9 @@ def full_rollout(
 
 
 def rollout_errors(
-    tracks: Sequence[Track],
-    horizons: Sequence[float],
-    *,
-    tracked: bool,
-    vehicle: Vehicle | None = None,
+    tracks: Sequence[Track], horizons: Sequence[float], *, tracked: bool, vehicle: Vehicle | None = None,
     mode: str = "full",
-) -> list[dict[str, Any]]:
+) -> list[dict[str, Any]]:  # fmt: skip
     """Errors of a predictor at each horizon: {horizon, starts, lost (share), position (m), velocity (m/s)}.
 
     The errors are RMS over starts, with their medians beside them. vehicle: None: mode "attitude"; else all 13 states

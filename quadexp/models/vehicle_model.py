@@ -20,14 +20,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Model, Prediction, feature_ranges, rms
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag
-from quadexp.models.regression import regress
 from quadexp.models.residual import AXES, VELOCITY, Residual
 from quadexp.models.samples import Samples, gather_to_fit
 from quadexp.models.terms import (
@@ -39,7 +37,6 @@ from quadexp.models.terms import (
     Momentum,
     TermMean,
     TermModel,
-    all_columns,
     fit_inflow,
     fit_terms,
     momentum_of,
@@ -101,9 +98,9 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
         """The fitted models by kind."""
         return {kind: getattr(self, kind) for kind in KINDS if getattr(self, kind) is not None}
 
-    def model(self, kind: str | None = None) -> TermModel:
-        """The model of a kind, None: the best. Raises UsageError where there is none of that kind."""
-        kind = kind or self.best
+    def model(self, kind: str = "best") -> TermModel:
+        """The model of a kind, or the best. Raises UsageError where there is none of that kind."""
+        kind = self.best if kind == "best" else kind
         if kind not in self.models:
             raise UsageError(f"vehicle model: has no '{kind}'; it has {', '.join(self.models)}")
         return self.models[kind]
@@ -114,10 +111,7 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """See Model.residual. part: a kind, or "best"."""
-        if part == "gaussian_process":
-            kinds = ", ".join(self.models)
-            raise UsageError(f"{source}: an identified vehicle, holds no Gaussian process; it has {kinds}")
-        mean = TermMean(self.model(None if part == "best" else part), vehicle.mass)
+        mean = TermMean(self.model(part), vehicle.mass)
         return term_residual(vehicle, mean.structure, mean.parameters, source)
 
     def __str__(self) -> str:
@@ -196,14 +190,9 @@ def fit_level(
 
 
 def fit_vehicle_model(
-    flights: Sequence[Flight],
-    vehicle: Vehicle | None = None,
-    settings: FitSettings | None = None,
-    *,
-    names: Sequence[str] | None = None,
-    samples: Samples | None = None,
-    best: str | None = None,
-) -> VehicleModel:
+    flights: Sequence[Flight], vehicle: Vehicle | None = None, settings: FitSettings | None = None, *,
+    names: Sequence[str] | None = None, samples: Samples | None = None, best: str | None = None,
+) -> VehicleModel:  # fmt: skip
     """Thrust curve, linear drag and, where the flights allow, quadratic drag and lumped blade-element coefficients.
 
     vehicle: for name, mass and rotor radius; None: the name recorded in the flights. best: the model with the least
@@ -239,33 +228,7 @@ def fit_vehicle_model(
         best if best is not None and best in kinds else kinds[-1], tuple(notes),
         None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
         vehicle=record, dataset=dataset_record(samples), feature_range=feature_ranges(velocity),
-        settings={
-            "loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum,
-        },
-    )  # fmt: skip
-
-
-def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> ThrustCurve:
-    """The curve fitted together with -d v_z - e v_z |v_z|, where `fit_level` has -d v_z only.
-
-    Its intervals hold where the drag along z is quadratic; the voltage exponent is not fitted again.
-    Raises DataError where the samples do not determine the coefficients.
-    """
-    terms = ("linear", "quadratic")
-    rotors = curve.of_signal(samples.signal, samples.voltage)
-    columns = all_columns(((), (), terms), samples.velocity, rotors)[2]
-    design = np.hstack([thrust_columns(curve, samples, drag=False), columns])
-    names = [f"thrust_{j}" for j in range(design.shape[1] - len(terms))] + [f"{name}_z" for name in terms]
-    regression = regress(
-        design, samples.force[:, 2], names, samples.segment, samples.flight,
-        what="thrust curve beside quadratic drag", loss=settings.loss,
-    )  # fmt: skip
-    shape, q = curve.coefficients.shape, curve.coefficients.size
-    value, error = regression.coefficients, regression.errors
-    return with_changes(
-        curve, coefficients=value[:q].reshape(shape), errors=error[:q].reshape(shape), freedom=int(regression.freedom),
-        intercept=float(value[q]) if curve.has_intercept else 0.0,
-        intercept_error=float(error[q]) if curve.has_intercept else 0.0,
+        settings={"loss": settings.loss, "signal": samples.kind, "momentum": momentum},
     )  # fmt: skip
 
 
@@ -396,7 +359,7 @@ def _second_half(flight: np.ndarray) -> np.ndarray:
 def _curve_residual(train: Samples, test: Samples, settings: FitSettings) -> tuple[ThrustCurve, np.ndarray]:
     """A curve fitted together with d_z to some samples, and its residual along z on others, (k,) (m/s^2)."""
     curve, regression = fit_thrust_samples(train, settings, intervals=False)
-    return curve, test.force[:, 2] - thrust_columns(curve, test, drag=True) @ regression.coefficients
+    return curve, test.force[:, 2] - thrust_columns(curve, test) @ regression.coefficients
 
 
 def _curve_left_out(samples: Samples, settings: FitSettings, fold: np.ndarray) -> float:

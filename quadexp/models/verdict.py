@@ -68,7 +68,7 @@ def fit_with_report(dataset: ResidualDataset, kind: type[Model], settings: Any, 
         model = kind.fit(dataset, settings, callback=callback)
         return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
     train, test = split_by_flight(dataset, settings.holdout, settings.seed)
-    refit = getattr(settings, "refit", True) and getattr(settings, "method", "") != "exact"
+    refit = getattr(settings, "refit", True)
     share = 0.8 if refit else 1.0
     first = model = kind.fit(
         train, settings, callback=lambda message, done: callback(message, share * done), intervals=not refit

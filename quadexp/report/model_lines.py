@@ -37,11 +37,6 @@ QUANTITIES = {
 def identification_lines(model: VehicleModel, report: Row) -> list[str]:
     """The result of an identification. report: as in the checkpoint folder."""
     lines = [_data_line(model), *model_lines(model)]
-    if report.get("beside_quadratic"):
-        lines.append(
-            "thrust      its interval holds where drag along z is linear in v_z; beside quadratic drag it is"
-            f" {report['beside_quadratic']}"
-        )
     other = {(row["axis"], row["term"]): row["value"] for row in report["other_loss"]["rows"]}
     drag = ", ".join(f"d_{axis} {other[axis, 'linear']:.4f}" for axis in "xyz")
     lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")

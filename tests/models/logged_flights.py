@@ -51,8 +51,8 @@ def logged_flight(
     return Flight(columns, {"name": name or f"flight_{seed}", "vehicle": dict(VEHICLE), "recorded": True})
 
 
-def specific_force(model, flight: Flight, kind: str | None = None) -> np.ndarray:
-    """Specific force predicted by a vehicle model, (k, 3) body FLU (m/s^2); kind: None for the best, or "nominal"."""
+def specific_force(model, flight: Flight, kind: str = "best") -> np.ndarray:
+    """Specific force predicted by a vehicle model, (k, 3) body FLU (m/s^2); kind: "best", "nominal", ..."""
     rotors = model.thrust.rotor_acceleration(flight)
     force = (
         np.zeros((len(rotors), 3)) if kind == "nominal" else model.model(kind).acceleration(flight.air_velocity, rotors)
