@@ -15,8 +15,8 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 
 from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
+from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
-from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from tests import composing  # noqa: F401 - before any test binds what it replaces
 

@@ -17,8 +17,7 @@ from quadexp.experiment.inputs import located
 from quadexp.experiment.kept import keep
 from quadexp.parts.part import TARGET, Given, Part, imported
 from quadexp.parts.schema import WORLD, Config, remedies, world_parts
-from quadexp.physics.plausible import plausible
-from quadexp.physics.vehicle import Vehicle
+from quadexp.physics.vehicle import Vehicle, plausible
 
 # What of a seam is looked for, so that something else is refused before the flight and not in it.
 SEAMS = {

@@ -36,7 +36,7 @@ REPORTED_SHARE = 0.01  # least share of samples outside that is reported for a f
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0)]
-Output = Annotated[str, msgspec.Meta(pattern=r"^(a|tau)_[xyz]$")]  # quadexp.physics.correction.OUTPUTS
+Output = Annotated[str, msgspec.Meta(pattern=r"^(a|tau)_[xyz]$")]  # quadexp.physics.rigid_body.OUTPUTS
 Rotors = Annotated[int, msgspec.Meta(ge=1, le=64)]
 HOLDOUT = Setting("share of the flights held out of the fit, on which it is reported", "[0, 0.9]", "of the flights")
 

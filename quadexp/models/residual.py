@@ -27,8 +27,8 @@ import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.physics.correction import FEATURES, N_OUTPUTS, OUTPUTS
 from quadexp.physics.expression import Expression
+from quadexp.physics.rigid_body import FEATURES, N_OUTPUTS, OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 
 __all__ = ["FEATURES", "N_OUTPUTS", "OUTPUTS", "Residual", "feature_names", "no_residual", "symbolic_residual"]

@@ -73,13 +73,9 @@ class Balance(NamedTuple):
 
 
 def balance(
-    geometry: RotorGeometry,
-    lift_slope: Expression,
-    w: Expression,
-    in_plane_squared: Expression,
-    axial: Expression,
+    geometry: RotorGeometry, lift_slope: Expression, w: Expression, in_plane_squared: Expression, axial: Expression,
     terms: CrossTerms = ADOPTED,
-) -> Balance:
+) -> Balance:  # fmt: skip
     """The thrust balance of rotors turning at w (rad/s), scalars or vectors (n,); see `Balance`."""
     return Balance(
         geometry.momentum_factor,

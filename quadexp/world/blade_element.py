@@ -26,9 +26,9 @@ from quadexp.models.blade_element import blade_element_correction
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key, part
+from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.induced_velocity import REASONS, Defined
 from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients, BladeKeys
-from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
 from quadexp.world.blade_element_equations import (

@@ -24,8 +24,8 @@ from quadexp.models.terms import (
 )
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import VehicleModel
+from quadexp.physics.blade_element import motor_coefficients, static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
-from quadexp.physics.rotor_coefficients import motor_coefficients, static_coefficients
 from tests.models.air_data import air_data
 
 GAIN = 1.04  # of the thrust curve over the true static thrust: `thrust` has to make up for it

@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.blade_element import PRINTED, aerodynamic_wrench, blade_forces
+from quadexp.physics.blade_element import (
+    PRINTED,
+    aerodynamic_wrench,
+    blade_forces,
+    motor_coefficients,
+    static_coefficients,
+)
 from quadexp.physics.rotor import BladeCoefficients
-from quadexp.physics.rotor_coefficients import motor_coefficients, static_coefficients
 from tests import paper
 from tests.physics.aerodynamic_point import aerodynamic_point
 
