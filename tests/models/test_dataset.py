@@ -30,14 +30,9 @@ VEHICLE = Vehicle(
 
 
 def simulate(
-    dt: float,
-    steps: int = 20,
-    *,
-    force=lambda v, w: np.zeros(3),
-    torque=lambda v, w: np.zeros(3),
-    vehicle: Vehicle = VEHICLE,
-    seed: int = 0,
-) -> Flight:
+    dt: float, steps: int = 20, *, force=lambda v, w: np.zeros(3), torque=lambda v, w: np.zeros(3),
+    vehicle: Vehicle = VEHICLE, seed: int = 0,
+) -> Flight:  # fmt: skip
     """A flight of the rigid body with a body force (N) and torque (N m) of (v_body, w), by an independent integrator.
 
     Newton-Euler written out in numpy here; the rotors' thrust changes every dt.
