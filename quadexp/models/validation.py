@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -97,15 +98,11 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     """
     seen = tuple(model.dataset.get("names", ()))
     if isinstance(model, VehicleModel):
-
-        def identified(kind: str, terms: TermModel) -> Predictor:
-            def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
-                return terms.acceleration(v, a)
-
-            return Predictor(_KIND_NAMES[kind], model.thrust, beyond, seen, model.feature_range, torque=model.torque)
-
-        own = [identified(kind, terms) for kind, terms in model.models.items()]
-        return [nominal(model.thrust, seen, model.torque), *own]
+        curve, ranges, torque = model.thrust, model.feature_range, model.torque
+        return [nominal(curve, seen, torque)] + [
+            Predictor(_KIND_NAMES[kind], curve, partial(_of_terms, terms), seen, ranges, torque=torque)
+            for kind, terms in model.models.items()
+        ]
     record = model.dataset.get("thrust")
     thrust = record_of(record, ThrustCurve) if record else curve
     if thrust is None:
@@ -116,6 +113,10 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
         return model.acceleration(feature_rows(v, w, vehicle.mass * a))
 
     return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
+
+
+def _of_terms(terms: TermModel, v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
+    return terms.acceleration(v, a)
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,6 @@ def score_rows(results: Sequence[Residuals], baseline: str = NOMINAL) -> list[Ro
             row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
             low, high = _limits(weights, result.block, error)
             row |= {"rms": rms(error), "rms_low": low, "rms_high": high, "outside": result.outside}
-            row["rms_about_mean"] = rms(error - _flight_means(error, result.flight))
             if base is not None and len(base.error) == len(error):
                 alike = base.tracked if tracked else base.error
                 for name, other in (("share", base.error), ("share_alike", alike)):
@@ -182,13 +182,6 @@ def score_rows(results: Sequence[Residuals], baseline: str = NOMINAL) -> list[Ro
                     row |= {name: rms(error) / rms(other), f"{name}_low": low, f"{name}_high": high}
             rows.append(row)
     return rows
-
-
-def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
-    """Mean error of the flight of each row, (k, 3)."""
-    numbers, group = np.unique(flight, return_inverse=True)
-    sums = np.stack([np.bincount(group, column, len(numbers)) for column in error.T], axis=1)
-    return (sums / np.bincount(group)[:, None])[group]
 
 
 def _limits(weights: np.ndarray, block: np.ndarray, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
@@ -257,7 +250,7 @@ def accelerometer_bias(
 
 
 def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity, each (steps + 1, starts, 3), world, with the measured attitude."""
+    """Position and velocity at the end, each (starts, 3), world, with the measured attitude."""
     down = np.array([0.0, 0.0, -track.gravity])
     scale = track.scale[starts] if tracked else np.ones(len(starts))
 
@@ -268,7 +261,6 @@ def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: b
         return np.einsum("kij,kj->ki", track.matrix[k], force) + down
 
     p, v = track.position[starts].copy(), track.velocity[starts].copy()
-    position, velocity = [p], [v]
     slope = acceleration(starts, v, track.ahead)
     for j in range(steps):
         h = (track.time[starts + j + 1] - track.time[starts + j])[:, None]
@@ -276,9 +268,7 @@ def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: b
         p = p + h * v + h * h / 6 * (2 * slope + ahead)
         v = v + h / 2 * (slope + ahead)
         slope = acceleration(starts + j + 1, v, track.ahead)
-        position.append(p)
-        velocity.append(v)
-    return np.array(position), np.array(velocity)
+    return p, v
 
 
 def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Turning | None:
@@ -301,7 +291,7 @@ def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Tu
 def full_rollout(
     track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool, mode: str = "full"
 ) -> np.ndarray:
-    """States, (steps + 1, starts, 13): the rigid body under the rotors' thrusts and the model's acceleration.
+    """States at the end, (starts, 13): the rigid body under the rotors' thrusts and the model's acceleration.
 
     mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
     """
@@ -311,11 +301,11 @@ def full_rollout(
     scale = track.scale[starts] if tracked else np.ones(len(starts))
     quaternion = track.rotation[starts].as_quat(scalar_first=True)
     state = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
-    states, stopped = [state], np.zeros(len(starts), bool)
+    first, stopped = state, np.zeros(len(starts), bool)
     for j in range(steps):
         k = starts + j
         lost = (np.abs(state[:, VELOCITY]).max(axis=1) > LOST_SPEED) | (np.abs(state[:, RATE]).max(axis=1) > LOST_RATE)
-        state = np.where(lost[:, None], states[0], state)  # restarted at a finite state, and set to NaN below
+        state = np.where(lost[:, None], first, state)  # restarted at a finite state, and set to NaN below
         stopped |= lost
         body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
         correction = track.predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
@@ -329,8 +319,7 @@ def full_rollout(
         duration = track.time[k + 1] - track.time[k]
         state = np.array(step(state.T, thrust.T, correction.T, duration[None]).full()).T
         state[:, ATTITUDE] /= np.linalg.norm(state[:, ATTITUDE], axis=1, keepdims=True)
-        states.append(np.where(stopped[:, None], np.nan, state))
-    return np.array(states)
+    return np.where(stopped[:, None], np.nan, state)
 
 
 def rollout_errors(
@@ -352,9 +341,9 @@ def rollout_errors(
                 continue
             end = starts + steps
             if vehicle is None:
-                position, velocity = (a[-1] for a in attitude_rollout(track, starts, steps, tracked=tracked))
+                position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
             else:
-                last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)[-1]
+                last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
                 position, velocity = last[:, POSITION], last[:, VELOCITY]
                 level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
                 turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]

@@ -153,10 +153,6 @@ def validation_lines(report: Row) -> list[str]:
     how = "each by models refitted to the others" if report["leave_one_out"] else "by the models as they are"
     lines = [*report["notes"], f"{len(flights)} flights, {rows[0]['rows']} samples, {how}", ""]
     lines += one_step_lines(rows)
-    base = next((row for row in rows if row["predictor"] == "nominal" and not row["thrust_tracked"]), None)
-    if base is not None:
-        about = "nominal about its mean (without the accelerometer's constant offsets)"
-        lines.append(f"{about}: {base['rms_about_mean']:.3f}")
     if report.get("nominal"):
         lines.append(f"nominal: the thrust curve {report['nominal']}, as fitted beside drag, without the drag")
     lines += [*least_lines(rows), "", *band_lines(report["bands"])]

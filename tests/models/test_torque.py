@@ -113,7 +113,7 @@ def test_rates_held_turn_by_their_start(fitted):
     predictor = predictors(model, "m", body, None)[0]
     track = Track(one, predictor)
     starts, steps = np.array([50, 400, 900]), 30
-    last = full_rollout(track, starts, steps, body, tracked=True, mode="held")[-1]
+    last = full_rollout(track, starts, steps, body, tracked=True, mode="held")
     assert np.allclose(last[:, 10:13], track.rate[starts])
     seconds = (track.time[starts + steps] - track.time[starts])[:, None]
     expected = track.rotation[starts] * Rotation.from_rotvec(seconds * track.rate[starts])
