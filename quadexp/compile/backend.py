@@ -180,11 +180,9 @@ class BufferedFunction:
     """
 
     def __init__(
-        self,
-        function: ca.Function,
-        shared: Mapping[str, np.ndarray] | None = None,
+        self, function: ca.Function, shared: Mapping[str, np.ndarray] | None = None,
         into: Mapping[str, np.ndarray] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.function = function
         self._buffer, self._trigger = function.buffer()
         self.arguments = {}

@@ -217,11 +217,9 @@ def as_told(flight: Flight) -> Flight:
 
 
 def joined(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    names: Sequence[str] | None,
+    flights: Sequence[Flight], vehicle: Vehicle, names: Sequence[str] | None,
     table_of: Callable[[Flight, str], dict[str, np.ndarray]],
-) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
+) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:  # fmt: skip
     """Rows of all flights as columns, with the columns flight and flight_name; and {name, rows} of each flight.
 
     names: one per flight, such as its file; None: metadata["name"] or `flight_<index>`. table_of: columns of a flight.

@@ -168,12 +168,9 @@ def linear_drag_acceleration(features: Expression, theta: Expression) -> Express
 
 
 def linear_drag_residual(
-    vehicle: Vehicle,
-    drag: npt.ArrayLike,
-    intercept: npt.ArrayLike = (0.0, 0.0, 0.0),
-    thrust_gain: float = 0.0,
+    vehicle: Vehicle, drag: npt.ArrayLike, intercept: npt.ArrayLike = (0.0, 0.0, 0.0), thrust_gain: float = 0.0,
     source: str = "",
-) -> Residual:
+) -> Residual:  # fmt: skip
     """Linear-drag residual; drag (3,) 1/s, intercept (3,) m/s^2, thrust_gain 1/kg."""
     features, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", N_PARAMETERS)
     outputs = ca.vertcat(linear_drag_acceleration(features, theta), ca.SX(3, 1))

@@ -28,7 +28,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -111,7 +111,6 @@ class NNSettings(Part):
         1e-6, "penalty on every layer's mean square weight, relative to the outputs' mean square", "[0, 1]"
     )
     seed: int = key(0, "seed of held-out flights, first weights", SEEDS)
-    device: Literal["auto", "cpu", "cuda"] = key("cpu", "where torch trains; auto: a CUDA device where there is one")
     holdout: float = key(0.2, HOLDOUT)
     refit: bool = key(True, "after the report, fit again to all flights")
 
@@ -275,11 +274,9 @@ def fit_network(
 ) -> NeuralModel:
     """Train a network on all rows of the dataset; callback: see Model.fit.
 
-    Raises DataError where the dataset is empty or lacks a feature or output, or where a feature is constant; UsageError
-    where nn.device=cuda and there is none.
+    Raises DataError where the dataset is empty or lacks a feature or output, or where a feature is constant.
     """
     settings = settings or NNSettings()
-    device = _device(settings.device)
     dataset = with_common_scale(dataset).dataset
     require_variation(dataset, settings.features, (), "nn.features")
     x, y = dataset.matrix(settings.features), dataset.matrix(settings.outputs)
@@ -287,7 +284,7 @@ def fit_network(
     unit = np.sqrt(np.mean(y**2, axis=0))
     unit[unit == 0] = 1.0
     with one_thread():
-        weights, biases = _train((x - centre) / spread, y / unit, settings, device, callback)
+        weights, biases = _train((x - centre) / spread, y / unit, settings, callback)
     lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
     weights[0] = weights[0] / spread
     biases[0] = biases[0] - weights[0] @ centre
@@ -313,28 +310,18 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _device(name: str) -> torch.device:
-    import torch
-
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name == "cuda" and not torch.cuda.is_available():
-        raise UsageError("nn.device=cuda: torch finds no CUDA device; use nn.device=cpu")
-    return torch.device(name)
-
-
 def _train(
-    x: np.ndarray, y: np.ndarray, settings: NNSettings, device: torch.device, callback: Callback
+    x: np.ndarray, y: np.ndarray, settings: NNSettings, callback: Callback
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Weights and biases of the scaled network for scaled features (k, d) and outputs (k, o)."""
     import torch
     from scipy.optimize import minimize
 
-    rng = np.random.default_rng(settings.seed)  # the same draws on every device
+    rng = np.random.default_rng(settings.seed)
     shapes = [(rows, columns) for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]])]
     start = [rng.normal(size=shape) / math.sqrt(shape[1]) for shape in shapes]
     start += [rng.normal(size=rows) for rows, _ in shapes[:-1]] + [np.zeros(y.shape[1])]
-    given, target = (torch.as_tensor(values, dtype=torch.float64).to(device) for values in (x, y))
+    given, target = (torch.as_tensor(values, dtype=torch.float64) for values in (x, y))
     largest = None if settings.spectral is None else settings.spectral ** (1 / len(shapes))
     ends = np.cumsum([part.size for part in start])
 
@@ -346,12 +333,12 @@ def _train(
         return weights, list(pieces[len(shapes) :])
 
     def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
-        flat = torch.tensor(values, dtype=torch.float64, device=device, requires_grad=True)
+        flat = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         weights, biases = parts(flat)
         error = (_forward(given, weights, biases) - target).square().mean()
         value = error + settings.penalty * torch.stack([w.square().mean() for w in weights]).sum()
         value.backward()
-        return value.item(), flat.grad.cpu().numpy()
+        return value.item(), flat.grad.numpy()
 
     done = 0
 

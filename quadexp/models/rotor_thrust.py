@@ -217,12 +217,9 @@ class TimingFit:
 
 
 def fit_timing(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    tables: Sequence[Mapping[str, np.ndarray]],
-    *,
+    flights: Sequence[Flight], vehicle: Vehicle, tables: Sequence[Mapping[str, np.ndarray]], *,
     noise: Mapping[str, float] | None = None,
-) -> TimingFit:
+) -> TimingFit:  # fmt: skip
     """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts.
 
     noise: known standard deviations of the targets, which no timing can take away; None: not known.
@@ -249,12 +246,9 @@ class _Score:
     """
 
     def __init__(
-        self,
-        flights: Sequence[Flight],
-        vehicle: Vehicle,
-        tables: Sequence[Mapping[str, np.ndarray]],
+        self, flights: Sequence[Flight], vehicle: Vehicle, tables: Sequence[Mapping[str, np.ndarray]],
         noise: Mapping[str, float],
-    ) -> None:
+    ) -> None:  # fmt: skip
         rows = []
         for flight, table in zip(flights, tables, strict=True):
             k = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))

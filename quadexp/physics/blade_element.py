@@ -85,12 +85,9 @@ class RotorFlow(NamedTuple):
 
 
 def unloaded_thrust(
-    geometry: RotorGeometry,
-    lift_slope: Expression,
-    w: Expression,
-    in_plane_squared: Expression,
+    geometry: RotorGeometry, lift_slope: Expression, w: Expression, in_plane_squared: Expression,
     terms: CrossTerms = ADOPTED,
-) -> Expression:
+) -> Expression:  # fmt: skip
     """Thrust without flow through the rotor, a in T = a - b u (N); arguments as in `blade_forces`."""
     r, twist = geometry.radius, geometry.twist
     return geometry.blade_density * twist * r * lift_slope * (r * r / 3 * w * w + terms.thrust * in_plane_squared)

@@ -23,7 +23,8 @@ def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
 
 def logged_flight(
     seed: int, *, seconds: float = 20.0, rate: float = 100.0, noise: float = 0.05, memory: float = 10.0,
-    wind=(0.0, 0.0, 0.0), quadratic=(0.0, 0.0, 0.0), exponent: float = 1.0, drag: np.ndarray = DRAG, name: str | None = None,
+    wind=(0.0, 0.0, 0.0), quadratic=(0.0, 0.0, 0.0), exponent: float = 1.0, drag: np.ndarray = DRAG,
+    name: str | None = None,
 ) -> Flight:  # fmt: skip
     """One flight, its battery changed every minute; wind (m/s, world) is in its columns where it is not zero."""
     rng = np.random.default_rng(seed)
