@@ -117,6 +117,8 @@ class NNSettings(Part):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_features("nn.features", self.features)
+        if unknown := set(self.outputs) - set(OUTPUTS):
+            raise UsageError(f"nn.outputs: {min(unknown)!r} is no output; allowed are {', '.join(OUTPUTS)}")
         for name in ("features", "outputs"):
             names = getattr(self, name)
             if not names or len(set(names)) < len(names):

@@ -13,4 +13,4 @@ def dataset():
 
 @pytest.fixture(scope="session")
 def model(dataset) -> GPModel:
-    return fit_gp(dataset, GPSettings(inducing=15, mean="linear_drag", max_iterations=40))
+    return fit_gp(dataset, GPSettings(inducing=8, mean="linear_drag", max_iterations=8))

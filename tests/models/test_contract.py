@@ -27,11 +27,16 @@ def rows():
     return synthetic_dataset(600, 4)
 
 
+@pytest.fixture(scope="module")
+def fits(rows):
+    return {kind: kind.fit(rows, settings) for kind, settings in SETTINGS.items()}
+
+
 @pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)
 class TestContract:
     @pytest.fixture
-    def fitted(self, kind, rows):
-        return kind.fit(rows, SETTINGS[kind])
+    def fitted(self, kind, fits):
+        return fits[kind]
 
     def test_what_flies_is_what_is_predicted(self, kind, rows, fitted):
         flown = fitted.residual(VEHICLE)(rows.matrix(FEATURES))

@@ -142,7 +142,7 @@ def test_simulated_rows_carry_what_a_mean_of_terms_needs():
     def drag(v, w):
         return -(0.3 * v + 0.08 * v * np.abs(v))
 
-    flights = [simulate(0.02, steps=150, force=drag, seed=seed) for seed in range(6)]
+    flights = [simulate(0.02, steps=80, force=drag, seed=seed) for seed in range(4)]
     dataset = residual_dataset(flights, VEHICLE)
     mean = fit_term_mean(dataset, "quadratic")
     found, true = mean.acceleration(dataset), np.array([drag(v, None) for v in dataset.matrix(("v_x", "v_y", "v_z"))])
