@@ -26,7 +26,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gpytorch
 import numpy as np
@@ -36,9 +36,6 @@ from linear_operator.utils.warnings import NumericalWarning
 from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
-
-if TYPE_CHECKING:
-    from quadexp.models.gaussian_process import GPSettings
 
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
@@ -61,12 +58,13 @@ class Hyperparameters:
 
 
 def fit_output(
-    z: np.ndarray, target: np.ndarray, settings: GPSettings, iterations: int, rng: np.random.Generator, start: Any,
+    z: np.ndarray, target: np.ndarray, settings: Any, iterations: int, rng: np.random.Generator, start: Any,
     report: Callable[[float], None],
 ) -> tuple[Any, ...]:  # fmt: skip
     """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
 
-    start: the same output's posterior, whose values replace the first stages. report: called with the completed share.
+    settings: GPSettings, of which method, inducing and jitter are read. start: the same output's posterior, whose values
+    replace the first stages. report: called with the completed share.
     """
     centre, spread = z.mean(axis=0), z.std(axis=0)
     unit = float(np.sqrt(np.mean(target**2))) or 1.0
