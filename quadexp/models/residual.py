@@ -49,7 +49,7 @@ class Residual:
         structural zeros, so that code using it can omit them.
     theta: parameter values, (p,). source: checkpoint path or a word, for the record.
     to_compile: the same function in a form suited for compilation; None: `function` itself.
-    ranges: feature -> [least, largest] of the data of the fit (models.support); None where unknown or not fitted.
+    ranges: feature -> [least, largest] of the data of the fit (models.base); None where unknown or not fitted.
     unscaled: of a residual whose last parameter is a scale of the outputs, the residual without it (`scaled_residual`).
     """
 

@@ -73,7 +73,7 @@ Row = dict[str, Any]
 class Predictor:
     """name: in tables. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
 
-    seen: names of the flights of the fit. ranges: of the fit, see quadexp.models.support. mass: kg, to convert rotor
+    seen: names of the flights of the fit. ranges: of the fit, see quadexp.models.base. mass: kg, to convert rotor
     accelerations to the thrusts in the ranges. torque: fitted torque model or None.
     """
 
