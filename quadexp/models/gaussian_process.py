@@ -111,7 +111,7 @@ DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
 
 
 @dataclass(frozen=True, kw_only=True)
-class GPSettings(Part):
+class GPConfig(Part):
     """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
 
     prefix: ClassVar[str] = "gp."
@@ -196,7 +196,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
     mean: LinearDrag | TermMean | None
     linear_drag: LinearDrag
     predictor, maker = "gp", "quadexp fit-gp DATASET --out models/gp"
-    Settings = GPSettings
+    Settings = GPConfig
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -232,7 +232,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         return adapting_process(residual, self.outputs, deviation)
 
     @classmethod
-    def fit(cls, rows: ResidualDataset, settings: GPSettings, **options: Any) -> GPModel:
+    def fit(cls, rows: ResidualDataset, settings: GPConfig, **options: Any) -> GPModel:
         return fit_gp(rows, settings, **options)
 
     @property
@@ -356,7 +356,7 @@ def _scalar_functions(
 
 
 def fit_gp(
-    dataset: ResidualDataset, settings: GPSettings | None = None, *, start: GPModel | None = None,
+    dataset: ResidualDataset, settings: GPConfig | None = None, *, start: GPModel | None = None,
     callback: Callback = quiet, intervals: bool = True,
 ) -> GPModel:  # fmt: skip
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
@@ -368,7 +368,7 @@ def fit_gp(
     """
     from quadexp.models.sgpr import fit_output  # imports PyTorch
 
-    settings = settings or GPSettings()
+    settings = settings or GPConfig()
     chosen = settings.features.of_output
     iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
     rng = np.random.default_rng(settings.seed)
@@ -408,7 +408,7 @@ def fit_gp(
     return GPModel(tuple(posteriors), mean, drag, **stated)
 
 
-def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
+def _prior_mean(dataset: ResidualDataset, settings: GPConfig, drag: LinearDrag) -> LinearDrag | TermMean | None:
     if settings.mean in MEANS:
         return fit_term_mean(dataset, settings.mean)
     if settings.mean == "constant":

@@ -45,7 +45,7 @@ LABELS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class DragSettings(Part):
+class DragConfig(Part):
     """How linear drag is fitted; see quadexp/models/linear_drag.py."""
 
     prefix: ClassVar[str] = "drag."
@@ -113,7 +113,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         return adapting_drag(vehicle, residual, deviation)
 
     @classmethod
-    def fit(cls, rows: ResidualDataset, settings: DragSettings, *, intervals: bool = True, **_: Any) -> LinearDrag:
+    def fit(cls, rows: ResidualDataset, settings: DragConfig, *, intervals: bool = True, **_: Any) -> LinearDrag:
         return fit_linear_drag(
             rows, intercept=settings.intercept, thrust=settings.thrust, loss=settings.loss, intervals=intervals
         )

@@ -95,7 +95,7 @@ def activation(t: Expression) -> tuple[Expression, Expression]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NNSettings(Part):
+class NNConfig(Part):
     """How the neural network is made and trained; see quadexp/models/neural.py."""
 
     prefix: ClassVar[str] = "nn."
@@ -143,7 +143,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     lipschitz: float
     linear_drag: LinearDrag
     predictor, maker = "nn", "quadexp fit-nn DATASET --out models/nn"
-    Settings = NNSettings
+    Settings = NNConfig
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -176,7 +176,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         return adapting_network(residual, self.network, deviation)
 
     @classmethod
-    def fit(cls, rows: ResidualDataset, settings: NNSettings, **options: Any) -> NeuralModel:
+    def fit(cls, rows: ResidualDataset, settings: NNConfig, **options: Any) -> NeuralModel:
         """See Model.fit; always from the start that the seed gives."""
         return fit_network(rows, settings, callback=options.get("callback", quiet))
 
@@ -272,13 +272,13 @@ def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -
 
 
 def fit_network(
-    dataset: ResidualDataset, settings: NNSettings | None = None, *, callback: Callback = quiet
+    dataset: ResidualDataset, settings: NNConfig | None = None, *, callback: Callback = quiet
 ) -> NeuralModel:
     """Train a network on all rows of the dataset; callback: see Model.fit.
 
     Raises DataError where the dataset is empty or lacks a feature or output, or where a feature is constant.
     """
-    settings = settings or NNSettings()
+    settings = settings or NNConfig()
     dataset = with_common_scale(dataset).dataset
     require_variation(dataset, settings.features, (), "nn.features")
     x, y = dataset.matrix(settings.features), dataset.matrix(settings.outputs)
@@ -313,7 +313,7 @@ def one_thread() -> Iterator[None]:
 
 
 def _train(
-    x: np.ndarray, y: np.ndarray, settings: NNSettings, callback: Callback
+    x: np.ndarray, y: np.ndarray, settings: NNConfig, callback: Callback
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Weights and biases of the scaled network for scaled features (k, d) and outputs (k, o)."""
     import torch

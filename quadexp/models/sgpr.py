@@ -63,7 +63,7 @@ def fit_output(
 ) -> tuple[Any, ...]:  # fmt: skip
     """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
 
-    settings: GPSettings, of which method, inducing and jitter are read. start: the same output's posterior, its values
+    settings: GPConfig, of which method, inducing and jitter are read. start: the same output's posterior, its values
     replace the first stages. report: called with the completed share.
     """
     centre, spread = z.mean(axis=0), z.std(axis=0)

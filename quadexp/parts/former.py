@@ -52,9 +52,9 @@ FORMER_CLASSES = {
     "controller/custom": "experiment.former_parts.FormerController",
     "controller/custom_residual_mpc": "experiment.former_parts.FormerResidualMPC",
     "collect/flights": "experiment.collect_settings.CollectConfig",
-    "gp/sparse": "models.gaussian_process.GPSettings",
-    "drag/linear": "models.linear_drag.DragSettings",
-    "nn/mlp": "models.neural.NNSettings",
+    "gp/sparse": "models.gaussian_process.GPConfig",
+    "drag/linear": "models.linear_drag.DragConfig",
+    "nn/mlp": "models.neural.NNConfig",
 }
 _SCHEMA = re.compile(r"/schema/(\w+/\w+)@_here_")
 

@@ -8,16 +8,16 @@ import pytest
 
 from quadexp.models.base import AXIS
 from quadexp.models.checkpoint import load_model, plain, record_of, save_model
-from quadexp.models.gaussian_process import GPModel, GPSettings
-from quadexp.models.linear_drag import DragSettings, LinearDrag
-from quadexp.models.neural import NeuralModel, NNSettings
+from quadexp.models.gaussian_process import GPConfig, GPModel
+from quadexp.models.linear_drag import DragConfig, LinearDrag
+from quadexp.models.neural import NeuralModel, NNConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 
 SETTINGS = {
-    LinearDrag: DragSettings(),
-    GPModel: GPSettings(inducing=5, max_iterations=5, mean="quadratic", features={"a_x": ("v_x",), "tau_y": ("w_y",)}),
-    NeuralModel: NNSettings(hidden=(4,), max_iterations=5),
+    LinearDrag: DragConfig(),
+    GPModel: GPConfig(inducing=5, max_iterations=5, mean="quadratic", features={"a_x": ("v_x",), "tau_y": ("w_y",)}),
+    NeuralModel: NNConfig(hidden=(4,), max_iterations=5),
 }
 FEATURES = ["v_x", "v_y", "v_z", "w_x", "w_y", "w_z", "u_0", "u_1", "u_2", "u_3"]
 

@@ -12,12 +12,12 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import MODEL_FILE, _hash, load_model, save_model
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.neural import NeuralModel, NNSettings, fit_network
+from quadexp.models.neural import NeuralModel, NNConfig, fit_network
 from quadexp.models.verdict import evaluate, split_by_flight, without
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_checkpoint import assert_same_bits
 
-QUICK = NNSettings(hidden=(10, 10), max_iterations=120)
+QUICK = NNConfig(hidden=(10, 10), max_iterations=120)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_file_whose_parts_do_not_fit_is_refused(tmp_path, network, key, value)
 )
 def test_impossible_settings_are_refused(change):
     with pytest.raises(UsageError, match=r"nn\."):
-        NNSettings(**change)
+        NNConfig(**change)
 
 
 def test_constant_features_and_empty_data_are_refused(data):

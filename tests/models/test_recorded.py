@@ -9,7 +9,7 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import rms
-from quadexp.models.gaussian_process import GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.recorded import force_rows, logged_thrust, recorded_dataset, tracked_scale, with_common_scale
 from quadexp.models.samples import read_rows
@@ -20,7 +20,7 @@ from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, record
 
 VEHICLE = crazyflie()
 TRUE_CURVE = ThrustCurve("motor_command", np.array([1.0]), np.array([CURVE]), np.zeros(1))
-SETTINGS = GPSettings(
+SETTINGS = GPConfig(
     features={"a_x": ("v_x",), "a_y": ("v_y",)},
     method="subset",
     inducing=60,

@@ -10,7 +10,7 @@ from quadexp.errors import DataError
 from quadexp.models.base import feature_ranges, outside_shares
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPConfig, GPModel, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.verdict import (
     evaluate,
@@ -64,7 +64,7 @@ def test_noise_is_found_below_a_slow_effect(memory):
 
 def test_a_fit_that_sees_the_truth_is_better_and_down_to_the_noise():
     data = synthetic_dataset(rows=4800, flights=16, noise=0.05)
-    settings = GPSettings(inducing=15, max_iterations=40, holdout=0.4, refit=False)
+    settings = GPConfig(inducing=15, max_iterations=40, holdout=0.4, refit=False)
     fit = fit_with_report(data, GPModel, settings)
     found = verdict(fit.held_out_model, fit.train, fit.test)
     for output in ("a_x", "a_y"):
@@ -74,7 +74,7 @@ def test_a_fit_that_sees_the_truth_is_better_and_down_to_the_noise():
     assert any("BETTER than linear drag" in line for line in verdict_lines(found))
 
 
-QUICK = GPSettings(inducing=10, max_iterations=15)
+QUICK = GPConfig(inducing=10, max_iterations=15)
 
 
 def test_scores_are_what_they_say():
@@ -112,7 +112,7 @@ def test_one_flight_is_fitted_without_a_report_only():
     one = synthetic_dataset(rows=500, flights=1)
     with pytest.raises(DataError, match="one flight, .*collect more.*gp.holdout=0 for fit-gp"):
         fit_with_report(one, GPModel, QUICK)
-    fit = fit_with_report(one, GPModel, GPSettings(inducing=5, max_iterations=5, holdout=0))
+    fit = fit_with_report(one, GPModel, GPConfig(inducing=5, max_iterations=5, holdout=0))
     assert fit.test is None and fit.report["rows"] == []
 
 
@@ -120,7 +120,7 @@ def test_more_points_and_their_optimisation_lower_the_error(dataset):
     train, test = split_by_flight(dataset, 0.2)
     found = {}
     for method, points in (("sgpr", 5), ("sgpr", 10), ("subset", 5)):
-        model = fit_gp(train, GPSettings(inducing=points, method=method, max_iterations=10, max_rows=1500))
+        model = fit_gp(train, GPConfig(inducing=points, method=method, max_iterations=10, max_rows=1500))
         found[method, points] = evaluate(model, train, test)[0]["rmse"]
     assert found["sgpr", 10] < found["sgpr", 5] < found["subset", 5]
 
@@ -128,7 +128,7 @@ def test_more_points_and_their_optimisation_lower_the_error(dataset):
 @pytest.mark.parametrize("mean", ["zero", "linear_drag", "quadratic", "blade_element"])
 def test_a_drawn_curve_is_the_prediction_with_all_else_at_its_median(dataset, mean):
     dataset = dataset.rows(np.arange(0, dataset.n_rows, 10))
-    model = fit_gp(dataset, GPSettings(inducing=5, max_iterations=3, mean=mean))
+    model = fit_gp(dataset, GPConfig(inducing=5, max_iterations=3, mean=mean))
     output, names = model.outputs[2], ["v_x", "v_y", "v_z", "u_0", "u_1", "u_2", "u_3"]  # a_z <- v_z, thrust
     middle = {name: np.median(dataset.matrix([name])) for name in names}
     middle |= {name: np.median(dataset.matrix(["thrust"])) / 4 for name in names[3:]}
