@@ -53,7 +53,7 @@ def export(folder: Path, seconds: int) -> Made:
 def fit(folder: Path, seconds: int) -> Made:
     data = f"data/{seconds}.parquet"
     run(["collect", f"collect.duration={seconds}", "--out", data], folder)
-    few = ("gp.inducing=200", "gp.max_iterations=2", "gp.alternatives=false", "gp.refit=false", "--no-figures")
+    few = ("gp.inducing=200", "gp.max_iterations=2", "gp.refit=false", "--no-figures")
     return ["fit-gp", data, *few, "--out", f"models/{seconds}"], None
 
 

@@ -27,8 +27,8 @@ from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual
+from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
-from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 
 STEPS_EACH = 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 
 from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
+from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
-from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from tests import composing  # noqa: F401 - before any test binds what it replaces
 
@@ -113,15 +113,6 @@ def lei_li(blade) -> Vehicle:
         rotor=rotor,
         thrust_coefficient=static.thrust,
     )
-
-
-@pytest.fixture(scope="module")
-def small_trials() -> Iterator[None]:
-    """The search for better features, with which a fit ends, on few rows: for tests of other things."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("quadexp.models.verdict.TRIAL_ROWS", 200)
-        patch.setattr("quadexp.models.verdict.TRIAL_ITERATIONS", 3)
-        yield
 
 
 @pytest.fixture

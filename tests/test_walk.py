@@ -25,7 +25,7 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import residual_dataset
-from quadexp.models.gaussian_process import GPSettings, fit_gp, gaussian_process_residual
+from quadexp.models.gaussian_process import GPConfig, fit_gp, gaussian_process_residual
 from quadexp.parts.compose import compose
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
@@ -135,7 +135,7 @@ def walk(tmp_path_factory) -> Walk:
     found.station("store", lambda: write_flight(path, flight))
     flight = found.station("read", lambda: read_flight(path))
     data = found.station("data set", lambda: residual_dataset([flight] * 3, vehicle, names=["a", "b", "c"]))
-    settings = GPSettings(features={"a_x": ("v_x",)}, inducing=5, max_iterations=2, max_rows=50)
+    settings = GPConfig(features={"a_x": ("v_x",)}, inducing=5, max_iterations=2, max_rows=50)
     fitted = found.station("fit", lambda: fit_gp(data, settings))
 
     def store() -> Any:

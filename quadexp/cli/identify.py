@@ -22,8 +22,7 @@ VOLTAGE = "Voltage the curve is stated at; 0: the voltage is not used."
 OPTIONS = {
     "rls": ("out", "force", "paper"),
     "regression": (
-        "out", "force", "drag", "signal", "curve", "voltage", "exponent", "intercept", "per_rotor", "radius", "loss",
-        "figures",
+        "out", "force", "drag", "signal", "curve", "voltage", "exponent", "radius", "loss", "figures",
     ),
     "delays": ("figure",),
 }  # fmt: skip
@@ -44,10 +43,6 @@ def identify(
     curve: Annotated[str, Ask(CURVE, "s+s2|s|s2|auto", "--thrust-curve")] = "auto",
     voltage: Annotated[float | None, Ask(VOLTAGE, "V", "--reference-voltage")] = None,
     exponent: Annotated[str, Ask("Exponent of the voltage; fit: estimated.", "G|fit", "--voltage-exponent")] = "1",
-    intercept: Annotated[
-        bool | None, Ask("Fit an offset along z.", None, "--thrust-intercept/--no-thrust-intercept")
-    ] = None,
-    per_rotor: Annotated[bool, Ask("A thrust curve for each rotor.", None, "--per-rotor")] = False,
     radius: Annotated[float | None, Ask("Rotor radius for the induced velocity.", "M", "--rotor-radius")] = None,
     loss: Annotated[str, Ask("Loss that is minimised.", "squares|huber", "--loss")] = "squares",
     figures: Annotated[bool, Ask("Draw figures.", None, "--figures/--no-figures")] = True,
@@ -95,8 +90,7 @@ def identify(
         raise UsageError(f"identify --thrust-curve: '{curve}' is none of {', '.join(CURVES)}")
     settings = FitSettings(
         signal=signal, reference_voltage=voltage, voltage_exponent=_exponent(exponent), powers=CURVES[curve],
-        thrust_intercept=intercept, per_rotor=per_rotor, radius=radius, loss=loss,
-        kinds=tuple(name.strip() for name in drag.split(",") if name.strip()),
+        radius=radius, loss=loss, kinds=tuple(name.strip() for name in drag.split(",") if name.strip()),
     )  # fmt: skip
     report: dict[str, Any] = identify_flights(flights, out, named, settings, force=force, figures=figures, conf=conf)
     record = {key: value for key, value in report.items() if key not in ("lines", "main")}

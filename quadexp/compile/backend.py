@@ -73,7 +73,10 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     """Functions on a resolved back end, compiled into one library: what they have in common is compiled once."""
     if backend != "compiled":
         return list(functions)
-    library = _compile(functions)
+    generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    library = _library(functions[0].name(), generator.dump(), compile_flags())
     try:
         from quadexp.compile.library_function import LibraryFunction
 
@@ -112,16 +115,6 @@ def handwritten(
     source = f"enum {{ {named} }};\n{body.read_text()}"
     options = {"jit": False, "buffered": False}
     return ca.Function.jit(name, source, [*inputs], [*outputs], [*inputs.values()], [*outputs.values()], options)
-
-
-def _compile(functions: Sequence[ca.Function]) -> Path:
-    """Path of the shared library with the functions, compiled unless the cache has it."""
-    name = functions[0].name()
-    generator = ca.CodeGenerator(name, {"with_header": False})
-    for function in functions:
-        generator.add(function)
-    source = generator.dump()
-    return _library(name, source, compile_flags())
 
 
 def _library(name: str, source: str, flags: Sequence[str]) -> Path:
@@ -187,11 +180,9 @@ class BufferedFunction:
     """
 
     def __init__(
-        self,
-        function: ca.Function,
-        shared: Mapping[str, np.ndarray] | None = None,
+        self, function: ca.Function, shared: Mapping[str, np.ndarray] | None = None,
         into: Mapping[str, np.ndarray] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.function = function
         self._buffer, self._trigger = function.buffer()
         self.arguments = {}

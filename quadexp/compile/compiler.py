@@ -68,14 +68,9 @@ def run_compiler(arguments: Sequence[str], purpose: str, scratch: str | None = N
     environment = os.environ | ({"TMPDIR": scratch} if scratch else {})
     try:
         done = subprocess.run(
-            [*command, *arguments],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE,
-            errors="replace",
+            [*command, *arguments], check=False, capture_output=True, text=True, errors="replace", timeout=PATIENCE,
             env=environment,
-        )
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise QuadexpError(f"{command[0]} could not {purpose}: it took longer than {PATIENCE:g} s") from None
     except OSError as error:

@@ -8,11 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from quadexp.models.settings import MAKERS
+from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given, Part
 from quadexp.parts.settings import Setting, key
 
-RESIDUAL = Setting("model that is added to the rigid body in the prediction", words=("none", *MAKERS, "plant"))
+RESIDUAL = Setting("model that is added to the rigid body in the prediction", words=("none", *LEARNED, "plant"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class ControllerPart(Part):
     @property
     def learned(self) -> tuple[str, ...]:
         """Those of them that come from a checkpoint."""
-        return tuple(kind for kind in self.kinds if kind in MAKERS)
+        return tuple(kind for kind in self.kinds if kind in LEARNED)
 
     @property
     def knows_plant(self) -> bool:

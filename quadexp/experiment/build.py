@@ -17,11 +17,11 @@ from typing import Any, TypeVar
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import MODEL_FILE, ModelFile, content_hash, digest, located, model_hash
-from quadexp.models.settings import MAKERS
+from quadexp.models.base import model_class
+from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given, Part
 from quadexp.parts.schema import Config, remedies, world_parts
-from quadexp.physics.plausible import plausible
-from quadexp.physics.vehicle import Vehicle
+from quadexp.physics.vehicle import Vehicle, plausible
 
 T = TypeVar("T")
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
@@ -275,7 +275,7 @@ def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
 def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
     """The models of the air of some kinds, each from its own checkpoint."""
     files = iter(model.files if model else ())
-    return [_residual(kind, vehicle, next(files)) for kind in kinds if kind in MAKERS]
+    return [_residual(kind, vehicle, next(files)) for kind in kinds if kind in LEARNED]
 
 
 def _residual(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
@@ -286,7 +286,7 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     checkpoint = load_checkpoint(vehicle, model)
     checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
     if checkpoint.kind != kind:
-        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {MAKERS[kind]} makes")
+        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {model_class(kind).maker} makes")
     return replace(checkpoint.residual(vehicle, model.path), ranges=checkpoint.feature_range)
 
 

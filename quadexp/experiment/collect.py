@@ -28,9 +28,8 @@ from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
-from quadexp.models.dataset import ResidualDataset, as_told, residual_dataset
-from quadexp.models.known_noise import known_noise
-from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
+from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residual_dataset
+from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset
 from quadexp.models.rotor_thrust import TimingFit, fit_timing, mean_thrust
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.parts.schema import WORLD, Config
@@ -204,11 +203,7 @@ def _rows(
     target = "specific_force" if settings.target == "auto" else settings.target
     notes = []
     if target == "velocity":
-        cost = target_cost(flights, vehicle, curve, frame=settings.frame)
-        measured = f": {cost}" if cost else "; these flights have no accelerometer to compare with"
-        notes.append(
-            f"warning: the target is the derivative of an estimated velocity, with its filter and noise{measured}"
-        )
+        notes.append("warning: the target is the derivative of an estimated velocity, with its filter and noise")
     return recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names), notes
 
 

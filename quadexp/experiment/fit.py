@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +11,11 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.models.base import Model
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset, read_dataset
-from quadexp.models.evaluation import Fit, fit_with_report, without
-from quadexp.models.gaussian_process import GPModel, GPSettings
-from quadexp.models.known_noise import explained, explained_lines
+from quadexp.models.gaussian_process import GPModel
 from quadexp.models.linear_drag import LinearDrag
-from quadexp.models.neural import NeuralModel, NNSettings
+from quadexp.models.neural import NeuralModel
+from quadexp.models.verdict import Fit, fit_with_report, verdict, verdict_lines, without
 from quadexp.parts.schema import Config
-from quadexp.parts.settings import part
 from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
@@ -48,8 +45,7 @@ def fit_checkpoint(
     fit = fit_with_report(data, *_asked(kind, config), callback=lambda message, done: progress(round(done, 2), 1))
     report = {**fit.report, **fit.model.numbers, "summary": fit.model.summary}
     if kind == "gp":
-        report |= _beside_drag(fit, config, data)
-    report["explained"] = explained(report["rows"], data.metadata.get("known_noise") or {})
+        report |= _beside_drag(fit, data)
     if after is not None:
         report["after"] = str(after)
     report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
@@ -58,10 +54,8 @@ def fit_checkpoint(
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
     if after is not None:
         lines.append(f"of what {after} leaves: to be flown in a sum with it")
-    lines += [*_split_lines(report), *explained_lines(report["explained"])]
+    lines += _split_lines(report)
     if "verdict" in report:
-        from quadexp.models.verdict import verdict_lines
-
         lines += verdict_lines(report["verdict"])
     elif kind == "gp":
         lines.append("no comparison with linear drag: it needs held-out flights (gp.holdout above 0)")
@@ -83,20 +77,16 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
 def _asked(kind: str, config: Config) -> tuple[type[Model], Any]:
     """The kind of model, and the settings of its fit."""
     if kind == "gp":
-        return GPModel, part(GPSettings, config.gp, features=asdict(config.gp.features))
-    return (NeuralModel, part(NNSettings, config.nn)) if kind == "nn" else (LinearDrag, config.drag)
+        return GPModel, config.gp
+    return (NeuralModel, config.nn) if kind == "nn" else (LinearDrag, config.drag)
 
 
-def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, Any]:
+def _beside_drag(fit: Fit, data: ResidualDataset) -> dict[str, Any]:
     """Of Gaussian processes: the target of recorded flights, and the comparison with linear drag."""
     found = {"target": data.metadata["target"]} if data.metadata.get("target") else {}
     if fit.test is None:
         return found
-    from quadexp.models.verdict import verdict
-
-    _, settings = _asked("gp", config)
-    search = config.gp.alternatives
-    return found | {"verdict": verdict(fit.held_out_model, fit.train, fit.test, settings, search=search)}
+    return found | {"verdict": verdict(fit.held_out_model, fit.train, fit.test)}
 
 
 def _draw(fit: Fit, folder: Path) -> dict[str, str]:

@@ -35,12 +35,20 @@ from quadexp.log.store import (
 )
 from quadexp.models.blade_element import Identification, identify_flight
 from quadexp.models.checkpoint import save_model
-from quadexp.models.lumped import momentum_of
 from quadexp.models.rls import RLSSettings
 from quadexp.models.samples import QUATERNION, Samples, gather_to_fit, rotor_columns
-from quadexp.models.selection import HOVER_INFLOW, best_level, compare_curves, flight_by_flight, selection
-from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.vehicle_model import FitSettings, VehicleModel, curve_beside_quadratic, fit_level, fit_vehicle_model
+from quadexp.models.terms import momentum_of
+from quadexp.models.vehicle_model import (
+    HOVER_INFLOW,
+    FitSettings,
+    VehicleModel,
+    best_level,
+    compare_curves,
+    fit_level,
+    fit_vehicle_model,
+    flight_by_flight,
+    selection,
+)
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
@@ -179,7 +187,6 @@ def identify_vehicle(
         "thrust": str(model.thrust), "models": {kind: terms.records() for kind, terms in model.models.items()},
         "other_loss": _other_loss(samples, settings), "flights": flight_by_flight(samples, settings),
         "curves": curves, "selection": ladder, "best": model.best, "best_row": best, "notes": list(model.notes),
-        "beside_quadratic": _beside_quadratic(samples, settings, model.thrust),
     }  # fmt: skip
     return VehicleIdentification(model, samples, report)
 
@@ -212,14 +219,6 @@ def _other_loss(samples: Samples, settings: FitSettings) -> dict[str, Any]:
     """Linear drag with the other loss: where the two differ by more than their errors, outliers matter."""
     other = replace(settings, loss="huber" if settings.loss == "squares" else "squares")
     return {"loss": other.loss, "rows": fit_level("linear", samples.thinned(OTHER_LOSS_SAMPLES), other).terms.records()}
-
-
-def _beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> str | None:
-    """The thrust curve if drag along z is quadratic, None where the flights do not determine it."""
-    try:
-        return str(curve_beside_quadratic(samples, settings, curve))
-    except DataError:
-        return None
 
 
 def write_identification(

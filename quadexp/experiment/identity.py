@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.models.settings import MAKERS
+from quadexp.models.base import model_class
 from quadexp.parts.part import TARGET, imported
 from quadexp.parts.schema import WORLD, Config, remedies
 from quadexp.parts.settings import declared
@@ -97,7 +97,7 @@ def find_model(config: Config) -> ModelFile | None:
     for candidate in candidates:
         if (Path(candidate) / MODEL_FILE).is_file():
             return _file(candidate)
-    maker = MAKERS[residual]
+    maker = model_class(residual).maker
     if config.model:
         raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
     looked = " or ".join(candidates) or "nowhere"
@@ -113,7 +113,8 @@ def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
         raise UsageError(f"controller.models: {controller.name} needs one folder for each of {', '.join(kinds)}")
     for kind, folder in zip(kinds, controller.models, strict=True):
         if not (Path(folder) / MODEL_FILE).is_file():
-            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {MAKERS[kind]}")
+            maker = model_class(kind).maker
+            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {maker}")
     files = tuple(_file(folder) for folder in controller.models)
     together = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
     return ModelFile("+".join(file.path for file in files), together, files)

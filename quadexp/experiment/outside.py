@@ -15,7 +15,7 @@ UNKNOWN = "the checkpoint has no ranges of its data (fitted by an older version)
 def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> dict[str, Any] | None:
     """{model, share, shares, ranges, note} of a flight, None where the controller flies without a learned model.
 
-    share: of the samples, 0..1, None where it is unknown. shares: of every feature. See quadexp.models.support.
+    share: of the samples, 0..1, None where it is unknown. shares: of every feature. See quadexp.models.base.
     """
     if model is None:
         return None
@@ -26,8 +26,8 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "note": UNKNOWN}
     if not ranges or not len(flight):
         return record | ({"note": "the flight has no samples"} if ranges else {})
+    from quadexp.models.base import outside_shares
     from quadexp.models.dataset import feature_rows
-    from quadexp.models.support import outside_shares
 
     rate = flight.stack(["w_x", "w_y", "w_z"])
     finite = np.isfinite(flight.state).all(axis=1)

@@ -15,19 +15,21 @@ from quadexp.experiment.build import build_vehicle, load_identified
 from quadexp.files.writer import check_output, write_text
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
-from quadexp.models.open_loop import TURNING, Track, rollout_errors
 from quadexp.models.recorded import recorded_dataset
 from quadexp.models.samples import FlightRows, gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import TorqueModel, explained, torque_lines
 from quadexp.models.validation import (
     NOMINAL,
+    TURNING,
     Predictor,
     Residuals,
+    Track,
     band_rows,
     nominal,
     predictors,
     residuals,
+    rollout_errors,
     score_rows,
 )
 from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
@@ -206,8 +208,7 @@ def _settings(model: VehicleModel, flights: int) -> FitSettings:
     return FitSettings(
         signal=curve.signal, reference_voltage=curve.reference_voltage,
         voltage_exponent=None if curve.voltage_exponent_error and flights > 1 else curve.voltage_exponent,
-        powers=tuple(int(p) for p in curve.powers), thrust_intercept=bool(curve.intercept_error),
-        per_rotor=curve.coefficients.ndim > 1, loss=curve.loss, kinds=tuple(model.models),
+        powers=tuple(int(p) for p in curve.powers), loss=curve.loss, kinds=tuple(model.models),
         induced=model.blade_element is None or isinstance(model.blade_element.momentum, tuple),
     )  # fmt: skip
 

@@ -5,29 +5,40 @@
 A record's fields are its checkpoint: type, range and shape stand beside each, and are checked whenever one is made, in
 Python or from a file. CasADi and PyTorch are imported when they are first needed, so loading a checkpoint and
 predicting need numpy only.
+
+A model knows the range of the rows of its fit. A sample is outside where any of these is below the least or above the
+largest value there: body velocity relative to the air (m/s), its norm, and every other feature of the model, each by
+itself. Not detected are combinations that the rows do not contain (full thrust at full speed) and gaps inside a range.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
+from importlib import import_module
+from importlib.metadata import version
 from typing import Annotated, Any, ClassVar, NamedTuple, get_type_hints
 
 import msgspec
 import numpy as np
 
+from quadexp.errors import DataError
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import Adapting
-from quadexp.models.residual import Residual
+from quadexp.models.residual import VELOCITY, Residual
+from quadexp.parts.settings import Setting, record
 from quadexp.physics.vehicle import Vehicle
 
-Callback = Callable[[str, float], None]
+Callback = Callable[[str, float], None]  # told a message and the completed share, 0 .. 1
+SPEED = "speed"  # norm of the body velocity, m/s
+REPORTED_SHARE = 0.01  # least share of samples outside that is reported for a flight
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0)]
-Output = Annotated[str, msgspec.Meta(pattern=r"^(a|tau)_[xyz]$")]  # quadexp.physics.correction.OUTPUTS
+Output = Annotated[str, msgspec.Meta(pattern=r"^(a|tau)_[xyz]$")]  # quadexp.physics.rigid_body.OUTPUTS
 Rotors = Annotated[int, msgspec.Meta(ge=1, le=64)]
+HOLDOUT = Setting("share of the flights held out of the fit, on which it is reported", "[0, 0.9]", "of the flights")
 
 
 class Shape(NamedTuple):
@@ -68,6 +79,10 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"{name} is of shape {np.shape(array)}; {' or '.join(map(str, allowed))} is needed")
 
 
+def quiet(message: str, done: float) -> None:
+    """The callback that says nothing."""
+
+
 class Prediction(NamedTuple):
     """mean: (k,), unit of the output. variance: (k,), of the function; None where the model states none.
     noise_variance: of one measurement."""
@@ -86,8 +101,9 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     """What was learned of a vehicle, the contents of a checkpoint.
 
     vehicle: {name, fingerprint}. dataset: record of the data: hash, rows, flights. settings: of the fit.
-    feature_range: of its rows, see quadexp.models.support. versions: library -> version. linear_drag, of every kind:
-    the baseline, linear drag of the same rows. predictor: its name in tables. Settings: of its fit, a dataclass.
+    feature_range: of its rows, see `feature_ranges`. versions: library -> version. linear_drag, of every kind:
+    the baseline, linear drag of the same rows. predictor: its name in tables. maker: the command that makes its
+    checkpoint. Settings: of its fit.
     """
 
     vehicle: dict[str, Any] = {}
@@ -96,6 +112,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     feature_range: dict[str, Annotated[list[float], msgspec.Meta(min_length=2, max_length=2)]] = {}
     versions: dict[str, str] = {}
     predictor: ClassVar[str]
+    maker: ClassVar[str]
     Settings: ClassVar[type]
 
     def __post_init__(self) -> None:
@@ -103,6 +120,12 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         for name, (low, high) in self.feature_range.items():
             if low > high:
                 raise ValueError(f"feature_range[{name!r}] is [{low}, {high}]; [least, largest] is needed")
+
+    @staticmethod
+    def require_each_once(outputs: Sequence[str]) -> None:
+        """Raise ValueError where an output is named twice."""
+        if len(set(outputs)) < len(outputs):
+            raise ValueError(f"outputs are {', '.join(outputs)}; each is allowed once")
 
     @property
     def kind(self) -> str:
@@ -119,7 +142,10 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         return np.stack([predictions[a].mean if a in predictions else zero for a in AXIS], axis=1)
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        """The same for a controller or a plant. part: which of several models, where there are several."""
+        """The same for a controller or a plant. part: which of several models, "best" for its own choice.
+
+        Raises UsageError where it holds no such part.
+        """
         raise NotImplementedError
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
@@ -128,18 +154,13 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
     @classmethod
     def fit(
-        cls,
-        rows: ResidualDataset,
-        settings: Any,
-        *,
-        start: Any = None,
-        intervals: bool = True,
-        callback: Callback | None = None,
-    ) -> Any:
+        cls, rows: ResidualDataset, settings: Any, *, start: Any = None, intervals: bool = True,
+        callback: Callback = quiet,
+    ) -> Any:  # fmt: skip
         """The model that fits the rows.
 
         settings: of Settings. start: the same fitted to part of the rows. intervals: False omits those of linear drag.
-        callback: called with a message and the completed share, 0 .. 1. Raises DataError where the rows do not suffice.
+        Raises DataError where the rows do not suffice.
         """
         raise NotImplementedError
 
@@ -160,6 +181,59 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         return {}
 
 
+def model_class(kind: str) -> type[Model]:
+    """The models of a kind: the class with that tag, in the module of that name."""
+    module = import_module(f"quadexp.models.{kind}")
+    classes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, Model)]
+    return next(item for item in classes if item.__struct_config__.tag == kind)
+
+
 def rms(error: np.ndarray) -> float:
     """Root mean square of numbers (k,), or of vectors (k, 3)."""
     return float(np.sqrt(np.mean(np.sum(error.reshape(len(error), -1) ** 2, axis=1))))
+
+
+def origin(
+    rows: ResidualDataset, features: Sequence[str] = (), settings: Any = None, libraries: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What a model's record says of its fit: vehicle, dataset, settings, feature_range, versions of the libraries."""
+    stated = {} if settings is None else {key: value for key, value in record(settings).items() if key != "name"}
+    vehicle = dict(rows.metadata.get("vehicle") or {})
+    return {
+        "vehicle": vehicle, "dataset": rows.summary(), "settings": stated,
+        "feature_range": feature_ranges(rows, features), "versions": {name: version(name) for name in libraries},
+    }  # fmt: skip
+
+
+def feature_ranges(rows: ResidualDataset, features: Sequence[str] = ()) -> dict[str, list[float]]:
+    """[least, largest] of body velocity, speed and the features named, over all rows."""
+    ranges = {}
+    for name in dict.fromkeys([*VELOCITY, SPEED, *features]):
+        values = _values(rows, name)
+        ranges[name] = [0.0 if name == SPEED else float(values.min()), float(values.max())]
+    return ranges
+
+
+def outside_shares(ranges: Mapping[str, Sequence[float]], rows: ResidualDataset) -> dict[str, float]:
+    """Share of the rows outside each range, and outside "any" of them."""
+    masks = {}
+    for name, (low, high) in ranges.items():
+        values = _values(rows, name)
+        masks[name] = (values < low) | (values > high)
+    masks["any"] = np.logical_or.reduce(list(masks.values()))
+    return {name: float(mask.mean()) for name, mask in masks.items()}
+
+
+def _values(rows: ResidualDataset, name: str) -> np.ndarray:
+    """Values of a feature, or of the speed, (k,)."""
+    return np.linalg.norm(rows.matrix(VELOCITY), axis=1) if name == SPEED else rows.matrix([name])[:, 0]
+
+
+def require_variation(rows: ResidualDataset, features: Sequence[str], outputs: Sequence[str], key: str) -> None:
+    """Raise DataError unless there are rows with these columns, and every feature varies. key: for the message."""
+    if not rows.n_rows:
+        raise DataError("dataset: it has no rows")
+    rows.matrix(outputs)
+    for name, spread in zip(features, rows.matrix(features).std(axis=0), strict=True):
+        if spread < 1e-9:
+            raise DataError(f"{key}: '{name}' never changes over the {rows.n_rows} rows; leave it out")

@@ -40,6 +40,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -50,10 +51,12 @@ from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
 from quadexp.models.residual import AXES, Residual, feature_names, symbolic_residual
 from quadexp.models.rls import ITERATIONS as SAFE_ITERATIONS
 from quadexp.models.rls import SLOWEST, BladeElementRLS, RLSSettings
+from quadexp.models.samples import READINGS, check_columns
 from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
+from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 
 ITERATIONS = 4  # Newton steps; three reach 1e-9 m/s in cruise, idling rotors and steep descents need a fourth
@@ -84,17 +87,10 @@ def blade_element_residual(
 
 
 def blade_element_correction(
-    vehicle: Vehicle,
-    z: Expression,
-    theta: Expression,
-    *,
-    lift_scale: Expression = 1.0,
-    payload: Expression = 0.0,
-    rotor_local_velocity: bool = False,
-    terms: CrossTerms = ADOPTED,
-    iterations: int = ITERATIONS,
+    vehicle: Vehicle, z: Expression, theta: Expression, *, lift_scale: Expression = 1.0, payload: Expression = 0.0,
+    rotor_local_velocity: bool = False, terms: CrossTerms = ADOPTED, iterations: int = ITERATIONS,
     rotor_speed_min: float = IDLE_SPEED,
-) -> tuple[Expression, Expression]:
+) -> tuple[Expression, Expression]:  # fmt: skip
     """y (6,) and dy/dz (6, 6 + n) as SX expressions.
 
     z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
@@ -138,13 +134,9 @@ class BladeFit:
 
 
 def fit_blade_element(
-    vehicle: Vehicle,
-    velocity: np.ndarray,
-    rotor_speed: np.ndarray,
-    specific_force: np.ndarray,
-    initial: BladeCoefficients,
-    stretch: np.ndarray | None = None,
-) -> BladeFit:
+    vehicle: Vehicle, velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray,
+    initial: BladeCoefficients, stretch: np.ndarray | None = None,
+) -> BladeFit:  # fmt: skip
     """Fit one flight.
 
     velocity: air-relative, (k, 3) body FLU (m/s). rotor_speed: (k, n) (rad/s), all turning. specific_force: (k, 3) body
@@ -166,27 +158,27 @@ def fit_blade_element(
         design = np.concatenate([slopes, np.broadcast_to(np.eye(3), (k, 3, 3))], axis=2)
         return specific_force - np.array(force).T - c[5:], design
 
-    def cost(c: np.ndarray, left: np.ndarray, noise: float) -> float:
-        return float(np.sum(left**2) / noise**2 + np.sum(((c - first) / spread) ** 2))
+    def cost(c: np.ndarray, error: np.ndarray, noise: float) -> float:
+        return float(np.sum(error**2) / noise**2 + np.sum(((c - first) / spread) ** 2))
 
-    def linearised(left: np.ndarray, design: np.ndarray) -> tuple[float, np.ndarray]:
+    def linearised(error: np.ndarray, design: np.ndarray) -> tuple[float, np.ndarray]:
         """sigma and H."""
-        noise = max(float(np.sqrt(np.mean(left**2))), 1e-9)
+        noise = max(float(np.sqrt(np.mean(error**2))), 1e-9)
         return noise, np.einsum("kai,kaj->ij", design, design) / noise**2 + np.diag(1 / spread**2)
 
     c = first.copy()
-    left, design = at(c)
+    error, design = at(c)
     for _ in range(MOST_STEPS):
-        noise, information = linearised(left, design)
-        slope = np.einsum("kai,ka->i", design, left) / noise**2 + (first - c) / spread**2
+        noise, information = linearised(error, design)
+        slope = np.einsum("kai,ka->i", design, error) / noise**2 + (first - c) / spread**2
         step = np.linalg.solve(information, slope)
         size = float(np.sqrt(step @ information @ step))  # in standard errors
-        share, before = 1.0, cost(c, left, noise)
+        share, before = 1.0, cost(c, error, noise)
         for _ in range(20):
             tried = c + share * step
             tried[C_LA] = np.clip(tried[C_LA], low, high)
-            left, design = at(tried)
-            if cost(tried, left, noise) <= before * (1 + 1e-12):
+            error, design = at(tried)
+            if cost(tried, error, noise) <= before * (1 + 1e-12):
                 break
             share /= 2
         c = tried
@@ -195,8 +187,8 @@ def fit_blade_element(
     else:
         raise DataError("blade element: the fit does not converge on this flight")
 
-    noise, information = linearised(left, design)
-    scores = np.einsum("kai,ka->ki", design, left) / noise**2
+    noise, information = linearised(error, design)
+    scores = np.einsum("kai,ka->ki", design, error) / noise**2
     runs = np.zeros(k, int) if stretch is None else stretch
     covariance, count = over_blocks(scores, information, runs, np.zeros(k, int), prior=np.diag(1 / spread**2))
     variance = np.maximum(np.diag(covariance), np.diag(np.linalg.inv(information)))
@@ -206,17 +198,13 @@ def fit_blade_element(
 
 @lru_cache(maxsize=8)
 def _force_function(vehicle: Vehicle) -> ca.Function:
-    """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5).
-
-    With the balance g(V_I, theta) = 0, dV_I/dtheta = -(dg/dtheta) / (dg/dV_I): the iterations are not differentiated.
-    """
+    """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5)."""
     n = vehicle.n_rotors
     v, w, theta, induced = (ca.SX.sym(name, size) for name, size in (("v", 3), ("w", n), ("theta", 5), ("V_I", n)))
     flow = rotor_flow(vehicle, v)
     equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
-    through = -ca.jacobian(equation.value(induced), theta) / ca.repmat(equation.slope(induced), 1, 5)
-    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), through)
+    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), equation.derivative(induced, theta))
     solved = ca.substitute(
         [force / vehicle.mass, ca.densify(slope) / vehicle.mass], [induced], [safe_newton(equation, SAFE_ITERATIONS)]
     )
@@ -252,37 +240,32 @@ class Identification:
             columns |= {f"{prefix}{name}": values[:, i].copy() for i, name in enumerate(THETA)}
         return columns | {f"error_{axis}": self.error[:, i].copy() for i, axis in enumerate(AXES)}
 
-    def metadata(self) -> dict[str, object]:
+    def metadata(self) -> dict[str, Any]:
         """Metadata of the table; the estimates are those of the fit to all samples where there is one."""
-        recursion = dict(zip(THETA, self.raw[-1].tolist(), strict=True))
-        record: dict[str, object] = {"flight": self.name, "estimates": recursion, "recursion": recursion}
+        recursion, clips = (dict(zip(THETA, values.tolist(), strict=True)) for values in (self.raw[-1], self.clips))
+        record: dict[str, Any] = {"flight": self.name, "estimates": recursion, "recursion": recursion}
         if self.fit is not None:
             record["estimates"] = dict(zip(THETA, self.fit.theta.tolist(), strict=True))
             record["interval_95"] = {name: list(self.fit.interval(name)) for name in THETA}
-            record["accelerometer_offset"] = self.fit.offset.tolist()
-            record["blocks"] = self.fit.blocks
-        return record | {
-            "note": self.note,
-            "noise": self.noise if self.fit is None else self.fit.noise,
-            "clips": dict(zip(THETA, self.clips.tolist(), strict=True)),
-            "skipped": self.skipped,
-        }
+            record |= {"accelerometer_offset": self.fit.offset.tolist(), "blocks": self.fit.blocks}
+        noise = self.noise if self.fit is None else self.fit.noise
+        return record | {"note": self.note, "noise": noise, "clips": clips, "skipped": self.skipped}
 
     def lines(self) -> list[str]:
         """The estimates with their 95 % intervals and the final recursive estimates, one line per coefficient."""
-        noise = self.noise if self.fit is None else self.fit.noise
-        lines = [f"{self.name}: {len(self.t)} samples, noise {noise:.3g} m/s^2"]
+        record = self.metadata()
+        lines = [f"{self.name}: {len(self.t)} samples, noise {record['noise']:.3g} m/s^2"]
         if self.fit is not None:
             offset = ", ".join(f"{value:.4f}" for value in self.fit.offset)
             lines.append(f"  all samples at once, with the accelerometer bias ({offset} m/s^2)")
-        for i, name in enumerate(THETA):
-            clipped = f"   clipped on {self.clips[i]} samples" if self.clips[i] else ""
-            if self.fit is None:
-                lines.append(f"  {name:<5} {self.raw[-1, i]:9.5f}, no interval{clipped}")
-                continue
-            low, high = self.fit.interval(name)
-            estimate = f"{self.fit.theta[i]:9.5f}   95 % interval {low:.5f} to {high:.5f}"
-            lines.append(f"  {name:<5} {estimate}   recursion ends at {self.raw[-1, i]:.5f}{clipped}")
+        for name, value in record["estimates"].items():
+            text = f"  {name:<5} {value:9.5f}, no interval"
+            if self.fit is not None:
+                low, high = self.fit.interval(name)
+                ends = f"recursion ends at {record['recursion'][name]:.5f}"
+                text = f"  {name:<5} {value:9.5f}   95 % interval {low:.5f} to {high:.5f}   {ends}"
+            clips = record["clips"][name]
+            lines.append(f"{text}   clipped on {clips} samples" if clips else text)
         if self.note:
             lines.append(f"  no intervals: {self.note}")
         if self.skipped:
@@ -300,24 +283,14 @@ def identify_flight(
     Raises DataError where rotor speeds or specific force are missing, or not finite.
     """
     rotors = [f"rotor_speed_{i}" for i in range(vehicle.n_rotors)]
-    needed = [*rotors, "acc_x", "acc_y", "acc_z"]
-    missing = [column for column in needed if column not in flight.columns]
     name = name or str(flight.metadata.get("name", "flight"))
-    if missing:
-        raise DataError(f"{name}: column {missing[0]!r} is missing; identification needs {', '.join(needed)}")
-    if len(flight) < 3:
-        raise DataError(f"{name}: {len(flight)} samples, identification needs at least 3")
-    state, speed, force = flight.state[1:], flight.stack(rotors)[1:], flight.stack(needed[-3:])[1:]
-    for column, values in (("state", state), ("rotor_speed", speed), ("acc", force)):
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if len(bad):
-            raise DataError(f"{name}: {column} is not finite at row {bad[0] + 1}")
-    velocity = flight.air_velocity[1:]
+    check_columns(flight, name, [*rotors, *READINGS, *STATE_COLUMNS], first=1)
+    speed, force, velocity = flight.stack(rotors)[1:], flight.stack(READINGS)[1:], flight.air_velocity[1:]
 
     estimator = BladeElementRLS(vehicle, FIRST_VALUES, settings or OFFLINE)
-    theta, raw, standard_error = np.empty((3, len(state), len(THETA)))
-    error = np.full((len(state), 3), np.nan)
-    for k in range(len(state)):
+    theta, raw, standard_error = np.empty((3, len(speed), len(THETA)))
+    error = np.full((len(speed), 3), np.nan)
+    for k in range(len(speed)):
         theta[k] = estimator.update(velocity[k], speed[k], force[k])
         raw[k], standard_error[k], error[k] = estimator.raw, estimator.standard_error(), estimator.error
     if estimator.samples == 0:

@@ -18,18 +18,15 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.files.names import check_names
 from quadexp.files.writer import check_output, write_folder
-from quadexp.models.base import Model, Record
-from quadexp.models.gaussian_process import GPModel
-from quadexp.models.linear_drag import LinearDrag
-from quadexp.models.neural import NeuralModel
-from quadexp.models.vehicle_model import VehicleModel
+from quadexp.models.base import Model, Record, model_class
+from quadexp.models.residual import LEARNED
 from quadexp.physics.vehicle import Vehicle
 
 SCHEMA = 2
 LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 70 MB
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
-STORED = GPModel | LinearDrag | NeuralModel | VehicleModel  # the models that have a checkpoint
+STORED = (*LEARNED, "vehicle_model")  # kinds of models that have a checkpoint
 COMMANDS = "`quadexp fit-gp`, `fit-drag` or `fit-nn DATASET --out {path}`, or `quadexp identify FLIGHT... --out {path}`"
 
 
@@ -73,7 +70,10 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
     if _hash(payload) != digest:
         raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
     try:
-        model: Model = record_of(_of_schema_1(payload) if schema == 1 else payload, STORED)
+        kind = payload["kind"]
+        if kind not in STORED:
+            raise ValueError(f"kind is {str(kind)[:60]!r}, none of {', '.join(STORED)}")
+        model: Model = record_of(_of_schema_1(payload) if schema == 1 else payload, model_class(kind))
         check_names({"vehicle": model.vehicle}, str(file))
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None

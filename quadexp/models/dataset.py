@@ -16,6 +16,16 @@ x_k and x_{k+1}; the target is then the residual at that point to second order i
 gyroscopic moment due to the difference itself, dt/2 (dw x J w + w x J dw) with dw = (w_{k+1} - w_pred) / dt).
 frame="start": both at x_k as in Torrente et al. 2021 (section III-C), first order in dt. On the simplified simulation
 at 50 Hz the targets deviate from the plant's drag by .004 and .08 m/s^2 respectively (root mean square, x and y).
+
+`known_noise`: standard deviations of the targets, from white noise of the plant (densities S) and of the estimate
+(standard deviations s per sample, velocity v, rate w, attitude q), which no model of the air can explain:
+
+    a_i^2   = (S_force / m)^2 / dt + 2 s_v^2 / dt^2 + (T / m)^2 s_q^2 [i = x, y] + motors [i = z]
+    tau_i^2 = S_torque^2 / dt + 2 (J_ii s_w)^2 / dt^2 + motors
+    motors  = sum_j g_ij^2 S_motor^2 u_j u_max / dt,    g: effect of a thrust on that axis, 1 / m or the lever
+
+with thrusts u and their sum T. The attitude enters by the direction of the predicted thrust. Noise of the features is
+left out; it is multiplied by the slope of the residual.
 """
 
 from __future__ import annotations
@@ -33,7 +43,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
-from quadexp.models.residual import AXES, THRUST
+from quadexp.models.residual import AXES, OUTPUTS, THRUST
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import rigid_body_function
 from quadexp.physics.rotation import air_velocity
@@ -43,6 +53,8 @@ from quadexp.physics.vehicle import Vehicle
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive
 BATCH = 20_000  # samples evaluated per call
 WIND = ("wind_x", "wind_y", "wind_z")
+ESTIMATE = ("velocity_noise", "rate_noise", "attitude_noise")
+SILENT = ("from_model", "blade_element", "simplified")  # plants whose only noise is that of their densities
 
 
 class ResidualDataset(NamedTuple):
@@ -172,13 +184,9 @@ def transitions(
 
 
 def residual_dataset(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    *,
-    frame: str = "midpoint",
-    names: Sequence[str] | None = None,
+    flights: Sequence[Flight], vehicle: Vehicle, *, frame: str = "midpoint", names: Sequence[str] | None = None,
     thrusts: Sequence[np.ndarray] | None = None,
-) -> ResidualDataset:
+) -> ResidualDataset:  # fmt: skip
     """The transitions of many flights in one table, each row with its flight.
 
     names: see `joined`. thrusts: of every flight those between its samples, see `transitions`; None: as commanded.
@@ -209,11 +217,9 @@ def as_told(flight: Flight) -> Flight:
 
 
 def joined(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    names: Sequence[str] | None,
+    flights: Sequence[Flight], vehicle: Vehicle, names: Sequence[str] | None,
     table_of: Callable[[Flight, str], dict[str, np.ndarray]],
-) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
+) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:  # fmt: skip
     """Rows of all flights as columns, with the columns flight and flight_name; and {name, rows} of each flight.
 
     names: one per flight, such as its file; None: metadata["name"] or `flight_<index>`. table_of: columns of a flight.
@@ -322,3 +328,40 @@ def feature_rows(velocity: np.ndarray, rate: np.ndarray, thrust: np.ndarray) -> 
     columns |= {f"w_{axis}": rate[:, i] for i, axis in enumerate(AXES)}
     columns |= {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
     return ResidualDataset(columns | {"thrust": thrust.sum(axis=1), "flight": np.zeros(len(velocity), int)}, {})
+
+
+def known_noise(
+    dataset: ResidualDataset, vehicle: Vehicle, worlds: Sequence[Mapping[str, Any]], *, of_estimate: bool
+) -> dict[str, Any] | None:
+    """Root mean square of the known noise, {output: std}, over the rows of simulated flights.
+
+    worlds: configuration of every flight, by group. of_estimate: the targets come from what the controller was told.
+    None where some part of a world has noise that it does not state.
+    """
+    squares = np.zeros(len(OUTPUTS))
+    flight = np.asarray(dataset.columns["flight"])
+    thrust = dataset.matrix([f"u_{i}" for i in range(vehicle.n_rotors)])
+    dt = np.asarray(dataset.columns["dt"], float)
+    for index, world in enumerate(worlds):
+        plant, estimator = world.get("plant") or {}, (world.get("estimator") or {}) if of_estimate else {}
+        if plant.get("kind") not in SILENT or (estimator and not all(name in estimator for name in ESTIMATE)):
+            return None
+        rows = flight == index
+        squares += np.sum(_variances(vehicle, plant, estimator, thrust[rows], dt[rows, None]), axis=0)
+    return dict(zip(OUTPUTS, np.sqrt(squares / max(dataset.n_rows, 1)).tolist(), strict=True))
+
+
+def _variances(
+    vehicle: Vehicle, plant: Mapping[str, Any], estimator: Mapping[str, Any], thrust: np.ndarray, dt: np.ndarray
+) -> np.ndarray:
+    """Variance of every target in every row, (k, 6)."""
+    density = {name: float(plant.get(f"{name}_noise_density") or 0.0) for name in ("force", "torque", "motor")}
+    velocity, rate, attitude = (float(estimator.get(name) or 0.0) for name in ESTIMATE)
+    mass = vehicle.mass + float(plant.get("payload") or 0.0)
+    inertia = vehicle.inertia_matrix
+    effect = np.vstack([np.zeros((2, vehicle.n_rotors)), np.full(vehicle.n_rotors, 1 / mass), vehicle.allocation[1:]])
+    motors = density["motor"] ** 2 * vehicle.thrust_max * np.maximum(thrust, 0) @ (effect**2).T
+    white = np.repeat([(density["force"] / mass) ** 2, density["torque"] ** 2], 3)
+    sampled = 2 * np.concatenate([np.full(3, velocity**2), np.sum(inertia**2, axis=1) * rate**2])
+    tilt = (attitude * thrust.sum(axis=1, keepdims=True) / vehicle.mass) ** 2 * np.array([1, 1, 0, 0, 0, 0])
+    return (motors + white) / dt + sampled / dt**2 + tilt

@@ -17,9 +17,9 @@ evaluates d = s phi - s Z, k = exp(-sum d^2), dy/dphi = -2 s (alpha k)^T d.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -29,7 +29,21 @@ from msgspec.structs import replace
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
-from quadexp.models.base import AXIS, Callback, Model, Output, Positive, Prediction, Record, Shape, Share
+from quadexp.models.base import (
+    AXIS,
+    HOLDOUT,
+    Callback,
+    Model,
+    Output,
+    Positive,
+    Prediction,
+    Record,
+    Shape,
+    Share,
+    origin,
+    quiet,
+    require_variation,
+)
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import (
     N_PARAMETERS,
@@ -40,47 +54,88 @@ from quadexp.models.linear_drag import (
 )
 from quadexp.models.neural import one_thread
 from quadexp.models.online import Adapting, Block
-from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, feature_names, feature_places
-from quadexp.models.settings import GPKeys
-from quadexp.models.support import library_versions, origin, require_variation
+from quadexp.models.recorded import has_thrust_scale, with_common_scale
+from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, check_features, feature_names, feature_places
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
-from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
+from quadexp.parts.part import Part
+from quadexp.parts.settings import SEEDS, Setting, Settings, key, lists, made
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
+LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")  # that a fit depends on
 CHUNK = 4096  # rows predicted at a time, to limit memory
 JITTER = 1e-8  # added to K of weights that adapt, as in the fit
-DEFAULT_FEATURES = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z", "thrust")}
 SUMS = Path(__file__).with_name("gp_sums.c")
 
 Sums = tuple[list[Expression], list[Expression]]  # over the points: one value per output, one slope per feature
 Structure = tuple[tuple[str, tuple[str, ...], int], ...]  # output, its features, its number of points
 
 
-@dataclass(frozen=True)
-class GPSettings(GPKeys):
-    """How the Gaussian processes are fitted (see GPKeys for the keys of the `gp` configuration group).
+def _features(output: str, *features: str) -> Any:
+    return key(features, Setting(f"features of the GP of {output}; []: no correction"))
 
-    features: output -> feature names (B_z); an output that is absent, or has none, is not corrected (B_d).
-    """
 
-    features: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: dict(DEFAULT_FEATURES))
+@dataclass(frozen=True, kw_only=True)
+class GPFeatures(Settings):
+    """For every output the features of its GP; an empty list leaves the output uncorrected."""
+
+    prefix: ClassVar[str] = "gp.features."
+
+    a_x: tuple[str, ...] = _features("a_x")
+    a_y: tuple[str, ...] = _features("a_y")
+    a_z: tuple[str, ...] = _features("a_z")
+    tau_x: tuple[str, ...] = _features("tau_x")
+    tau_y: tuple[str, ...] = _features("tau_y")
+    tau_z: tuple[str, ...] = _features("tau_z")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        chosen = {output: tuple(names) for output, names in self.features.items() if names}
-        object.__setattr__(self, "features", chosen)
-        if not chosen:
+        for output in OUTPUTS:
+            features = getattr(self, output)
+            check_features(f"gp.features.{output}", features)
+            if len(set(features)) < len(features):
+                raise UsageError(f"gp.features.{output}: {', '.join(features)} names a feature twice")
+        if not self.of_output:
             raise UsageError("gp.features: no output has a feature; name some, e.g. gp.features.a_x=[v_x]")
-        for output, names in chosen.items():
-            if output not in OUTPUTS:
-                raise UsageError(f"gp.features.{output}: no such output; allowed are {', '.join(OUTPUTS)}")
-            if len(set(names)) < len(names):
-                raise UsageError(f"gp.features.{output}: {', '.join(names)} names a feature twice")
 
-    def as_dict(self) -> dict[str, Any]:
-        features = {output: list(names) for output, names in self.features.items()}
-        return {"features": features} | {name: value for name, value in asdict(self).items() if name != "features"}
+    @property
+    def of_output(self) -> dict[str, tuple[str, ...]]:
+        """Output -> features (B_z), of the outputs that are corrected (B_d)."""
+        return {output: getattr(self, output) for output in OUTPUTS if getattr(self, output)}
+
+
+DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
+
+
+DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GPConfig(Part):
+    """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
+
+    prefix: ClassVar[str] = "gp."
+    features: GPFeatures = key(DEFAULT_FEATURES, "features of every output")
+    inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
+    method: Literal["sgpr", "subset"] = key(
+        "sgpr", "variational bound of Titsias 2009, or exact GP on a subset as in the paper"
+    )
+    mean: Literal["zero", "constant", "linear_drag", "quadratic", "blade_element"] = key(
+        "zero", "mean function under the GP"
+    )
+    seed: int = key(0, "seed of the choice of held-out flights and initial inducing points", SEEDS)
+    max_rows: int | None = key(
+        None, "largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"
+    )
+    holdout: float = key(0.2, HOLDOUT)
+    refit: bool = key(True, "after the report, fit again to all flights")
+    max_iterations: int = key(60, "largest number of L-BFGS iterations", "[1, 10000]")
+    jitter: float = key(1e-8, "added to K_ZZ, relative to the signal variance", "(0, 1e-6]")
+
+    def __post_init__(self) -> None:
+        if isinstance(self.features, Mapping):
+            object.__setattr__(self, "features", made(GPFeatures, self.features))
+        super().__post_init__()
 
 
 class OutputPosterior(Record, frozen=True):
@@ -140,14 +195,12 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
     outputs: Annotated[tuple[OutputPosterior, ...], msgspec.Meta(min_length=1)]
     mean: LinearDrag | TermMean | None
     linear_drag: LinearDrag
-    predictor = "gp"
-    Settings = GPSettings
+    predictor, maker = "gp", "quadexp fit-gp DATASET --out models/gp"
+    Settings = GPConfig
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        names = [posterior.output for posterior in self.outputs]
-        if len(set(names)) < len(names):
-            raise ValueError(f"outputs are {', '.join(names)}; each is allowed once")
+        self.require_each_once([posterior.output for posterior in self.outputs])
 
     def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
         """See Model.predict; prior mean included."""
@@ -179,7 +232,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         return adapting_process(residual, self.outputs, deviation)
 
     @classmethod
-    def fit(cls, rows: ResidualDataset, settings: GPSettings, **options: Any) -> GPModel:
+    def fit(cls, rows: ResidualDataset, settings: GPConfig, **options: Any) -> GPModel:
         return fit_gp(rows, settings, **options)
 
     @property
@@ -205,13 +258,9 @@ def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], dev
 
 
 def gaussian_process_residual(
-    vehicle: Vehicle,
-    outputs: Sequence[OutputPosterior],
-    mean_parameters: npt.ArrayLike | None = None,
-    source: str = "",
-    *,
-    mean_terms: TermStructure | None = None,
-) -> Residual:
+    vehicle: Vehicle, outputs: Sequence[OutputPosterior], mean_parameters: npt.ArrayLike | None = None,
+    source: str = "", *, mean_terms: TermStructure | None = None,
+) -> Residual:  # fmt: skip
     """Residual of one or more GP outputs.
 
     mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (quadexp.models.linear_drag), or None.
@@ -254,16 +303,10 @@ def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, a
 
 def _compiled_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
     """As _matrix_sums, by gp_sums.c, one call per output."""
-    n_alpha, _ = _sizes(structure)
-    n_features = [len(features) for _, features, _ in structure]
-    kernels = {shape: _sums_function(*shape) for shape in zip(n_alpha, n_features, strict=True)}
-    arguments = zip(
-        _split(scaled, n_features),
-        _split(points, [m * d for m, d in zip(n_alpha, n_features, strict=True)]),
-        _split(alpha, n_alpha),
-        strict=True,
-    )
-    shapes = zip(n_alpha, n_features, strict=True)
+    shapes = [(m, len(features)) for _, features, m in structure]
+    sizes = [d for _, d in shapes], [m * d for m, d in shapes], [m for m, _ in shapes]
+    arguments = zip(*map(_split, (scaled, points, alpha), sizes), strict=True)
+    kernels = {shape: _sums_function(*shape) for shape in shapes}
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
     return [value for value, _ in results], [slope for _, slope in results]
 
@@ -313,76 +356,59 @@ def _scalar_functions(
 
 
 def fit_gp(
-    dataset: ResidualDataset,
-    settings: GPSettings | None = None,
-    *,
-    start: GPModel | None = None,
-    callback: Callback | None = None,
-    intervals: bool = True,
-) -> GPModel:
+    dataset: ResidualDataset, settings: GPConfig | None = None, *, start: GPModel | None = None,
+    callback: Callback = quiet, intervals: bool = True,
+) -> GPModel:  # fmt: skip
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
 
     start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
     then do. callback, intervals: see Model.fit.
-    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
-    than an exact GP can take, or where a feature is constant.
+    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points, or a
+    constant feature.
     """
     from quadexp.models.sgpr import fit_output  # imports PyTorch
 
-    settings = settings or GPSettings()
+    settings = settings or GPConfig()
+    chosen = settings.features.of_output
     iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
     rng = np.random.default_rng(settings.seed)
     if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
         dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
-    _check(dataset, settings)
+    for output, features in chosen.items():
+        require_variation(dataset, features, [output], f"gp.features.{output}")
+    if dataset.n_rows < settings.inducing:
+        few = f"gp.inducing: {settings.inducing} points from {dataset.n_rows} rows"
+        raise DataError(f"{few}; collect more, or ask for fewer points")
     scaled = with_common_scale(dataset)
     dataset = scaled.dataset
     # Under a thrust curve the thrust term would duplicate the curve's scale.
     drag = fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=intervals)
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
+    earlier = {posterior.output: posterior for posterior in start.outputs} if start else {}
     posteriors: list[OutputPosterior] = []
     with one_thread():
-        for i, (output, features) in enumerate(settings.features.items()):
+        for i, (output, features) in enumerate(chosen.items()):
             target = dataset.matrix([output])[:, 0]
             if prior is not None and output in AXIS:
                 target = target - prior[:, AXIS[output]]
-            alike = (output, features, settings.inducing)
-            earlier = [o for o in start.outputs if (o.output, o.features, len(o.alpha)) == alike] if start else []
 
             def report(done: float, output: str = output, i: int = i) -> None:
-                if callback is not None:
-                    callback(f"fit {output}", (i + done) / len(settings.features))
+                callback(f"fit {output}", (i + done) / len(chosen))
 
-            before = earlier[0] if earlier else None
-            given = dataset.matrix(features), target, settings, iterations, rng, before, report
-            posterior = OutputPosterior(output, features, *fit_output(*given))
+            before = earlier.get(output)
+            fitted = fit_output(dataset.matrix(features), target, settings, iterations, rng, before, report)
+            posterior = OutputPosterior(output, features, *fitted)
             if output == "a_z":
                 posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
             posteriors.append(posterior)
-    if callback is not None:
-        callback("fit done", 1.0)
-    used = [name for names in settings.features.values() for name in names]
-    versions = library_versions("numpy", "scipy", "torch", "gpytorch")
-    return GPModel(
-        tuple(posteriors), mean, drag, settings=settings.as_dict(), versions=versions, **origin(dataset, used)
-    )
+    callback("fit done", 1.0)
+    stated = origin(dataset, [name for names in chosen.values() for name in names], settings, LIBRARIES)
+    stated["settings"]["features"] = lists(chosen)
+    return GPModel(tuple(posteriors), mean, drag, **stated)
 
 
-def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
-    n = dataset.n_rows
-    if settings.method == "exact" and n > settings.max_exact_rows:
-        raise DataError(
-            f"gp.method=exact: {n} rows are more than gp.max_exact_rows={settings.max_exact_rows};"
-            " use gp.method=sgpr, or draw fewer with gp.max_rows"
-        )
-    for output, features in settings.features.items():
-        require_variation(dataset, [*features, output], len(features), f"gp.features.{output}")
-    if settings.method != "exact" and n < settings.inducing:
-        raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
-
-
-def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
+def _prior_mean(dataset: ResidualDataset, settings: GPConfig, drag: LinearDrag) -> LinearDrag | TermMean | None:
     if settings.mean in MEANS:
         return fit_term_mean(dataset, settings.mean)
     if settings.mean == "constant":

@@ -15,7 +15,8 @@ are 7 to 10 times too small on flights.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -23,14 +24,14 @@ import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import AXIS, Model, Prediction, Shape, Three
+from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
+from quadexp.models.recorded import with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
-from quadexp.models.settings import DragConfig
-from quadexp.models.support import origin
-from quadexp.models.thrust_scale import with_common_scale
+from quadexp.parts.part import Part
+from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
@@ -41,6 +42,21 @@ LABELS = {
     "hc1": "95 % interval as if rows were independent, too narrow for flights",  # of earlier versions
     "blocks": "95 % interval of quadexp identify",
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class DragConfig(Part):
+    """How linear drag is fitted; see quadexp/models/linear_drag.py."""
+
+    prefix: ClassVar[str] = "drag."
+
+    intercept: bool = key(True, "fit a constant acceleration in addition to the drag")
+    thrust: bool = key(True, "fit an error of the collective thrust, as a share, on the z axis")
+    loss: Literal["huber", "squares"] = key(
+        "huber", "Huber's, which the few fastest rows do not bend, or least squares as published"
+    )
+    holdout: float = key(0.2, HOLDOUT)
+    seed: int = key(0, "draws the held-out flights", SEEDS)
 
 
 class LinearDrag(Model, frozen=True, tag="linear_drag"):
@@ -65,7 +81,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
     loss: str = "huber"
     freedom: Annotated[np.ndarray, Shape("7")] = msgspec.field(default_factory=lambda: np.zeros(7))
     flights: int = 0
-    predictor = "linear_drag"
+    predictor, maker = "linear_drag", "quadexp fit-drag DATASET --out models/drag"
 
     @property
     def parameters(self) -> np.ndarray:
@@ -152,12 +168,9 @@ def linear_drag_acceleration(features: Expression, theta: Expression) -> Express
 
 
 def linear_drag_residual(
-    vehicle: Vehicle,
-    drag: npt.ArrayLike,
-    intercept: npt.ArrayLike = (0.0, 0.0, 0.0),
-    thrust_gain: float = 0.0,
+    vehicle: Vehicle, drag: npt.ArrayLike, intercept: npt.ArrayLike = (0.0, 0.0, 0.0), thrust_gain: float = 0.0,
     source: str = "",
-) -> Residual:
+) -> Residual:  # fmt: skip
     """Linear-drag residual; drag (3,) 1/s, intercept (3,) m/s^2, thrust_gain 1/kg."""
     features, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", N_PARAMETERS)
     outputs = ca.vertcat(linear_drag_acceleration(features, theta), ca.SX(3, 1))
@@ -183,13 +196,9 @@ def constant_mean(value: np.ndarray) -> LinearDrag:
 
 
 def fit_linear_drag(
-    dataset: ResidualDataset,
-    *,
-    intercept: bool = True,
-    thrust: bool = True,
-    loss: str = "huber",
+    dataset: ResidualDataset, *, intercept: bool = True, thrust: bool = True, loss: str = "huber",
     intervals: bool = True,
-) -> LinearDrag:
+) -> LinearDrag:  # fmt: skip
     """Regression of the residual acceleration on body velocity, axis by axis.
 
     intercept, thrust: whether b and kappa are fitted (False, False is the published model). loss: "huber" or "squares";

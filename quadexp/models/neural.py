@@ -28,22 +28,32 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.models.base import AXIS, Callback, Model, Output, Prediction, Shape
+from quadexp.models.base import (
+    AXIS,
+    HOLDOUT,
+    Callback,
+    Model,
+    Output,
+    Prediction,
+    Shape,
+    origin,
+    quiet,
+    require_variation,
+)
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.models.online import Adapting, Block
-from quadexp.models.residual import OUTPUTS, Residual, feature_names, feature_places
-from quadexp.models.settings import NNKeys
-from quadexp.models.support import library_versions, origin, require_variation
-from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
-from quadexp.parts.settings import record
+from quadexp.models.recorded import has_thrust_scale, with_common_scale
+from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places
+from quadexp.parts.part import Part
+from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
@@ -84,24 +94,37 @@ def activation(t: Expression) -> tuple[Expression, Expression]:
     return t * q, q * q * q
 
 
-@dataclass(frozen=True)
-class NNSettings(NNKeys):
-    """How the network is made and trained (see NNKeys for the keys of the `nn` configuration group)."""
+@dataclass(frozen=True, kw_only=True)
+class NNConfig(Part):
+    """How the neural network is made and trained; see quadexp/models/neural.py."""
+
+    prefix: ClassVar[str] = "nn."
+
+    features: tuple[str, ...] = key(("v_x", "v_y", "v_z", "thrust"), "features of all outputs")
+    outputs: tuple[str, ...] = key(("a_x", "a_y", "a_z"), "outputs; the others are not corrected")
+    hidden: tuple[int, ...] = key((16, 16), "units of every hidden layer", "[1, 1000]", "units")
+    spectral: float | None = key(
+        None, "largest slope of the scaled network, by spectral normalisation; null: no limit", "(0, 1000]"
+    )
+    max_iterations: int = key(400, "largest number of L-BFGS iterations", "[1, 100000]")
+    penalty: float = key(
+        1e-6, "penalty on every layer's mean square weight, relative to the outputs' mean square", "[0, 1]"
+    )
+    seed: int = key(0, "seed of held-out flights, first weights", SEEDS)
+    holdout: float = key(0.2, HOLDOUT)
+    refit: bool = key(True, "after the report, fit again to all flights")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for output in self.outputs:
-            if output not in OUTPUTS:
-                raise UsageError(f"nn.outputs: {output!r} is no output; allowed are {', '.join(OUTPUTS)}")
-        for key in ("features", "outputs"):
-            names = getattr(self, key)
+        check_features("nn.features", self.features)
+        if unknown := set(self.outputs) - set(OUTPUTS):
+            raise UsageError(f"nn.outputs: {min(unknown)!r} is no output; allowed are {', '.join(OUTPUTS)}")
+        for name in ("features", "outputs"):
+            names = getattr(self, name)
             if not names or len(set(names)) < len(names):
-                raise UsageError(f"nn.{key}=[{','.join(names)}]: at least one is needed, and each only once")
+                raise UsageError(f"nn.{name}=[{','.join(names)}]: at least one is needed, and each only once")
         if not self.hidden:
             raise UsageError("nn.hidden=[]: at least one hidden layer is needed")
-
-    def as_dict(self) -> dict[str, Any]:
-        return record(self)
 
 
 class NeuralModel(Model, frozen=True, tag="neural"):
@@ -119,13 +142,12 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     residual_std: Annotated[np.ndarray, Shape("outputs")]
     lipschitz: float
     linear_drag: LinearDrag
-    predictor = "nn"
-    Settings = NNSettings
+    predictor, maker = "nn", "quadexp fit-nn DATASET --out models/nn"
+    Settings = NNConfig
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(set(self.outputs)) < len(self.outputs):
-            raise ValueError(f"outputs are {', '.join(self.outputs)}; each is allowed once")
+        self.require_each_once(self.outputs)
         sizes = self.network.sizes
         if not all(b.ndim == 1 for b in self.biases) or len(self.biases) < 2 or sizes[-1] != len(self.outputs):
             raise ValueError("biases must be one list for every layer, the last as long as the outputs")
@@ -154,9 +176,9 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         return adapting_network(residual, self.network, deviation)
 
     @classmethod
-    def fit(cls, rows: ResidualDataset, settings: NNSettings, **options: Any) -> NeuralModel:
+    def fit(cls, rows: ResidualDataset, settings: NNConfig, **options: Any) -> NeuralModel:
         """See Model.fit; always from the start that the seed gives."""
-        return fit_network(rows, settings, callback=options.get("callback"))
+        return fit_network(rows, settings, callback=options.get("callback", quiet))
 
     @property
     def summary(self) -> str:
@@ -250,23 +272,21 @@ def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -
 
 
 def fit_network(
-    dataset: ResidualDataset, settings: NNSettings | None = None, *, callback: Callback | None = None
+    dataset: ResidualDataset, settings: NNConfig | None = None, *, callback: Callback = quiet
 ) -> NeuralModel:
     """Train a network on all rows of the dataset; callback: see Model.fit.
 
-    Raises DataError where the dataset is empty or lacks a feature or output, or where a feature is constant; UsageError
-    where nn.device=cuda and there is none.
+    Raises DataError where the dataset is empty or lacks a feature or output, or where a feature is constant.
     """
-    settings = settings or NNSettings()
-    device = _device(settings.device)
+    settings = settings or NNConfig()
     dataset = with_common_scale(dataset).dataset
-    require_variation(dataset, settings.features, len(settings.features), "nn.features")
+    require_variation(dataset, settings.features, (), "nn.features")
     x, y = dataset.matrix(settings.features), dataset.matrix(settings.outputs)
     centre, spread = x.mean(axis=0), x.std(axis=0)
     unit = np.sqrt(np.mean(y**2, axis=0))
     unit[unit == 0] = 1.0
     with one_thread():
-        weights, biases = _train((x - centre) / spread, y / unit, settings, device, callback)
+        weights, biases = _train((x - centre) / spread, y / unit, settings, callback)
     lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
     weights[0] = weights[0] / spread
     biases[0] = biases[0] - weights[0] @ centre
@@ -275,8 +295,7 @@ def fit_network(
     return NeuralModel(
         *network, np.sqrt(np.mean((y - network(x)) ** 2, axis=0)), lipschitz,
         fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=False),
-        settings=settings.as_dict(), versions=library_versions("numpy", "scipy", "torch"),
-        **origin(dataset, settings.features),
+        **origin(dataset, settings.features, settings, ("numpy", "scipy", "torch")),
     )  # fmt: skip
 
 
@@ -293,28 +312,18 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _device(name: str) -> torch.device:
-    import torch
-
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name == "cuda" and not torch.cuda.is_available():
-        raise UsageError("nn.device=cuda: torch finds no CUDA device; use nn.device=cpu")
-    return torch.device(name)
-
-
 def _train(
-    x: np.ndarray, y: np.ndarray, settings: NNSettings, device: torch.device, callback: Callback | None
+    x: np.ndarray, y: np.ndarray, settings: NNConfig, callback: Callback
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Weights and biases of the scaled network for scaled features (k, d) and outputs (k, o)."""
     import torch
     from scipy.optimize import minimize
 
-    rng = np.random.default_rng(settings.seed)  # the same draws on every device
+    rng = np.random.default_rng(settings.seed)
     shapes = [(rows, columns) for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]])]
     start = [rng.normal(size=shape) / math.sqrt(shape[1]) for shape in shapes]
     start += [rng.normal(size=rows) for rows, _ in shapes[:-1]] + [np.zeros(y.shape[1])]
-    given, target = (torch.as_tensor(values, dtype=torch.float64).to(device) for values in (x, y))
+    given, target = (torch.as_tensor(values, dtype=torch.float64) for values in (x, y))
     largest = None if settings.spectral is None else settings.spectral ** (1 / len(shapes))
     ends = np.cumsum([part.size for part in start])
 
@@ -326,20 +335,19 @@ def _train(
         return weights, list(pieces[len(shapes) :])
 
     def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
-        flat = torch.tensor(values, dtype=torch.float64, device=device, requires_grad=True)
+        flat = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         weights, biases = parts(flat)
         error = (_forward(given, weights, biases) - target).square().mean()
         value = error + settings.penalty * torch.stack([w.square().mean() for w in weights]).sum()
         value.backward()
-        return value.item(), flat.grad.cpu().numpy()
+        return value.item(), flat.grad.numpy()
 
     done = 0
 
     def step(_: np.ndarray) -> None:
         nonlocal done
         done += 1
-        if callback is not None:
-            callback("fit network", done / settings.max_iterations)
+        callback("fit network", done / settings.max_iterations)
 
     result = minimize(
         loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B", callback=step,

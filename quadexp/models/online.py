@@ -130,13 +130,9 @@ class Law:
 
 
 def update_function(
-    vehicle: Vehicle,
-    adapting: Adapting,
-    known: Residual | None = None,
-    law: Law | None = None,
-    *,
+    vehicle: Vehicle, adapting: Adapting, known: Residual | None = None, law: Law | None = None, *,
     compiled: bool = False,
-) -> ca.Function:
+) -> ca.Function:  # fmt: skip
     """One update, for all components. compiled: the form to compile, which cannot be interpreted.
 
     known: residual that is summed with the adapting one and does not adapt.

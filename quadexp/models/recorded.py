@@ -5,7 +5,24 @@
 with f the accelerometer's specific force and a_i the acceleration of a rotor by the thrust curve
 (quadexp.models.thrust_curve). The velocity in the features is relative to the air. The alternative target "velocity"
 (transitions of quadexp.models.dataset) differentiates an estimated velocity and so contains the estimator's filter and
-amplified noise; `target_cost` measures the difference on the user's own flights.
+amplified noise.
+
+A used battery, another propeller or a warmer motor changes the thrust of a command by a few per cent from flight to
+flight, and no function of the velocity can predict that:
+
+    a_z = e_f T / m + acceleration of the air        e_f: of flight f; T / m: the thrust curve's acceleration, m/s^2
+
+A regression over several flights would attribute e_f to whatever differs between them (speed, mean thrust) and be wrong
+on the next one. So models are fitted to recorded flights after every flight's e_f has been brought to their mean
+(`with_common_scale`), and the spread of e_f is added to the predicted variance.
+
+On a new flight e is unknown at take-off and can be tracked from the accelerometer (`tracked_scale`):
+
+    f_z - a_z(v) = g c + e        g_k = (p r^k + sum_{j<k} r^{k-j} c_j y_j) / (p r^k + sum_{j<k} r^{k-j} c_j^2)
+
+with c the thrust curve's collective acceleration, y the measured one, r = exp(-dt / memory). g_k uses samples before k
+only, so that such a prediction could be made in flight. It starts at 1 with prior weight p, that of half a second of
+data. The memory is long (10 s): a short one would reproduce the last residual rather than a scale.
 """
 
 from __future__ import annotations
@@ -18,16 +35,16 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
-from quadexp.models.base import rms
 from quadexp.models.checkpoint import plain
 from quadexp.models.dataset import ResidualDataset, joined, transitions
-from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.residual import AXES, THRUST
 from quadexp.models.samples import choose_signal, read_rows, rotor_columns
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.physics.vehicle import Vehicle
 
 TARGETS = ("auto", "specific_force", "velocity")
+MEMORY = 10.0  # s, of the tracked scale
+PRIOR = 0.5  # s
 THRUST_SIGNALS = ("u", "thrust_acceleration")  # in units of force or acceleration, usable without a thrust curve
 
 
@@ -87,14 +104,9 @@ def velocity_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, *, frame
 
 
 def recorded_dataset(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    curve: ThrustCurve,
-    *,
-    target: str = "specific_force",
-    frame: str = "midpoint",
-    names: Sequence[str] | None = None,
-) -> ResidualDataset:
+    flights: Sequence[Flight], vehicle: Vehicle, curve: ThrustCurve, *, target: str = "specific_force",
+    frame: str = "midpoint", names: Sequence[str] | None = None,
+) -> ResidualDataset:  # fmt: skip
     """The rows of many flights in one table, each row with its flight.
 
     names: see quadexp.models.dataset.joined. The metadata also contain the target, and the thrust curve, with which a
@@ -124,26 +136,49 @@ def recorded_dataset(
     )
 
 
-class TargetCost(NamedTuple):
-    """Root mean square residual of linear drag for either target, m/s^2."""
+class CommonScale(NamedTuple):
+    """dataset: rows with one thrust scale on all flights. errors: e_f by flight index. level: mean T / m, m/s^2."""
 
-    force: float
-    velocity: float
+    dataset: ResidualDataset
+    errors: dict[int, float]
+    level: float
 
-    def __str__(self) -> str:
-        return (
-            f"the residual of linear drag is {self.velocity:.3f} m/s^2 for the velocity's derivative and"
-            f" {self.force:.3f} m/s^2 for the specific force (ratio {self.velocity / max(self.force, 1e-9):.1f})"
-        )
+    @property
+    def variance(self) -> float:
+        """Variance of a_z on a new flight due to the spread of e_f, (m/s^2)^2; 0 with one flight."""
+        values = list(self.errors.values())
+        return float(np.var(values, ddof=1)) * self.level**2 if len(values) > 1 else 0.0
 
 
-def target_cost(flights: Sequence[Flight], vehicle: Vehicle, curve: ThrustCurve, *, frame: str) -> TargetCost | None:
-    """Compare the two targets on these flights; None where they have no accelerometer."""
-    if not all(f"acc_{axis}" in flight.columns for flight in flights for axis in AXES):
-        return None
-    errors = []
-    for target in ("specific_force", "velocity"):
-        data = recorded_dataset(flights, vehicle, curve, target=target, frame=frame)
-        drag = fit_linear_drag(data, loss="squares", intervals=False)
-        errors.append(rms(data.matrix(["a_x", "a_y", "a_z"]) - drag.acceleration(data)))
-    return TargetCost(*errors)
+def has_thrust_scale(dataset: ResidualDataset) -> bool:
+    """Whether the rows come from recorded flights under a thrust curve, whose scale may differ between flights."""
+    return bool(dataset.metadata.get("recorded")) and "mass" in (dataset.metadata.get("vehicle") or {})
+
+
+def with_common_scale(dataset: ResidualDataset) -> CommonScale:
+    """Bring e_f, the least-squares scale of a_z on the thrust, to its mean over the flights, where these have one."""
+    if not has_thrust_scale(dataset):
+        return CommonScale(dataset, {}, 0.0)
+    mass = dataset.metadata["vehicle"]["mass"]
+    acceleration = dataset.matrix([THRUST])[:, 0] / mass
+    a_z = dataset.matrix(["a_z"])[:, 0].copy()
+    flight = np.asarray(dataset.columns["flight"])
+    errors = {}
+    for index in np.unique(flight):
+        thrust = acceleration[flight == index]
+        errors[int(index)] = float(thrust @ a_z[flight == index] / (thrust @ thrust))
+    mean = float(np.mean(list(errors.values())))
+    for index, error in errors.items():
+        a_z[flight == index] -= (error - mean) * acceleration[flight == index]
+    columns = dict(dataset.columns) | {"a_z": a_z}
+    return CommonScale(ResidualDataset(columns, dataset.metadata), errors, float(acceleration.mean()))
+
+
+def tracked_scale(collective: np.ndarray, measured: np.ndarray, dt: float) -> np.ndarray:
+    """g of the module before every sample of one flight, (k,); collective c, measured y: (k,) m/s^2. dt: s."""
+    from scipy.signal import lfilter
+
+    decay = float(np.exp(-dt / MEMORY))
+    prior = PRIOR / dt * collective[0] ** 2 * decay ** np.arange(len(collective))
+    past = lfilter([0.0, 1.0], [1.0, -decay], np.stack([collective * measured, collective * collective]), axis=1)
+    return (prior + past[0]) / (prior + past[1])

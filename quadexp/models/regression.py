@@ -92,17 +92,9 @@ def half_width(errors: npt.ArrayLike, freedom: npt.ArrayLike, confidence: float 
 
 
 def regress(
-    design: np.ndarray,
-    target: np.ndarray,
-    names: Sequence[str],
-    stretch: np.ndarray,
-    flight: np.ndarray,
-    *,
-    what: str,
-    loss: str = "squares",
-    intervals: bool = True,
-    over: str = "blocks",
-) -> Regression:
+    design: np.ndarray, target: np.ndarray, names: Sequence[str], stretch: np.ndarray, flight: np.ndarray, *,
+    what: str, loss: str = "squares", intervals: bool = True, over: str = "blocks",
+) -> Regression:  # fmt: skip
     """Fit target (n,) by design (n, p).
 
     stretch: (n,), number of the uninterrupted stretch of each row, ascending. flight: (n,). what: for messages.
@@ -215,6 +207,18 @@ def _over_flights(
     part = share**2 / np.sum(share**2, axis=0)
     freedom = np.maximum(1 / np.sum(part**2, axis=0) - 1, 1.0)
     return (count - 1) / count * deviation.T @ deviation, freedom
+
+
+def resampling_weights(flight: np.ndarray, draws: int) -> np.ndarray:
+    """Weight of every block in bootstrap resamples, (draws, blocks). flight: of every block, (blocks,).
+
+    With FLIGHT_CLUSTERS or more, flights are drawn with all their blocks, else blocks.
+    """
+    flights, of_block = np.unique(flight, return_inverse=True)
+    whole = len(flights) >= FLIGHT_CLUSTERS
+    count = len(flights) if whole else len(flight)
+    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), draws).astype(float)
+    return drawn[:, of_block] if whole else drawn
 
 
 def autocorrelation_time(series: np.ndarray) -> float:

@@ -18,6 +18,7 @@ be, which a force that is found where it is now does not.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -26,8 +27,8 @@ import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.physics.correction import FEATURES, N_OUTPUTS, OUTPUTS
 from quadexp.physics.expression import Expression
+from quadexp.physics.rigid_body import FEATURES, N_OUTPUTS, OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 
 __all__ = ["FEATURES", "N_OUTPUTS", "OUTPUTS", "Residual", "feature_names", "no_residual", "symbolic_residual"]
@@ -35,6 +36,8 @@ __all__ = ["FEATURES", "N_OUTPUTS", "OUTPUTS", "Residual", "feature_names", "no_
 AXES = "xyz"
 VELOCITY = ("v_x", "v_y", "v_z")
 THRUST = "thrust"  # feature: sum of the rotor thrusts (N)
+LEARNED = ("linear_drag", "gaussian_process", "neural")  # kinds that are fitted: modules here, see base.model_class
+_FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Residual:
         structural zeros, so that code using it can omit them.
     theta: parameter values, (p,). source: checkpoint path or a word, for the record.
     to_compile: the same function in a form suited for compilation; None: `function` itself.
-    ranges: feature -> [least, largest] of the data of the fit (models.support); None where unknown or not fitted.
+    ranges: feature -> [least, largest] of the data of the fit (models.base); None where unknown or not fitted.
     unscaled: of a residual whose last parameter is a scale of the outputs, the residual without it (`scaled_residual`).
     """
 
@@ -73,6 +76,15 @@ class Residual:
 def feature_names(n_rotors: int) -> tuple[str, ...]:
     """Names of the entries of z: body velocity (m/s), body rate (rad/s), rotor thrusts (N)."""
     return FEATURES + tuple(f"u_{i}" for i in range(n_rotors))
+
+
+def check_features(key: str, features: Iterable[str]) -> None:
+    """Raise UsageError where one is no feature of any vehicle. key: of the configuration, for the message."""
+    for feature in features:
+        if not _FEATURE.fullmatch(feature):
+            raise UsageError(
+                f"{key}: unknown feature {feature!r}; allowed are v_x v_y v_z w_x w_y w_z thrust u_0 u_1 ..."
+            )
 
 
 def feature_places(names: Sequence[str], features: Iterable[str], what: str) -> list[list[int]]:

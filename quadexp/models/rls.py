@@ -77,10 +77,9 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     regressors = ca.jacobian(force, coefficients) / vehicle.mass
     gain_regressors = regressors
     if gauss_newton:
-        d_induced = -ca.jacobian(equation.value(induced), used[C_LA]) / equation.slope(induced)
         through = ca.substitute(ca.jacobian(force[2], induced), coefficients, used)
         gain_regressors = ca.SX(regressors)
-        gain_regressors[2, C_LA] += ca.mtimes(through, d_induced) / vehicle.mass
+        gain_regressors[2, C_LA] += ca.mtimes(through, equation.derivative(induced, used[C_LA])) / vehicle.mass
     regressors, gain_regressors = ca.substitute(
         [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
     )
@@ -179,13 +178,9 @@ class BladeElementRLS:
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        initial: BladeCoefficients,
-        settings: RLSSettings | None = None,
-        *,
+        self, vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings | None = None, *,
         backend: str = "interpreted",
-    ) -> None:
+    ) -> None:  # fmt: skip
         _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
         self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
         theta_0, s = initial.parameters(), self.settings

@@ -217,22 +217,19 @@ class TimingFit:
 
 
 def fit_timing(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    tables: Sequence[Mapping[str, np.ndarray]],
-    *,
+    flights: Sequence[Flight], vehicle: Vehicle, tables: Sequence[Mapping[str, np.ndarray]], *,
     noise: Mapping[str, float] | None = None,
-) -> TimingFit:
+) -> TimingFit:  # fmt: skip
     """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts.
 
     noise: known standard deviations of the targets, which no timing can take away; None: not known.
     """
     score = _Score(flights, vehicle, tables, noise or {})
-    measured = [measured_thrust(flight, vehicle) for flight in score.flights]
-    if measured and all(thrust is not None for thrust in measured):
-        timing = _by_rotor_speed(score.flights, measured, vehicle, score)
-    else:
-        timing = _search(score)
+    measured = [
+        (flight, thrust) for flight in score.flights if (thrust := measured_thrust(flight, vehicle)) is not None
+    ]
+    by_speed = measured and len(measured) == len(score.flights)
+    timing = _by_rotor_speed(measured, vehicle, score) if by_speed else _search(score)
     return TimingFit(timing, score.rms(Timing()), score.rms(timing))
 
 
@@ -249,14 +246,14 @@ class _Score:
     """
 
     def __init__(
-        self,
-        flights: Sequence[Flight],
-        vehicle: Vehicle,
-        tables: Sequence[Mapping[str, np.ndarray]],
+        self, flights: Sequence[Flight], vehicle: Vehicle, tables: Sequence[Mapping[str, np.ndarray]],
         noise: Mapping[str, float],
-    ) -> None:
-        rows = [(flight, table, *self._rows(flight)) for flight, table in zip(flights, tables, strict=True)]
-        rows = [row for row in rows if row[3].any()]
+    ) -> None:  # fmt: skip
+        rows = []
+        for flight, table in zip(flights, tables, strict=True):
+            k = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))
+            if (settled := _settled(flight)[k]).any():
+                rows.append((flight, table, k, settled))
         rows = rows[:: max(1, round(sum(float(flight.t[-1] - flight.t[0]) for flight, *_ in rows) / LONGEST))]
         self.flights, self._k = [flight for flight, *_ in rows], [k[settled] for _, _, k, settled in rows]
         self._vehicle, self._noise = vehicle, np.array([noise.get(name, 0.0) for name in TARGETS])
@@ -268,18 +265,10 @@ class _Score:
         )
         self._u, self._terms = u, np.stack([np.ones(len(v)), *v.T, *(v * np.abs(v)).T], axis=1)
 
-    @staticmethod
-    def _rows(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-        """Index of every transition, and which of them are settled."""
-        k = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))
-        return k, _settled(flight)[k]
-
     def rms(self, timing: Timing) -> tuple[float, float, float]:
         """Of every target."""
-        delivered = [
-            mean_thrust(flight, self._vehicle, timing)[k] for flight, k in zip(self.flights, self._k, strict=True)
-        ]
-        thrust = np.concatenate(delivered)
+        flights = zip(self.flights, self._k, strict=True)
+        thrust = np.concatenate([mean_thrust(flight, self._vehicle, timing)[k] for flight, k in flights])
         target = self._target + (self._u - thrust) @ self._effect.T
         remaining = []
         for axis, effect in enumerate(self._effect):
@@ -301,16 +290,13 @@ def _explained(design: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.asarray(design @ np.linalg.solve(normal, design.T @ target))
 
 
-def _by_rotor_speed(
-    flights: Sequence[Flight], measured: Sequence[np.ndarray | None], vehicle: Vehicle, score: _Score
-) -> Timing:
-    """Lag and delay of the commands by the measured thrusts; the delay of the state by the residual."""
-    streams = [(flight, thrust) for flight, thrust in zip(flights, measured, strict=True) if thrust is not None]
+def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehicle, score: _Score) -> Timing:
+    """Lag and delay of the commands by the measured thrusts of flights; the delay of the state by the residual."""
 
     def beside(timing: Timing, scaled: bool = True) -> float:
         """rms (N) of what is measured beside the commands; scaled: by the factors that fit, see `_scaled`."""
         error = []
-        for flight, thrust in streams:
+        for flight, thrust in measured:
             t, rest = np.asarray(flight.t, float), _settled(flight)
             model = held_commands(flight, vehicle, timing).value(t)[rest]
             error.append((thrust[rest] - (_scaled(model, thrust[rest], t[rest]) if scaled else model)).ravel())

@@ -131,7 +131,7 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
         columns += [f"wind_{a}" for a in "xyz"] if "wind_x" in flight.columns else []
         columns += ["battery_voltage"] if with_voltage else []
         simulated = not flight.metadata.get("recorded", False)
-        _check(flight, name, columns, first=int(simulated))
+        check_columns(flight, name, columns, first=int(simulated))
         k = np.arange(int(simulated), len(flight))
         held = simulated and kind in HELD
         signal = flight.stack(rotors).astype(float)[k - held]
@@ -205,11 +205,12 @@ def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> Fli
     too, or where these are not finite."""
     samples = gather([flight], signal, [name]).delayed(delay)
     first = len(flight) - len(samples)
-    _check(flight, name, RATES, first)
+    check_columns(flight, name, RATES, first)
     return FlightRows(name, flight, samples, flight.stack(RATES)[first:], first)
 
 
-def _check(flight: Flight, name: str, columns: Sequence[str], first: int) -> None:
+def check_columns(flight: Flight, name: str, columns: Sequence[str], first: int) -> None:
+    """Raise DataError unless the flight has the columns, finite from row `first` on, and enough rows."""
     for column in columns:
         if column not in flight.columns:
             raise DataError(f"{name}: column {column!r} is missing; identification needs {', '.join(columns)}")

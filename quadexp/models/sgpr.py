@@ -3,7 +3,7 @@
 Steps for each output: scaling (features to mean 0 and standard deviation 1, the target by its root mean square) ->
 hyperparameters of an exact GP on a few rows -> inducing points where the remaining variance is largest -> both
 optimised together, first on part of the rows, then on all -> posterior in physical units. Recorded flights are first
-brought to a common thrust scale (quadexp.models.thrust_scale).
+brought to a common thrust scale (quadexp.models.recorded).
 
 Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variational bound (2009, eq. 9),
 
@@ -37,8 +37,6 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
 
-from quadexp.models.settings import GPKeys
-
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
 PILOT_ITERATIONS = 60
@@ -60,17 +58,13 @@ class Hyperparameters:
 
 
 def fit_output(
-    z: np.ndarray,
-    target: np.ndarray,
-    settings: GPKeys,
-    iterations: int,
-    rng: np.random.Generator,
-    start: Any,
+    z: np.ndarray, target: np.ndarray, settings: Any, iterations: int, rng: np.random.Generator, start: Any,
     report: Callable[[float], None],
-) -> tuple[Any, ...]:
+) -> tuple[Any, ...]:  # fmt: skip
     """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
 
-    start: the same output's posterior, whose values replace the first stages. report: called with the completed share.
+    settings: GPConfig, of which method, inducing and jitter are read. start: the same output's posterior, its values
+    replace the first stages. report: called with the completed share.
     """
     centre, spread = z.mean(axis=0), z.std(axis=0)
     unit = float(np.sqrt(np.mean(target**2))) or 1.0
@@ -83,14 +77,12 @@ def fit_output(
             start.lengthscale / spread, start.signal_variance / unit**2, start.noise_variance / unit**2
         )
     else:
-        few = order if settings.method == "exact" else order[:PILOT_ROWS]
+        few = order[:PILOT_ROWS]
         pilot = GPRegression(x[few], y[few], Hyperparameters(np.ones(x.shape[1]), 1.0, 0.01), None, settings.jitter)
         bound = maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
         guess = pilot.hyperparameters
         candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
-        rows = order
-        if settings.method != "exact":
-            rows = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
+        rows = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
         points = x[rows]
 
     if settings.method == "sgpr":
@@ -206,7 +198,7 @@ class GPRegression(gpytorch.models.ExactGP):
         return -0.5 * (math.log(2 * math.pi) + (determinant + quadratic + trace).squeeze() / n)
 
 
-def maximise(model: GPRegression, iterations: int, report: Callable[[int], None] | None = None) -> float:
+def maximise(model: GPRegression, iterations: int, report: Callable[[int], None] = lambda done: None) -> float:
     """Maximise the model's objective in place by L-BFGS-B; returns it, per row.
 
     report: called with the number of iterations done.
@@ -237,8 +229,7 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
     def step(_: np.ndarray) -> None:
         nonlocal done
         done += 1
-        if report is not None:
-            report(done)
+        report(done)
 
     flat = np.concatenate([p.detach().numpy().reshape(-1) for p in parameters])
     with warnings.catch_warnings(), gpytorch.settings.max_cholesky_size(EXACT_LIMIT):

@@ -16,7 +16,7 @@ momentum theory at that thrust:
     hub_inflow  -v_i sum_k y_k      inflow      -sum_k w_k y_k
     hub_square  -v_i sum_k y_k^2 / w_k          y_k = V_k + v_z - V_k,hover
 
-LINEAR and QUADRATIC are the drag models (lumped blade element: quadexp.models.lumped):
+LINEAR and QUADRATIC are the drag models:
 
     linear       a_i = -d_i v_i + b_i                            Faessler et al. 2018
     quadratic    a_i = -d_i v_i - e_i v_i |v_i| + b_i
@@ -25,13 +25,52 @@ The intercepts b_x, b_y take up the accelerometer's bias and constant lateral fo
 rotors); without them bias times mean velocity biases d. Along z the thrust takes up a constant: d_z is fitted together
 with the thrust curve (quadexp.models.thrust_curve), and the quadratic pair together with a correction of the curve's
 scale, the term `thrust`.
+
+SELF_CONSISTENT is the blade-element model of rotors whose geometry is unknown. From quadexp.physics.blade_element (Lei
+& Li 2017, equations 9, 10, 14, 15), with s = N_b rho c / 2, climb v_z = -V_z, flow through the rotor u_k = V_k + v_z,
+and the airframe's drag (6), the specific force is
+
+    f_z     = (s C_la / m) [ r^3 th/3 sum w^2 + A r th n V_h^2 - r^2/2 sum w (V + v_z) ] - rho S C_Dz/(2m) ||v|| v_z
+    f_{x,y} = -(v_i/m) [ s r^2 C_d0/2 sum w - s B r th C_la sum u + s C_la/2 sum u^2/w ] - rho S C_Di/(2m) ||v|| v_i
+
+In hover V_k = nu w_k (Remark 4). With y_k = V_k + v_z - nu w_k, the flow through the rotor beyond that in hover,
+
+    f_z     = [k_T,static/m] sum w^2 - [k_3/m] sum w y + [k_2/m] n V_h^2 - [k_4/m] v_z ||v||
+    f_{x,y} = -[h_1/m] v_i sum w - [h_2/m] v_i sum y - [h_3/m] v_i sum y^2/w - [k_4/m] v_i ||v||
+
+    k_T,static = s C_la (r^3 th/3 - r^2 nu/2)        k_3 = s C_la r^2/2        k_2 = s C_la A r th
+    h_1 = s (r^2 C_d0/2 - B r th C_la nu + C_la nu^2/2)        h_2 = s C_la (nu - B r th)        h_3 = s C_la/2
+    k_4 = rho S C_D/2, per axis
+
+which is the blade-element model exactly, with lumped coefficients. Rotor speeds are not needed: w = sqrt(a / k), with a
+the thrust curve's acceleration of a rotor and k = k_T,static/m. For a logged rotor speed this is exact, for a command
+an approximation. The coefficients of the terms are then (k in 1/m; sqrt(k) converts w from rad/s to sqrt(m/s^2))
+
+    thrust     correction of the curve's scale           hub         h_1 / (m sqrt(k))
+    inflow     k_3 / (m sqrt(k))                         hub_inflow  h_2 / m
+    advance    k_2 / m                                   hub_square  h_3 sqrt(k) / m
+    body       k_4 / m
+
+V_k follows from momentum theory (17) at the rotor's thrust, kappa V sqrt(V_h^2 + u^2) = T/m, kappa = 2 rho pi r^2/m,
+which takes the rotor's radius. T is the model's own thrust, so along z
+
+    f(theta) = sum_k a_k scale - loss sum_k w_k y_k(theta) + advance n V_h^2 - body v_z ||v||
+
+is fitted by Gauss-Newton with df/dtheta through y (`fit_inflow`). At the minimum f is linearised; its Jacobian gives
+the regressors whose coefficients, intervals and recursion are reported. (Holding y fixed would bias `body`; compare
+gauss_newton in quadexp.models.rls.)
+
+WITHOUT_RADIUS: where the radius is unknown, V_k - V_hover is left out, its mean is absorbed by `climb` and `advance`,
+and hub_climb, -v_i n v_z, replaces the two terms in y. The rotors' own velocities (omega x r_k) cancel from the sums to
+first order.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -42,7 +81,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
-from quadexp.models.regression import Regression, half_width, regress
+from quadexp.models.regression import HUBER, MAD_TO_STD, Regression, half_width, regress
 from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
@@ -60,9 +99,14 @@ HUB_INFLOW = ("hub", "hub_inflow", "hub_square", "body", "offset")
 Z_TERMS = ("thrust", "inflow", "advance", "body")
 LINEAR = (("linear", "offset"), ("linear", "offset"), ("linear",))
 QUADRATIC = (("linear", "quadratic", "offset"), ("linear", "quadratic", "offset"), ("thrust", "linear", "quadratic"))
-WITHOUT_RADIUS = (HUB, HUB, ("thrust", "climb", "advance", "body"))  # see quadexp.models.lumped
+WITHOUT_RADIUS = (HUB, HUB, ("thrust", "climb", "advance", "body"))
 SELF_CONSISTENT = (HUB_INFLOW, HUB_INFLOW, Z_TERMS)
 ADAPTING = (*[("linear", "quadratic", "offset")] * 2, ("linear", "quadratic", "offset", "thrust"))
+
+AIR_DENSITY = 1.2  # kg/m^3, where the vehicle does not state one
+START = (0.0, 0.1, 0.0, 0.0)  # scale, loss, advance, body
+LEAST_LOSS = 1e-3
+SEARCH_SAMPLES = 8_000  # used by the search; more are thinned evenly. The linearisation uses all.
 
 
 class Inflow(NamedTuple):
@@ -281,19 +325,10 @@ class TermModel(Record, frozen=True):
 
 
 def fit_terms(
-    kind: str,
-    terms: Axes,
-    velocity: np.ndarray,
-    rotors: np.ndarray,
-    target: np.ndarray,
-    stretch: np.ndarray,
-    flight: np.ndarray,
-    *,
-    what: str,
-    momentum: Momentum = 0.0,
-    z: Regression | tuple[np.ndarray, np.ndarray] | None = None,
-    **options: Any,
-) -> TermModel:
+    kind: str, terms: Axes, velocity: np.ndarray, rotors: np.ndarray, target: np.ndarray, stretch: np.ndarray,
+    flight: np.ndarray, *, what: str, momentum: Momentum = 0.0,
+    z: Regression | tuple[np.ndarray, np.ndarray] | None = None, **options: Any,
+) -> TermModel:  # fmt: skip
     """The model that leaves least of target, (k, 3) (m/s^2), axis by axis; options: of `regress`.
 
     velocity, rotors: see TermModel.acceleration. z: in place of the columns along z, their derivative and the target,
@@ -318,6 +353,77 @@ def fit_terms(
         tuple(int(fit.freedom) for fit in fits), np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]),
         np.array([fit.condition for fit in fits]), rotors.shape[1], momentum, options.get("loss", "squares"),
     )  # fmt: skip
+
+
+class ThrustFit(NamedTuple):
+    """inflow: for the terms. design: df/dtheta, (k, 4). target: (k,), of the linear regression at the minimum."""
+
+    inflow: Inflow
+    design: np.ndarray
+    target: np.ndarray
+
+
+def momentum_of(vehicle: Vehicle | None, mass: float | None, radius: float | None) -> float:
+    """kappa = 2 rho pi r^2 / m (1/m), 0 where radius or mass is unknown; mass (kg), radius (m) override the vehicle."""
+    geometry = vehicle.rotor_geometry if vehicle and vehicle.rotor else None
+    mass = mass or (vehicle.mass if vehicle else None)
+    if radius is None:
+        return geometry.momentum_factor / mass if geometry and mass else 0.0
+    density = geometry.air_density if geometry else AIR_DENSITY
+    return 2 * density * math.pi * radius**2 / mass if mass else 0.0
+
+
+@cache
+def _force_function(rotors: int, kappa: float) -> ca.Function:
+    """(v (3,), a (n,), theta (4,)) -> f and df/dtheta, (5,)."""
+    v, a, theta = ca.SX.sym("v", 3), ca.SX.sym("a", rotors), ca.SX.sym("theta", len(Z_TERMS))
+    V = ca.SX.sym("V", rotors)
+    point = OperatingPoint(v, a, Inflow(kappa, theta[1], theta[2], theta[0]), V)
+    equation = point.balance
+    force = sum(theta[j] * TERMS[name].phi(point, 2) for j, name in enumerate(Z_TERMS))
+    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, V), equation.derivative(V, theta))
+    solved = ca.substitute(ca.vertcat(force, slope.T), V, safe_newton(equation, ITERATIONS))
+    return ca.Function("force", [v, a, theta], [ca.densify(ca.cse(solved))])
+
+
+def fit_inflow(
+    velocity: np.ndarray, rotor_acceleration: np.ndarray, target: np.ndarray, kappa: float, loss: str = "squares"
+) -> ThrustFit:
+    """Fit the four z coefficients to target (k,), the specific force along z beyond the thrust curve (m/s^2).
+
+    velocity: (k, 3) m/s. rotor_acceleration: (k, n) m/s^2. kappa: 1/m. loss: "squares" or "huber".
+    Raises DataError where the flights do not show that flow through the rotors costs thrust.
+    """
+    from scipy.optimize import least_squares
+
+    function = _force_function(rotor_acceleration.shape[1], float(kappa))
+
+    @lru_cache(maxsize=1)  # the search asks for the residuals and the Jacobian at the same theta
+    def evaluate(
+        theta: tuple[float, ...], every: int = -(-len(target) // SEARCH_SAMPLES)
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """f - target, (k,), and df/dtheta, (k, 4), at every so many samples."""
+        v, a = velocity[::every], rotor_acceleration[::every]
+        values = np.empty((len(v), 1 + len(Z_TERMS)))
+        evaluate_rows(function, (v, a, np.tile(theta, (len(v), 1))), values)
+        return values[:, 0] - target[::every], values[:, 1:].copy()
+
+    options = {
+        "jac": lambda theta: evaluate(tuple(theta))[1], "x_scale": "jac", "xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-10,
+        "bounds": ([-0.5, LEAST_LOSS, -np.inf, -np.inf], [1.0, np.inf, np.inf, np.inf]),
+    }  # fmt: skip
+    result = least_squares(lambda theta: evaluate(tuple(theta))[0], START, **options)
+    if loss == "huber":
+        limit = HUBER * MAD_TO_STD * float(np.median(np.abs(result.fun)))
+        result = least_squares(
+            lambda theta: evaluate(tuple(theta))[0], result.x, loss="huber", f_scale=max(limit, 1e-12), **options
+        )
+    theta = result.x
+    if theta[1] < 2 * LEAST_LOSS:
+        raise DataError("blade element along z: the flights do not show that flow through the rotors costs thrust")
+    error, design = evaluate(tuple(theta), 1)
+    inflow = Inflow(float(kappa), float(theta[1]), float(theta[2]), float(theta[0]))
+    return ThrustFit(inflow, design, design @ theta - error)
 
 
 class TermMean(Record, frozen=True, tag_field="kind", tag="terms"):

@@ -16,7 +16,6 @@ Baca, arXiv 2603.09908).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -24,7 +23,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
 from quadexp.models.regression import Regression, half_width, regress
@@ -135,19 +134,10 @@ def scaled_signal(
     return signal * ((voltage / reference_voltage) ** exponent)[:, None]
 
 
-def thrust_design(
-    scaled: np.ndarray, powers: Sequence[int], *, intercept: bool, per_rotor: bool
-) -> tuple[np.ndarray, list[str]]:
-    """Regressors of the curve and their names: sum_i s_i^p, or s_i^p of each rotor; then 1 if there is an intercept."""
-    if per_rotor:
-        columns = [scaled[:, i] ** p for i in range(scaled.shape[1]) for p in powers]
-        names = [f"c_{p}[{i}]" for i in range(scaled.shape[1]) for p in powers]
-    else:
-        columns = [np.sum(scaled**p, axis=1) for p in powers]
-        names = [f"c_{p}" for p in powers]
-    if intercept:
-        columns, names = [*columns, np.ones(len(scaled))], [*names, "b_z"]
-    return np.stack(columns, axis=1), names
+def thrust_design(scaled: np.ndarray, powers: Sequence[float], *, intercept: bool) -> np.ndarray:
+    """Regressors of the curve, (k, p): sum_i s_i^p of every power; then 1 if there is an intercept."""
+    ones = [np.ones(len(scaled))] if intercept else []
+    return np.stack([np.sum(scaled**p, axis=1) for p in powers] + ones, axis=1)
 
 
 @dataclass(frozen=True)
@@ -155,15 +145,12 @@ class CurveSettings:
     """How a thrust curve is fitted.
 
     reference_voltage: V; 0: the voltage is not used; None: 4 V per cell for motor commands, by the median voltage.
-    voltage_exponent: g, None to fit it. powers, thrust_intercept: None for the module's defaults. per_rotor: one curve
-    per rotor. loss: see `regress`.
+    voltage_exponent: g, None to fit it. powers: None for those of POWERS. loss: see `regress`.
     """
 
     reference_voltage: float | None = None
     voltage_exponent: float | None = 1.0
     powers: tuple[int, ...] | None = None
-    thrust_intercept: bool | None = None
-    per_rotor: bool = False
     loss: str = "squares"
 
     def voltage_for(self, samples: Samples) -> float:
@@ -184,25 +171,17 @@ def fit_thrust_samples(
 
     samples: from `gather`. drag: fit d_z too. intervals: False computes errors for independent samples only, and none
     for g. The regression's columns are those of `thrust_design`, then d_z.
-    Raises DataError where a voltage is missing or the data do not determine the curve, UsageError for a curve per rotor
-    of a signal that all rotors share.
+    Raises DataError where a voltage is missing or the data do not determine the curve.
     """
     settings = settings or CurveSettings()
-    kind, per_rotor = samples.kind, settings.per_rotor
-    if per_rotor and kind == "thrust_acceleration":
-        raise UsageError("a thrust curve per rotor needs a signal per rotor; thrust_acceleration is common to all")
-    powers = tuple(settings.powers or POWERS[kind])
-    intercept = kind in INTERCEPT if settings.thrust_intercept is None else settings.thrust_intercept
+    kind = samples.kind
+    powers, intercept = tuple(settings.powers or POWERS[kind]), kind in INTERCEPT
     reference = settings.voltage_for(samples)
+    names = [*(f"c_{p}" for p in powers), *["b_z"] * intercept, *[DRAG_Z] * drag]
 
-    def columns(part: Samples, g: float, slope: np.ndarray | None = None) -> tuple[np.ndarray, list[str]]:
-        """Regressors and their names. slope: da/dg, (k,), as a further column."""
-        scaled = scaled_signal(part.signal, part.voltage, reference, g)
-        design, names = thrust_design(scaled, powers, intercept=intercept, per_rotor=per_rotor)
-        for name, column in (("g", slope), (DRAG_Z, -part.velocity[:, 2] if drag else None)):
-            if column is not None:
-                design, names = np.column_stack([design, column]), [*names, name]
-        return design, names
+    def design(part: Samples, g: float) -> np.ndarray:
+        columns = thrust_design(scaled_signal(part.signal, part.voltage, reference, g), powers, intercept=intercept)
+        return np.column_stack([columns, -part.velocity[:, 2]]) if drag else columns
 
     def fit(design: np.ndarray, names: list[str]) -> Regression:
         return regress(
@@ -211,27 +190,27 @@ def fit_thrust_samples(
         )  # fmt: skip
 
     rotors = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
-    shape = (rotors, len(powers)) if per_rotor else (len(powers),)
-    q, g, g_error = math.prod(shape), settings.voltage_exponent, 0.0
+    q, g, g_error = len(powers), settings.voltage_exponent, 0.0
     fit_exponent = g is None and bool(reference)
     if g is None:
-        g = _search_exponent(samples.thinned(SEARCH_SAMPLES), columns) if fit_exponent else 1.0
-    regression = fit(*columns(samples, g))
+        g = _search_exponent(samples.thinned(SEARCH_SAMPLES), design) if fit_exponent else 1.0
+    regression = fit(design(samples, g), names)
     scaled = scaled_signal(samples.signal, samples.voltage, reference, g)
     if fit_exponent and intervals:  # the regression linearised in g, with da/dg as a further column
-        rows = regression.coefficients[:q].reshape(-1, len(powers))
-        slope = sum(rows[:, j] * p * scaled**p for j, p in enumerate(powers)).sum(axis=1)
+        slope = sum(c * p * scaled**p for c, p in zip(regression.coefficients, powers, strict=False)).sum(axis=1)
         relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference)[:, 0]
-        joint = fit(*columns(samples, g, slope * np.log(relative_voltage)))
-        others = np.array([name != "g" for name in joint.names])
+        at = q + intercept
+        columns = np.insert(design(samples, g), at, slope * np.log(relative_voltage), axis=1)
+        joint = fit(columns, [*names[:at], "g", *names[at:]])
+        others = np.arange(len(joint.names)) != at
         regression = replace(
             regression, covariance=joint.covariance[np.ix_(others, others)], freedom=joint.freedom + 1,  # without g
             condition=joint.condition,
         )  # fmt: skip
-        g_error = float(joint.errors[~others][0])
+        g_error = float(joint.errors[at])
     value, error = regression.coefficients, regression.errors
     curve = ThrustCurve(
-        kind, np.array(powers, float), value[:q].reshape(shape), error[:q].reshape(shape), reference, float(g), g_error,
+        kind, np.array(powers, float), value[:q], error[:q], reference, float(g), g_error,
         float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
         float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
         regression.condition, float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]),
@@ -240,23 +219,22 @@ def fit_thrust_samples(
     return curve, regression
 
 
-def _search_exponent(samples: Samples, columns: Callable[[Samples, float], tuple[np.ndarray, list[str]]]) -> float:
+def _search_exponent(samples: Samples, design: Callable[[Samples, float], np.ndarray]) -> float:
     """The g with the least sum of squared residuals."""
     from scipy.optimize import minimize_scalar
 
     target = samples.force[:, 2]
 
     def squares(g: float) -> float:
-        design, _ = columns(samples, g)
-        residual = target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
+        columns = design(samples, g)
+        residual = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
         return float(residual @ residual)
 
     return float(minimize_scalar(squares, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
 
 
-def thrust_columns(curve: ThrustCurve, samples: Samples, *, drag: bool) -> np.ndarray:
-    """The regressors of a curve, with that of d_z as the last column if `drag`, (k, p)."""
+def thrust_columns(curve: ThrustCurve, samples: Samples) -> np.ndarray:
+    """The regressors of a curve, with that of d_z as the last column, (k, p)."""
     scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
-    powers, each = tuple(curve.powers.astype(int).tolist()), curve.coefficients.ndim == 2
-    design, _ = thrust_design(scaled, powers, intercept=curve.has_intercept, per_rotor=each)
-    return np.column_stack([design, -samples.velocity[:, 2]]) if drag else design
+    design = thrust_design(scaled, curve.powers.astype(int).tolist(), intercept=curve.has_intercept)
+    return np.column_stack([design, -samples.velocity[:, 2]])

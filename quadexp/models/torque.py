@@ -15,6 +15,7 @@ over the next HORIZON seconds better than zero, that is, than constant rates; ot
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from quadexp.log.signal import derivative
 from quadexp.models.base import Record, Three
-from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.regression import resampling_weights
 from quadexp.models.samples import Samples
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.physics.vehicle import Vehicle
@@ -65,7 +66,7 @@ class TorqueModel(Record, frozen=True):
     def driven(self, time: np.ndarray, segment: np.ndarray, geometric: np.ndarray) -> np.ndarray:
         """Angular acceleration by the rotors without the offset, (k, 3) rad/s^2; geometric: (k, 3), at time (k,)."""
         result = np.empty_like(geometric)
-        for rows in (np.flatnonzero(segment == number) for number in np.unique(segment)):
+        for rows in _segments(segment):
             result[rows] = _delayed(time[rows], geometric[rows], self.gain, self.lag)
         return result
 
@@ -74,9 +75,14 @@ class TorqueModel(Record, frozen=True):
     ) -> np.ndarray:
         """The offset, (k, 3) rad/s^2, at every sample from earlier ones. rate: (k, 3); own: gyroscopic, (k, 3)."""
         result = np.empty_like(driven)
-        for rows in (np.flatnonzero(segment == number) for number in np.unique(segment)):
+        for rows in _segments(segment):
             result[rows] = _tracked(time[rows], rate[rows], driven[rows] - own[rows], self.offset)
         return result
+
+
+def _segments(segment: np.ndarray) -> Iterator[np.ndarray]:
+    """Rows of every segment."""
+    return (np.flatnonzero(segment == number) for number in np.unique(segment))
 
 
 def _delayed(t: np.ndarray, geometric: np.ndarray, gain: np.ndarray, lag: np.ndarray) -> np.ndarray:
@@ -126,10 +132,10 @@ class _Sums(NamedTuple):
         y, yy = ((weights @ x)[:, None, :] for x in (self.y, self.yy))
         spread = np.maximum(ss, 1e-300)
         gain = sy / spread
-        left = np.where(gain > 0, yy - gain**2 * spread, np.broadcast_to(yy, gain.shape))
-        k = np.clip(np.argmin(left, axis=1), 1, len(LAGS) - 2)
-        d, a = np.ogrid[: left.shape[0], : left.shape[2]]
-        before, at, after = left[d, k - 1, a], left[d, k, a], left[d, k + 1, a]
+        error = np.where(gain > 0, yy - gain**2 * spread, np.broadcast_to(yy, gain.shape))
+        k = np.clip(np.argmin(error, axis=1), 1, len(LAGS) - 2)
+        d, a = np.ogrid[: error.shape[0], : error.shape[2]]
+        before, at, after = error[d, k - 1, a], error[d, k, a], error[d, k + 1, a]
         curve = before - 2 * at + after
         shift = np.where(curve > 0, np.clip(0.5 * (before - after) / np.where(curve > 0, curve, 1.0), -1, 1), 0.0)
         slope = gain[d, k, a]
@@ -155,7 +161,7 @@ def fit_torque(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> Torque
     sums = _sums(pieces)
     if sums is None or len(sums.n) < LEAST_BLOCKS:
         return None
-    low, high = np.percentile(sums.fit(_weights(sums.flight)), [2.5, 97.5], axis=1)
+    low, high = np.percentile(sums.fit(resampling_weights(sums.flight, DRAWS)), [2.5, 97.5], axis=1)
     estimates: Any = (part for values in zip(sums.fit()[:, 0], low, high, strict=True) for part in values)
     return TorqueModel(*(*estimates, *_held_out(pieces, sums)))
 
@@ -235,17 +241,6 @@ def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
     return blocks
 
 
-def _weights(flight: np.ndarray) -> np.ndarray:
-    """Bootstrap weight of every block, (DRAWS, blocks). flight: of every block."""
-    flights = np.unique(flight)
-    rng = np.random.default_rng(0)
-    if len(flights) < FLIGHT_CLUSTERS:
-        count = len(flight)
-        return rng.multinomial(count, np.full(count, 1 / count), DRAWS).astype(float)
-    drawn = rng.multinomial(len(flights), np.full(len(flights), 1 / len(flights)), DRAWS)
-    return drawn[:, np.searchsorted(flights, flight)].astype(float)
-
-
 def _ahead(piece: _Piece, gain: np.ndarray, lag: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Squared error of the predicted rate change over HORIZON, and squared rate change, (blocks, 3) each, summed over
     blocks of starts."""
@@ -285,7 +280,7 @@ def _held_out(pieces: list[_Piece], sums: _Sums) -> tuple[np.ndarray, np.ndarray
     if not len(error):
         return np.zeros(3), np.zeros(3)
     share = 1 - error.sum(axis=0) / np.maximum(change.sum(axis=0), 1e-300)
-    weights = _weights(np.concatenate(flights))
+    weights = resampling_weights(np.concatenate(flights), DRAWS)
     return share, np.percentile(1 - (weights @ error) / np.maximum(weights @ change, 1e-300), 2.5, axis=0)
 
 

@@ -1,37 +1,58 @@
-"""Error of the predicted specific force on flights that a model was not fitted to.
+"""Error of models on flights that they were not fitted to: sample by sample, and open loop from a measured state.
 
     e = f - f_model,       f_model = (0, 0, sum_i a_i) + a(v, w, a_1 .. a_n)        body FLU, m/s^2
 
 A predictor is a thrust curve and an acceleration beyond it: an identified vehicle gives one for each of its models,
 every other checkpoint one, and "nominal" is the curve alone. RMS of the vector, sqrt(mean ||e||^2), and of each axis.
 Every model is scored as fitted, and with its thrust scale tracked in flight from earlier samples
-(quadexp.models.thrust_scale). Intervals: percentile bootstrap over flights if there are FLIGHT_CLUSTERS or more,
-otherwise over blocks of BLOCK seconds, because neighbouring errors are correlated.
+(quadexp.models.recorded). Intervals: percentile bootstrap over flights if there are FLIGHT_CLUSTERS or more, otherwise
+over blocks of BLOCK seconds, because neighbouring errors are correlated.
+
+Open loop, from many starts over horizons:
+
+attitude   v' = R(t) f_model(R(t)^T v, w(t), a(t)) + g,  p' = v        R, w and the rotors' signal as measured
+held       all 13 states; constant body rates
+torque     all 13 states; angular acceleration by the fitted torque (quadexp.models.torque) with its offset at the
+           start; constant rates on rejected axes
+full       all 13 states of the rigid body (quadexp.physics.rigid_body) under the rotors' thrusts and arms
+
+In all modes the model gives the specific force. "full" needs the thrust of every rotor and uses the vehicle's inertia,
+arms and reaction torques; its attitude drifts with every unmodelled torque, so "held" is the baseline for it and for
+"torque". "attitude" needs no torque model; it uses Heun's method on the samples. A thrust scale tracked up to the start
+is held over the prediction. The accelerometer's error (bias, and gravity through its misalignment) does not act on the
+motion: it is estimated as the mean of f - R^T (dv/dt + g) over a flight and subtracted from the model's prediction,
+because the model was fitted to that accelerometer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from quadexp.errors import UsageError
-from quadexp.models.base import Model, rms
+from quadexp.compile.symbolic import ca
+from quadexp.errors import DataError, UsageError
+from quadexp.models.base import Model, outside_shares, rms
 from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
-from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.recorded import tracked_scale
+from quadexp.models.regression import resampling_weights
 from quadexp.models.residual import AXES
-from quadexp.models.samples import FlightRows
-from quadexp.models.support import outside_shares
+from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.thrust_scale import tracked_scale
-from quadexp.models.torque import TorqueModel
+from quadexp.models.torque import TorqueModel, geometric_acceleration, gyroscopic
 from quadexp.models.vehicle_model import VehicleModel
-from quadexp.physics.vehicle import Vehicle
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import state_derivative
+from quadexp.physics.rotation import air_velocity
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import GRAVITY, Vehicle
 
 BLOCK = 2.0  # s, of the bootstrap
 DRAWS = 1000
@@ -39,6 +60,11 @@ CONFIDENCE = 0.95
 BANDS = 4
 NOMINAL = "nominal"
 _KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
+LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
+TURNING = ("held", "torque", "full")
+Turning = Callable[[np.ndarray, np.ndarray], np.ndarray]
+STARTS = 120  # per flight at most, spread evenly
+POINT, WORLD_VELOCITY = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z")
 Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Row = dict[str, Any]
 
@@ -47,7 +73,7 @@ Row = dict[str, Any]
 class Predictor:
     """name: in tables. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
 
-    seen: names of the flights of the fit. ranges: of the fit, see quadexp.models.support. mass: kg, to convert rotor
+    seen: names of the flights of the fit. ranges: of the fit, see quadexp.models.base. mass: kg, to convert rotor
     accelerations to the thrusts in the ranges. torque: fitted torque model or None.
     """
 
@@ -72,15 +98,11 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     """
     seen = tuple(model.dataset.get("names", ()))
     if isinstance(model, VehicleModel):
-
-        def identified(kind: str, terms: TermModel) -> Predictor:
-            def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
-                return terms.acceleration(v, a)
-
-            return Predictor(_KIND_NAMES[kind], model.thrust, beyond, seen, model.feature_range, torque=model.torque)
-
-        own = [identified(kind, terms) for kind, terms in model.models.items()]
-        return [nominal(model.thrust, seen, model.torque), *own]
+        curve, ranges, torque = model.thrust, model.feature_range, model.torque
+        return [nominal(curve, seen, torque)] + [
+            Predictor(_KIND_NAMES[kind], curve, partial(_of_terms, terms), seen, ranges, torque=torque)
+            for kind, terms in model.models.items()
+        ]
     record = model.dataset.get("thrust")
     thrust = record_of(record, ThrustCurve) if record else curve
     if thrust is None:
@@ -91,6 +113,10 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
         return model.acceleration(feature_rows(v, w, vehicle.mass * a))
 
     return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
+
+
+def _of_terms(terms: TermModel, v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
+    return terms.acceleration(v, a)
 
 
 @dataclass(frozen=True)
@@ -111,21 +137,21 @@ def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
     """One-step residuals of a predictor on flights, each with the predictor as it was fitted for it."""
     parts: list[tuple[np.ndarray, ...]] = []
     blocks, outside, rows = 0, 0, 0
-    for index, (predictor, one) in enumerate(predicted):
-        samples = one.samples
+    for index, (predictor, row) in enumerate(predicted):
+        samples = row.samples
         rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
         collective = rotors.sum(axis=1)
-        beyond = predictor.beyond(samples.velocity, one.rate, rotors)
+        beyond = predictor.beyond(samples.velocity, row.rate, rotors)
         error = samples.force - beyond
-        scale = tracked_scale(collective, error[:, 2], one.dt)
+        scale = tracked_scale(collective, error[:, 2], row.dt)
         tracked = error.copy()
         error[:, 2] -= collective
         tracked[:, 2] -= scale * collective
-        block = blocks + (np.arange(len(samples)) * one.dt // BLOCK).astype(int)
+        block = blocks + (np.arange(len(samples)) * row.dt // BLOCK).astype(int)
         blocks = int(block[-1]) + 1
-        parts.append((error, tracked, scale, np.full(len(samples), index), block, one.speed))
+        parts.append((error, tracked, scale, np.full(len(samples), index), block, row.speed))
         if predictor.ranges:
-            features = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
+            features = feature_rows(samples.velocity, row.rate, predictor.mass * rotors)
             outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
             rows += len(samples)
     error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
@@ -133,7 +159,7 @@ def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
     return Residuals(predicted[0][0].name, error, tracked, scale, flight, block, speed, share)
 
 
-def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:
+def score_rows(results: Sequence[Residuals], baseline: str = NOMINAL) -> list[Row]:
     """Per predictor one row as fitted and one tracked: RMS per axis and of the vector, with interval.
 
     share: ratio to the baseline's RMS as fitted. share_alike: ratio to the baseline's RMS, tracked if this row is. Both
@@ -142,49 +168,28 @@ def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[
     base = next((result for result in results if result.predictor == baseline), None)
     rows = []
     for result in results:
-        draws = Draws(result)
+        weights = resampling_weights(result.flight[np.unique(result.block, return_index=True)[1]], DRAWS)
         for tracked in (False, True):
             error = result.tracked if tracked else result.error
-            low, high = draws.limits(error)
             row: Row = {"predictor": result.predictor, "thrust_tracked": tracked, "rows": len(error)}
             row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
+            low, high = _limits(weights, result.block, error)
             row |= {"rms": rms(error), "rms_low": low, "rms_high": high, "outside": result.outside}
-            row["rms_about_mean"] = rms(error - _flight_means(error, result.flight))
             if base is not None and len(base.error) == len(error):
                 alike = base.tracked if tracked else base.error
                 for name, other in (("share", base.error), ("share_alike", alike)):
-                    low, high = draws.limits(error, other)
+                    low, high = _limits(weights, result.block, error, other)
                     row |= {name: rms(error) / rms(other), f"{name}_low": low, f"{name}_high": high}
             rows.append(row)
     return rows
 
 
-def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
-    """Mean error of the flight of each row, (k, 3)."""
-    numbers, group = np.unique(flight, return_inverse=True)
-    sums = np.stack([np.bincount(group, column, len(numbers)) for column in error.T], axis=1)
-    return (sums / np.bincount(group)[:, None])[group]
-
-
-class Draws:
-    """Resamples of a predictor's errors: of flights, or of blocks where there are few. group: block of every sample,
-    (k,). counts: of every block in each resample, (DRAWS, blocks)."""
-
-    def __init__(self, errors: Residuals) -> None:
-        groups = errors.flight if len(np.unique(errors.flight)) >= FLIGHT_CLUSTERS else errors.block
-        _, self.group = np.unique(groups, return_inverse=True)
-        count = int(self.group.max()) + 1
-        self.counts = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
-
-    def squares(self, error: np.ndarray) -> np.ndarray:
-        """Sum of the squared errors (k, 3) in every resample, (DRAWS,)."""
-        return self.counts @ np.bincount(self.group, np.sum(error**2, axis=1), self.counts.shape[1])
-
-    def limits(self, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
-        """Ends of the interval of the RMS, or of its ratio to that of other errors."""
-        number = self.counts @ np.bincount(self.group) if base is None else self.squares(base)
-        tail = 50 * (1 - CONFIDENCE)
-        return np.percentile(np.sqrt(self.squares(error) / number), [tail, 100 - tail]).tolist()
+def _limits(weights: np.ndarray, block: np.ndarray, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
+    """Ends of the interval of the RMS of errors (k, 3), or of its ratio to that of others; weights: of the blocks."""
+    squares = weights @ np.bincount(block, np.sum(error**2, axis=1))
+    number = weights @ (np.bincount(block) if base is None else np.bincount(block, np.sum(base**2, axis=1)))
+    tail = 50 * (1 - CONFIDENCE)
+    return np.percentile(np.sqrt(squares / number), [tail, 100 - tail]).tolist()
 
 
 def band_rows(results: Sequence[Residuals]) -> list[Row]:
@@ -199,4 +204,165 @@ def band_rows(results: Sequence[Residuals]) -> list[Row]:
             if inside.sum() >= 20:
                 row = {"predictor": result.predictor, "low": low, "high": high, "rows": int(inside.sum())}
                 rows.append(row | {"rms": rms(result.error[inside]), "rms_tracked": rms(result.tracked[inside])})
+    return rows
+
+
+class Track:
+    """A flight's measured motion at the samples, and the accelerations by a predictor's thrust curve: `rotors` at the
+    accelerometer's reading of each sample, `ahead` over the motion that begins there."""
+
+    def __init__(self, row: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
+        flight, at, self.predictor = row.flight, slice(row.first, None), predictor
+        self.name, self.dt, self.speed = row.name, row.dt, row.speed
+        self.position, self.velocity = flight.stack(POINT)[at], flight.stack(WORLD_VELOCITY)[at]
+        self.quaternion = flight.stack(QUATERNION)[at]
+        self.rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+        self.matrix = self.rotation.as_matrix()
+        self.rate, self.time, self.segment = row.rate, row.samples.time, row.samples.segment
+        self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
+        self.rotors = predictor.curve.of_signal(row.samples.signal, row.samples.voltage)
+        self.ahead = row.samples.during(self.rotors)
+        beyond = predictor.beyond(row.samples.velocity, self.rate, self.rotors)
+        thrust = row.samples.force[:, 2] - beyond[:, 2]
+        self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
+        self.gravity = gravity
+        self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, row.samples.force, gravity)
+
+    def starts(self, steps: int) -> np.ndarray:
+        """Samples followed by `steps` more in the same segment, spread over the flight."""
+        last = len(self.time) - steps
+        if last <= 0:
+            return np.empty(0, int)
+        k = np.arange(last)
+        complete = (self.segment[k] == self.segment[k + steps]) & (
+            np.abs(self.time[k + steps] - self.time[k] - steps * self.dt) < 1.5 * self.dt
+        )
+        k = k[complete]
+        return k[:: max(1, len(k) // STARTS)]
+
+
+def accelerometer_bias(
+    time: np.ndarray, velocity: np.ndarray, matrix: np.ndarray, force: np.ndarray, gravity: float = GRAVITY
+) -> np.ndarray:
+    """Mean of f - R^T (dv/dt + g), (3,) (m/s^2): the accelerometer's mean error."""
+    world = np.gradient(velocity, time, axis=0) + [0.0, 0.0, gravity]
+    return np.mean(force - np.einsum("kji,kj->ki", matrix, world), axis=0)
+
+
+def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity at the end, each (starts, 3), world, with the measured attitude."""
+    down = np.array([0.0, 0.0, -track.gravity])
+    scale = track.scale[starts] if tracked else np.ones(len(starts))
+
+    def acceleration(k: np.ndarray, v: np.ndarray, rotors: np.ndarray) -> np.ndarray:
+        body = air_velocity(track.quaternion[k], v, track.wind[k])
+        force = track.predictor.beyond(body, track.rate[k], rotors[k]) - track.bias
+        force[:, 2] += scale * rotors[k].sum(axis=1)
+        return np.einsum("kij,kj->ki", track.matrix[k], force) + down
+
+    p, v = track.position[starts].copy(), track.velocity[starts].copy()
+    slope = acceleration(starts, v, track.ahead)
+    for j in range(steps):
+        h = (track.time[starts + j + 1] - track.time[starts + j])[:, None]
+        ahead = acceleration(starts + j + 1, v + h * slope, track.rotors)
+        p = p + h * v + h * h / 6 * (2 * slope + ahead)
+        v = v + h / 2 * (slope + ahead)
+        slope = acceleration(starts + j + 1, v, track.ahead)
+    return p, v
+
+
+def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Turning | None:
+    """Angular acceleration (n, 3) (rad/s^2) as a function of samples k (n,) and rates (n, 3); None for mode "full".
+
+    Raises DataError for "torque" where there is no fitted torque.
+    """
+    if mode == "full":
+        return None
+    if mode == "held":
+        return lambda k, w: np.zeros_like(w)
+    if track.predictor.torque is None:
+        raise DataError(f"{track.name}: there is no fitted torque to predict with")
+    model, at = track.predictor.torque, (track.time, track.segment)
+    before, driven = (model.driven(*at, geometric_acceleration(x, vehicle)) for x in (track.rotors, track.ahead))
+    offset = model.tracked_offset(*at, (before + driven) / 2, track.rate, gyroscopic(track.rate, vehicle))[starts]
+    return lambda k, w: np.where(model.used, driven[k] + offset - gyroscopic(w, vehicle), 0.0)
+
+
+def full_rollout(
+    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool, mode: str = "full"
+) -> np.ndarray:
+    """States at the end, (starts, 13): the rigid body under the rotors' thrusts and the model's acceleration.
+
+    mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
+    """
+    x, u, y, h = ca.SX.sym("x", 13), ca.SX.sym("u", vehicle.n_rotors), ca.SX.sym("y", 6), ca.SX.sym("h")
+    step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
+    turn = turning(track, mode, vehicle, starts)
+    scale = track.scale[starts] if tracked else np.ones(len(starts))
+    quaternion = track.rotation[starts].as_quat(scalar_first=True)
+    state = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
+    first, stopped = state, np.zeros(len(starts), bool)
+    for j in range(steps):
+        k = starts + j
+        lost = (np.abs(state[:, VELOCITY]).max(axis=1) > LOST_SPEED) | (np.abs(state[:, RATE]).max(axis=1) > LOST_RATE)
+        state = np.where(lost[:, None], first, state)  # restarted at a finite state, and set to NaN below
+        stopped |= lost
+        body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
+        correction = track.predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
+        thrust = vehicle.mass * scale[:, None] * track.ahead[k]
+        torque = np.zeros_like(correction)
+        if turn is not None:  # in place of the geometric torque
+            rate = state[:, RATE]
+            total = (turn(k, rate) + gyroscopic(rate, vehicle)) @ vehicle.inertia_matrix
+            torque = total - thrust @ vehicle.allocation[1:].T
+        correction = np.hstack([correction, torque])
+        duration = track.time[k + 1] - track.time[k]
+        state = np.array(step(state.T, thrust.T, correction.T, duration[None]).full()).T
+        state[:, ATTITUDE] /= np.linalg.norm(state[:, ATTITUDE], axis=1, keepdims=True)
+    return np.where(stopped[:, None], np.nan, state)
+
+
+def rollout_errors(
+    tracks: Sequence[Track], horizons: Sequence[float], *, tracked: bool, vehicle: Vehicle | None = None,
+    mode: str = "full",
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Errors of a predictor at each horizon: {horizon, starts, lost (share), position (m), velocity (m/s)}.
+
+    The errors are RMS over starts, with their medians beside them. vehicle: None: mode "attitude"; else all 13 states
+    by `mode`, with attitude (rad) and rate (rad/s) errors too.
+    """
+    rows = []
+    for horizon in horizons:
+        sums: dict[str, list[np.ndarray]] = {}
+        for track in tracks:
+            steps = max(1, round(horizon / track.dt))
+            starts = track.starts(steps)
+            if not len(starts):
+                continue
+            end = starts + steps
+            if vehicle is None:
+                position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
+            else:
+                last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
+                position, velocity = last[:, POSITION], last[:, VELOCITY]
+                level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
+                turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
+                angle = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
+                sums.setdefault("attitude", []).append(angle)
+                sums.setdefault("rate", []).append(np.linalg.norm(last[:, RATE] - track.rate[end], axis=1))
+            sums.setdefault("position", []).append(np.linalg.norm(position - track.position[end], axis=1))
+            sums.setdefault("velocity", []).append(np.linalg.norm(velocity - track.velocity[end], axis=1))
+            sums.setdefault("speed", []).append(track.speed[starts])
+        if not sums:
+            continue
+        speed = np.concatenate(sums.pop("speed"))
+        row: dict[str, Any] = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
+        row |= {"horizon": float(horizon), "thrust_tracked": tracked, "starts": len(speed)}
+        for name, parts in sums.items():
+            values = np.concatenate(parts)
+            finite = values[np.isfinite(values)]
+            row["lost"] = float(1 - len(finite) / len(values))
+            row[name] = float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+            row[f"{name}_median"] = float(np.median(finite)) if len(finite) else float("nan")
+        rows.append(row)
     return rows

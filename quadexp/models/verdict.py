@@ -1,7 +1,12 @@
-"""Whether a fit predicts better than linear drag and identified terms on held-out flights, and how far from the noise.
+"""How well a model predicts flights that it was not fitted to, and whether better than linear drag.
 
-Per axis and held-out flight f let g_f and d_f be the RMSEs of the fit and of linear drag (fitted to the same rows).
-Flights, not rows, are independent, so the comparison is paired over flights:
+    rmse     sqrt(mean (a - mean)^2)                                                    unit of the output
+    nlpd     mean [ (a - mean)^2 / (2 s^2) + log s + log(2 pi)/2 ], s^2 = variance + noise      nats per row
+    inside_k share of the rows with |a - mean| < k s; a Gaussian has .683 for k = 1 and .954 for k = 2
+
+Neighbouring rows of a flight are correlated, so whole flights are held out: a split by row would underestimate the
+error. For the same reason the comparison with linear drag, fitted to the same rows, is paired over flights: with
+g_f and d_f the RMSEs of model and drag on held-out flight f, per axis,
 
     ratio = exp(mean_f log(g_f / d_f)),     95 % interval by Student's t over the flights
 
@@ -20,24 +25,136 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import DataError
-from quadexp.models.base import AXIS, rms
+from quadexp.errors import DataError, UsageError
+from quadexp.models.base import AXIS, Callback, Model, Prediction, outside_shares, quiet, rms
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
-from quadexp.models.evaluation import drag_baseline, split_by_flight
-from quadexp.models.gaussian_process import GPModel, GPSettings
+from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
+from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.terms import MEANS, fit_term_mean
-from quadexp.models.thrust_scale import has_thrust_scale, with_common_scale
 
+Row = dict[str, Any]
+ACCELERATION = list(AXIS)
 LAG = 2
 CONFIDENCE = 0.95
-TRIAL_ROWS = 3000  # of the short fits that try other features
-TRIAL_ITERATIONS = 40
 WORDS = {"better": "BETTER than linear drag", "worse": "WORSE than linear drag", "open": "NOT SHOWN TO BE BETTER"}
+
+
+class Fit(NamedTuple):
+    """A fit and the report on it.
+
+    model: the result, fitted to all rows if refitted. held_out_model: fitted without the flights of `test`; the
+    report's rows describe this one. train, test: the split (test None: nothing was held out, the report has no rows).
+    report: JSON-able: rows (one per output and predictor), held_out_flights, refitted.
+    """
+
+    model: Any
+    held_out_model: Any
+    train: ResidualDataset
+    test: ResidualDataset | None
+    report: dict[str, Any]
+
+
+def fit_with_report(dataset: ResidualDataset, kind: type[Model], settings: Any, *, callback: Callback = quiet) -> Fit:
+    """Fit a model without the held-out flights, report on these, then refit to all rows from there (settings.refit).
+
+    settings: of `kind.fit`, with holdout, seed and, where there is a choice, refit.
+    Raises DataError as `kind.fit` does, and where a single flight cannot be split.
+    """
+    if settings.holdout == 0:
+        model = kind.fit(dataset, settings, callback=callback)
+        return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
+    train, test = split_by_flight(dataset, settings.holdout, settings.seed)
+    refit = getattr(settings, "refit", True)
+    share = 0.8 if refit else 1.0
+    first = model = kind.fit(
+        train, settings, callback=lambda message, done: callback(message, share * done), intervals=not refit
+    )
+    if refit:
+        rest = 1.0 - share
+        model = kind.fit(
+            dataset, settings, start=first, callback=lambda message, done: callback(message, share + rest * done)
+        )
+    report = {
+        "rows": evaluate(first, train, test),
+        "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
+        "refitted": refit,
+        "out_of_range": outside_shares(first.feature_range, test),
+    }
+    return Fit(model, first, train, test, report)
+
+
+def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
+    """Train and test rows: whole flights, drawn by the seed, at least one in each set.
+
+    Raises DataError for fewer than two flights.
+    """
+    if not dataset.n_rows:
+        raise DataError("dataset: it has no rows")
+    flights = dataset.flights
+    if len(flights) < 2:
+        raise DataError(
+            "the data set holds one flight, which cannot be split into flights to fit and to hold out: collect more"
+            " with collect.duration, or hold none out: gp.holdout=0 for fit-gp, drag.holdout=0 for fit-drag"
+        )
+    count = int(np.clip(round(share * len(flights)), 1, len(flights) - 1))
+    held_out = np.random.default_rng(seed).permutation(flights)[:count]
+    test = np.isin(dataset.columns["flight"], held_out)
+    return dataset.rows(~test), dataset.rows(test)
+
+
+def evaluate(model: Model, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
+    """One row per output and predictor (the model, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
+
+    train: rows that the baselines (linear drag, and the standard deviations) are fitted to.
+    """
+    drag = model if isinstance(model, LinearDrag) else drag_baseline(train)
+    baseline = {} if drag is model else drag.predict(test)
+    rows = []
+    for output, of_model in model.predict(test).items():
+        target = test.matrix([output])[:, 0]
+        zero = Prediction(np.zeros(len(target)), None, float(np.mean(train.matrix([output]) ** 2)))
+        for name, prediction in ((model.predictor, of_model), (drag.predictor, baseline.get(output)), ("zero", zero)):
+            if prediction is not None:
+                rows.append({"output": output, "predictor": name} | score(target, prediction.mean, prediction.std))
+    return rows
+
+
+def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
+    """The dataset with the model's predictions subtracted from its outputs; label: of the model, for the record.
+
+    Raises UsageError for an identified vehicle, and for recorded flights, whose thrust scale is fitted with the model.
+    """
+    if has_thrust_scale(data):
+        raise UsageError("--after: only of simulated flights; recorded ones have a thrust scale that is fitted too")
+    try:
+        predictions = model.predict(data)
+    except UsageError as error:
+        raise UsageError(f"{label}: {error}; --after needs a checkpoint of fit-drag, fit-gp or fit-nn") from None
+    columns = {output: data.matrix([output])[:, 0] - part.mean for output, part in predictions.items()}
+    return ResidualDataset(dict(data.columns) | columns, dict(data.metadata) | {"after": label})
+
+
+def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
+    """Linear drag of the train rows, the baseline of every comparison; options go to `fit_linear_drag`."""
+    options = {"thrust": not has_thrust_scale(train), "intervals": False} | options
+    return fit_linear_drag(with_common_scale(train).dataset, **options)
+
+
+def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
+    """rmse, nlpd, inside_1, inside_2, n of predictions (k,) with standard deviations (k,) for targets (k,)."""
+    error, std = target - mean, np.maximum(std, 1e-12)
+    scaled = error / std
+    return {
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "nlpd": float(np.mean(0.5 * scaled**2 + np.log(std) + 0.5 * np.log(2 * np.pi))),
+        "inside_1": float(np.mean(np.abs(scaled) < 1)),
+        "inside_2": float(np.mean(np.abs(scaled) < 2)),
+        "n": len(target),
+    }
 
 
 class Ratio(NamedTuple):
@@ -51,6 +168,11 @@ class Ratio(NamedTuple):
     @property
     def verdict(self) -> str:
         return "better" if self.high < 1 else "worse" if self.low > 1 else "open"
+
+    def record(self) -> dict[str, Any]:
+        """JSON-able."""
+        ends = (None, None) if np.isnan(self.low) else (self.low, self.high)
+        return {"verdict": self.verdict, "ratio": self.value, "low": ends[0], "high": ends[1], "text": str(self)}
 
     def __str__(self) -> str:
         if np.isnan(self.low):
@@ -84,99 +206,35 @@ def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> fl
     return min(float(np.sqrt(np.mean((r[LAG:] - r[:-LAG])[together] ** 2) / 2)) for r in residuals)
 
 
-def verdict(
-    model: GPModel, train: ResidualDataset, test: ResidualDataset, settings: GPSettings, *, search: bool = True
-) -> dict[str, Any]:
-    """Comparison that `fit-gp` reports, JSON-able: outputs {a_x: {...}} and, for recorded flights, identified [...].
-
-    model: fitted to train. search: where the fit is not better, try other features.
-    """
-    flight = np.asarray(test.columns["flight"])
-    errors = test.matrix(list(AXIS)) - drag_baseline(train).acceleration(test)
-    predictions, of_gp = model.predict(test), errors.copy()
+def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict[str, Any]:
+    """Comparison that `fit-gp` reports, JSON-able: flights, outputs {a_x: {...}} and, for recorded flights, identified
+    [...]: the same for the terms of `quadexp identify`, fitted to the same rows. model: fitted to train."""
+    flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
+    of_drag, predictions = target - drag_baseline(train).acceleration(test), model.predict(test)
+    of_model = of_drag.copy()
     outputs: dict[str, Any] = {}
     for output, axis in ((name, axis) for name, axis in AXIS.items() if name in predictions):
-        of_gp[:, axis] = test.matrix([output])[:, 0] - predictions[output].mean
-        error, of_drag = of_gp[:, axis], errors[:, axis]
-        ratio, rmse, floor = paired_ratio(error, of_drag, flight), rms(error), noise_floor([error, of_drag], test)
-        outputs[output] = _record(ratio) | {
-            "rmse": rmse, "drag_rmse": rms(of_drag), "noise": floor,
-            "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))), "features": list(settings.features[output]),
+        of_model[:, axis] = target[:, axis] - predictions[output].mean
+        errors = of_model[:, axis], of_drag[:, axis]
+        rmse, floor = rms(errors[0]), noise_floor(errors, test)
+        outputs[output] = paired_ratio(*errors, flight).record() | {
+            "rmse": rmse, "drag_rmse": rms(errors[1]), "noise": floor,
+            "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))),
         }  # fmt: skip
-        if search and ratio.verdict != "better":
-            outputs[output]["instead"] = better_features(output, train, test, settings)
     report: dict[str, Any] = {"outputs": outputs, "flights": len(np.unique(flight))}
-    if has_thrust_scale(train):
-        report["identified"] = _identified(train, test, of_gp, flight)
-    return report
-
-
-def _record(ratio: Ratio) -> dict[str, Any]:
-    ends = (None, None) if np.isnan(ratio.low) else (ratio.low, ratio.high)
-    return {"verdict": ratio.verdict, "ratio": ratio.value, "low": ends[0], "high": ends[1], "text": str(ratio)}
-
-
-def candidates(output: str, asked: Sequence[str], *, recorded: bool) -> list[tuple[str, ...]]:
-    """Feature sets to try besides those asked for; with thrust only for simulated flights, which share its scale."""
-    own = f"v_{output[-1]}"
-    thrust = () if recorded else ("thrust",)
-    sets = [(own,), ("v_x", "v_y", "v_z"), (own, *thrust), ("v_x", "v_y", "v_z", *thrust)]
-    return [names for names in dict.fromkeys(sets) if set(names) != set(asked)]
-
-
-def better_features(
-    output: str, train: ResidualDataset, test: ResidualDataset, settings: GPSettings
-) -> dict[str, Any] | None:
-    """The features of `candidates` with the least error on part of the train flights, and their ratio on the test ones.
-
-    The choice uses short fits and no test flights. None where there are too few flights, or none can be fitted.
-    """
-    if len(train.flights) < 2:
-        return None
-    fitted, judge = split_by_flight(train, 0.3, settings.seed)
-    scores: dict[tuple[str, ...], float] = {}
-    for names in candidates(output, settings.features[output], recorded=has_thrust_scale(train)):
-        try:
-            error = _trial_errors(output, names, fitted, judge, settings)
-        except DataError:
-            continue
-        scores[names] = rms(error)
-    if not scores:
-        return None
-    best = min(scores, key=scores.__getitem__)
-    axis = AXIS[output]
-    drag = test.matrix([output])[:, 0] - drag_baseline(train).acceleration(test)[:, axis]
-    ratio = paired_ratio(_trial_errors(output, best, train, test, settings), drag, np.asarray(test.columns["flight"]))
-    return {"features": list(best), **_record(ratio)}
-
-
-def _trial_errors(
-    output: str, features: tuple[str, ...], train: ResidualDataset, test: ResidualDataset, settings: GPSettings
-) -> np.ndarray:
-    """Errors (k,) on the test rows, of a short fit to some of the train rows."""
-    few = replace(
-        settings, features={output: features}, method="sgpr", max_rows=TRIAL_ROWS, max_iterations=TRIAL_ITERATIONS,
-        inducing=min(settings.inducing, 30),
-    )  # fmt: skip
-    return test.matrix([output])[:, 0] - GPModel.fit(train, few, intervals=False).predict(test)[output].mean
-
-
-def _identified(
-    train: ResidualDataset, test: ResidualDataset, of_gp: np.ndarray, flight: np.ndarray
-) -> list[dict[str, Any]]:
-    """Terms of `quadexp identify` fitted to the same rows: RMS of their error vectors, and the fit's ratio to it."""
-    rows = with_common_scale(train).dataset
-    target = test.matrix(["a_x", "a_y", "a_z"])
-    errors = {"this fit": of_gp, "linear drag": target - drag_baseline(train).acceleration(test)}
+    if not has_thrust_scale(train):
+        return report
+    others = {"linear drag": of_drag}
     for kind in MEANS:
         with suppress(DataError):
-            errors[kind.replace("_", " ")] = target - fit_term_mean(rows, kind).acceleration(test)
-    records: list[dict[str, Any]] = [
-        {"model": name, "rms": rms(e), "share": rms(e) / rms(target)} for name, e in errors.items()
+            terms = fit_term_mean(with_common_scale(train).dataset, kind)
+            others[kind.replace("_", " ")] = target - terms.acceleration(test)
+    report["identified"] = [
+        {"model": name, "rms": rms(error), "share": rms(error) / rms(target)}
+        | ({} if error is of_model else paired_ratio(of_model, error, flight).record())
+        for name, error in ({"this fit": of_model} | others).items()
     ]
-    for record in records[1:]:
-        record |= _record(paired_ratio(of_gp, errors[record["model"]], flight))
-    return records
+    return report
 
 
 def verdict_lines(report: dict[str, Any]) -> list[str]:
@@ -186,46 +244,27 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
         f"verdict on {flights}: RMSE relative to linear drag's, paired over flights, 95 % interval",
         "  (noise: from the variogram of the residual at a lag of two rows, an upper bound)",
     ]
-    for output, one in report["outputs"].items():
-        lines.append(f"  {output}  {WORDS[one['verdict']]}: {one['text']}")
+    for output, row in report["outputs"].items():
+        lines.append(f"  {output}  {WORDS[row['verdict']]}: {row['text']}")
         lines.append(
-            f"       RMSE {one['rmse']:.3g} m/s^2 (linear drag {one['drag_rmse']:.3g}): noise of the data at most"
-            f" {one['noise']:.3g}, unexplained at least {one['unexplained']:.3g}"
+            f"       RMSE {row['rmse']:.3g} m/s^2 (linear drag {row['drag_rmse']:.3g}): noise of the data at most"
+            f" {row['noise']:.3g}, unexplained at least {row['unexplained']:.3g}"
         )
-        if one["verdict"] == "better":
-            continue
-        other = one.get("instead")
-        if other and other["verdict"] == "better":
-            names = ",".join(other["features"])
-            lines.append(f"       features that are better: {names} ({other['text']}): gp.features.{output}=[{names}]")
-        elif other:
-            tried = f"the best, {', '.join(other['features'])}, has {other['text']}"
-            lines.append(f"       no other features are shown to be better either ({tried}): linear drag suffices here")
-        else:
-            lines.append(
-                "       other features were not tried: that needs two flights for the fit and one for the comparison"
-            )
-    if report.get("identified"):
-        lines += _identified_lines(report["identified"])
-    return lines
-
-
-def _identified_lines(records: Sequence[dict[str, Any]]) -> list[str]:
-    fit, *others = records
-    best = min(others, key=lambda one: one["rms"])
-    text = ", ".join(f"{one['model']} {100 * one['share']:.1f} %" for one in records)
-    lines = [f"  error on the held-out flights relative to the thrust curve alone: {text}"]
+    if not report.get("identified"):
+        return lines
+    fit, *others = report["identified"]
+    best = min(others, key=lambda row: row["rms"])
+    text = ", ".join(f"{row['model']} {100 * row['share']:.1f} %" for row in report["identified"])
+    lines.append(f"  error on the held-out flights relative to the thrust curve alone: {text}")
+    beside = f"every model of `quadexp identify` ({best['text']} of {best['model']})"
     if best["rms"] < fit["rms"]:
         lines.append(
             f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: its error is"
             f" {100 * best['share']:.1f} %, that of this fit {100 * fit['share']:.1f} %"
         )
     elif best["verdict"] == "better":
-        lines.append(
-            f"  this fit has a smaller error than every model of `quadexp identify` ({best['text']} of {best['model']})"
-        )
+        lines.append(f"  this fit has a smaller error than {beside}")
     else:
-        lines.append(
-            f"  not shown to be better than {best['model']} of `quadexp identify` ({best['text']}), the simpler model"
-        )
+        name = f"{best['model']} of `quadexp identify` ({best['text']})"
+        lines.append(f"  not shown to be better than {name}, the simpler model")
     return lines

@@ -53,9 +53,9 @@ FORMER_CLASSES = {
     "controller/custom": "experiment.former_parts.FormerController",
     "controller/custom_residual_mpc": "experiment.former_parts.FormerResidualMPC",
     "collect/flights": "experiment.collect_settings.CollectConfig",
-    "gp/sparse": "models.settings.GPConfig",
-    "drag/linear": "models.settings.DragConfig",
-    "nn/mlp": "models.settings.NNConfig",
+    "gp/sparse": "models.gaussian_process.GPConfig",
+    "drag/linear": "models.linear_drag.DragConfig",
+    "nn/mlp": "models.neural.NNConfig",
 }
 _SCHEMA = re.compile(r"/schema/(\w+/\w+)@_here_")
 

@@ -31,7 +31,7 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
 
 if TYPE_CHECKING:
-    from quadexp.physics.rotor import RotorGeometry
+    from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
     from quadexp.physics.vehicle import Vehicle
 
 TINY_SPEED = 1e-12  # m/s, added in square under roots to keep them differentiable at rest
@@ -56,6 +56,22 @@ class BladeForces(NamedTuple):
     torque: ca.SX
 
 
+class MotorCoefficients(NamedTuple):
+    """(18)-(21): T_im = thrust w^2 (N s^2), H_im = hub V_h w (N s^2/m), Q_im = torque w^2 (N m s^2)."""
+
+    thrust: float
+    hub: float
+    torque: float
+
+
+class StaticCoefficients(NamedTuple):
+    """At V = 0: T = thrust w^2 (N s^2), Q = torque w^2 (N m s^2), V_I = inflow w (m)."""
+
+    thrust: float
+    torque: float
+    inflow: float
+
+
 class RotorFlow(NamedTuple):
     """Velocity of the rotors relative to the air. x, y: in-plane (FLU, m/s). in_plane_squared: V_h^2 (m^2/s^2).
 
@@ -69,12 +85,9 @@ class RotorFlow(NamedTuple):
 
 
 def unloaded_thrust(
-    geometry: RotorGeometry,
-    lift_slope: Expression,
-    w: Expression,
-    in_plane_squared: Expression,
+    geometry: RotorGeometry, lift_slope: Expression, w: Expression, in_plane_squared: Expression,
     terms: CrossTerms = ADOPTED,
-) -> Expression:
+) -> Expression:  # fmt: skip
     """Thrust without flow through the rotor, a in T = a - b u (N); arguments as in `blade_forces`."""
     r, twist = geometry.radius, geometry.twist
     return geometry.blade_density * twist * r * lift_slope * (r * r / 3 * w * w + terms.thrust * in_plane_squared)
@@ -86,14 +99,9 @@ def thrust_loss_per_flow(geometry: RotorGeometry, lift_slope: Expression, w: Exp
 
 
 def blade_forces(
-    geometry: RotorGeometry,
-    profile_drag: Expression,
-    lift_slope: Expression,
-    w: Expression,
-    through_flow: Expression,
-    in_plane_squared: Expression,
-    terms: CrossTerms = ADOPTED,
-) -> BladeForces:
+    geometry: RotorGeometry, profile_drag: Expression, lift_slope: Expression, w: Expression,
+    through_flow: Expression, in_plane_squared: Expression, terms: CrossTerms = ADOPTED,
+) -> BladeForces:  # fmt: skip
     """Thrust, hub force per in-plane speed, and drag torque of rotors (14)-(16).
 
     profile_drag C_d0, lift_slope C_la: dimensionless. w: rotor speed (rad/s), not zero. through_flow u: m/s.
@@ -113,6 +121,22 @@ def static_inflow(geometry: RotorGeometry, lift_slope: Expression) -> Expression
     K = geometry.momentum_factor
     a, b = unloaded_thrust(geometry, lift_slope, 1.0, 0.0), thrust_loss_per_flow(geometry, lift_slope, 1.0)
     return (ca.sqrt(b * b + 4 * K * a) - b) / (2 * K)
+
+
+def motor_coefficients(geometry: RotorGeometry, coefficients: BladeCoefficients) -> MotorCoefficients:
+    """k_Tm, k_Hm, k_Qm: rotor forces without flow through the rotor (18)-(21)."""
+    forces = blade_forces(geometry, coefficients.profile_drag, coefficients.lift_slope, 1.0, 0.0, 0.0)
+    return MotorCoefficients(*forces)
+
+
+def static_coefficients(geometry: RotorGeometry, coefficients: BladeCoefficients) -> StaticCoefficients:
+    """k_T,static, k_Q,static and nu = V_I / w of a rotor at rest (Remark 4).
+
+    nu is the positive root of (17) at V = 0: 2 rho pi r^2 nu^2 = a - b nu, with T = a - b nu at w = 1 rad/s.
+    """
+    inflow = float(static_inflow(geometry, coefficients.lift_slope))
+    thrust, _, torque = blade_forces(geometry, coefficients.profile_drag, coefficients.lift_slope, 1.0, inflow, 0.0)
+    return StaticCoefficients(thrust, torque, inflow)
 
 
 def static_rotor_speed(thrust: Expression, thrust_coefficient: float) -> Expression:
@@ -139,16 +163,10 @@ def body_drag(geometry: RotorGeometry, body_velocity: Expression, coefficients: 
 
 
 def aerodynamic_wrench(
-    vehicle: Vehicle,
-    theta: Expression,
-    body_velocity: Expression,
-    rotor_speed: Expression,
-    induced_velocity: Expression,
-    *,
-    rate: Expression | None = None,
-    lift_scale: Expression = 1.0,
+    vehicle: Vehicle, theta: Expression, body_velocity: Expression, rotor_speed: Expression,
+    induced_velocity: Expression, *, rate: Expression | None = None, lift_scale: Expression = 1.0,
     terms: CrossTerms = ADOPTED,
-) -> tuple[Expression, Expression]:
+) -> tuple[Expression, Expression]:  # fmt: skip
     """Force F (3,) (N) and torque Gamma (3,) (N m) of air on the vehicle, body frame FLU (4)-(7).
 
     theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,). body_velocity: (3,) (m/s). rotor_speed: (n,) (rad/s).

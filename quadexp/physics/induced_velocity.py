@@ -64,18 +64,18 @@ class Balance(NamedTuple):
         speed = self._speed(u)
         return self.K * (speed + induced * u / speed) + self.b
 
+    def derivative(self, induced: Expression, by: Expression) -> Expression:
+        """dV_I / d(by) of the solution, (n, p): -(dg/d(by)) / (dg/dV_I), the iterations are not differentiated."""
+        return -ca.jacobian(self.value(induced), by) / ca.repmat(self.slope(induced), 1, by.numel())
+
     def _speed(self, u: Expression) -> Expression:
         return ca.sqrt(self.in_plane_squared + u * u + TINY_SPEED**2)
 
 
 def balance(
-    geometry: RotorGeometry,
-    lift_slope: Expression,
-    w: Expression,
-    in_plane_squared: Expression,
-    axial: Expression,
+    geometry: RotorGeometry, lift_slope: Expression, w: Expression, in_plane_squared: Expression, axial: Expression,
     terms: CrossTerms = ADOPTED,
-) -> Balance:
+) -> Balance:  # fmt: skip
     """The thrust balance of rotors turning at w (rad/s), scalars or vectors (n,); see `Balance`."""
     return Balance(
         geometry.momentum_factor,

@@ -45,13 +45,9 @@ def time_constant_towards(value: Expression, command: Expression, up: Expression
 
 
 def lagging_rk4_step(
-    derivative: Callable[[Expression, Expression], Expression],
-    x: Expression,
-    command: Expression,
-    dt: Expression,
-    time_constant: Expression,
-    added: Expression | None = None,
-) -> Expression:
+    derivative: Callable[[Expression, Expression], Expression], x: Expression, command: Expression, dt: Expression,
+    time_constant: Expression, added: Expression | None = None,
+) -> Expression:  # fmt: skip
     """The state (13 + n,), a rigid body's followed by its rotors' thrusts (N), after dt (s) of a held command.
 
     derivative: (state (13,), thrusts (n,)) -> state' of the body. added: thrust (N) beyond what the command gives, at

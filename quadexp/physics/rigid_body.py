@@ -5,20 +5,33 @@
     v' = R(q) (T e_z / m + a_body) + g                                      world, m/s^2
     w' = J^-1 (tau + tau_body - w x J w)                                    body, rad/s^2
 
-[T, tau] = G u is the vehicle's allocation; [a_body, tau_body] = y is the residual's output, zero for the nominal body.
+[T, tau] = G u is the vehicle's allocation; [a_body, tau_body] = y is the output of a residual (quadexp.models.residual,
+which imports this package) at z = [v_body, w, u], zero for the nominal body.
 A disturbance d = [F / m (world, m/s^2), J^-1 tau (body, rad/s^2)] is added to [v', w'].
 """
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from quadexp.compile.symbolic import ca
-from quadexp.physics.correction import N_OUTPUTS, Correction
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 N_DISTURBANCE = 6
+FEATURES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")  # of a residual, beside the rotors' thrusts
+OUTPUTS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
+N_OUTPUTS = len(OUTPUTS)
+
+
+class Correction(Protocol):
+    """An object with the function of a residual, such as quadexp.models.residual.Residual."""
+
+    @property
+    def function(self) -> ca.Function:
+        """CasADi, (z (6 + n,), theta (p,)) -> (y (6,), dy/dz (6, 6 + n))."""
 
 
 def disturbed_derivative(derivative: Expression, disturbance: Expression) -> Expression:

@@ -23,10 +23,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.correction import N_OUTPUTS, Correction
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_thrust
-from quadexp.physics.rigid_body import N_DISTURBANCE, body_features, disturbed_derivative, state_derivative
+from quadexp.physics.rigid_body import (
+    N_DISTURBANCE,
+    N_OUTPUTS,
+    Correction,
+    body_features,
+    disturbed_derivative,
+    state_derivative,
+)
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -37,14 +43,9 @@ FLAT_LIMIT = 100  # scalar operations of a residual; above, one function called 
 
 
 def rk4_sensitivity_function(
-    vehicle: Vehicle,
-    residual: Correction,
-    *,
-    scalar: bool = True,
-    lag: bool = False,
-    added: bool = False,
+    vehicle: Vehicle, residual: Correction, *, scalar: bool = True, lag: bool = False, added: bool = False,
     disturbed: bool = False,
-) -> ca.Function:
+) -> ca.Function:  # fmt: skip
     """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
 
     lag: rotors lag behind their commands; x (13 + n,) then ends with their thrusts (N), and the last input is the time
@@ -66,14 +67,9 @@ def rk4_sensitivity_function(
     slope = _slope_function(vehicle, residual, dense=not scalar)
 
     def chained_stage(
-        x_stage: Expression,
-        u: Expression,
-        y: Expression,
-        dy_dz: Expression,
-        S: Expression,
-        c: Expression,
+        x_stage: Expression, u: Expression, y: Expression, dy_dz: Expression, S: Expression, c: Expression,
         *a: Expression,
-    ) -> tuple[Expression, Expression]:
+    ) -> tuple[Expression, Expression]:  # fmt: skip
         k, G = slope(x_stage, u, y, dy_dz)
         return k, _by_command(G, *a) + c * ca.mtimes(G[:, :N_MOTION], S)
 
@@ -134,17 +130,9 @@ def _stage_point(x: Expression, u: Expression, k: Expression, c: Expression) -> 
 
 
 def _combine(
-    x: Expression,
-    dt: Expression,
-    k1: Expression,
-    k2: Expression,
-    k3: Expression,
-    k4: Expression,
-    S1: Expression,
-    S2: Expression,
-    S3: Expression,
-    S4: Expression,
-) -> list[Expression]:
+    x: Expression, dt: Expression, k1: Expression, k2: Expression, k3: Expression, k4: Expression, S1: Expression,
+    S2: Expression, S3: Expression, S4: Expression,
+) -> list[Expression]:  # fmt: skip
     """x_next, A, B from the slopes and sensitivities of the four stages."""
     kind, n = type(x), S1.size2() - N_MOTION
     start = ca.horzcat(kind.eye(N_MOTION), kind(N_MOTION, n))

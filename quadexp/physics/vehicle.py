@@ -6,28 +6,47 @@ Wrench of the rotors, body frame (any layout, from positions r_i and reaction-to
     tau = sum_i (r_i x u_i e_z + c_tau s_i u_i e_z)                         N m
 
 Source: Torrente et al. 2021, section III-A (there for the x layout).
+
+A number in another unit is off by 10 to 10^9 and stands out in a ratio of the vehicle's own numbers. With m the mass, r
+the longest arm, J a principal moment, W the weight, T and k the largest thrust and the thrust coefficient of one of n
+rotors, c its torque coefficient, R its radius, A the reference area of the body's drag:
+
+    ratio          allowed       shipped vehicles, 27 g to 1 kg
+    m / r^3        5 .. 5000     77 .. 632 kg/m^3
+    J / (m r^2)    0.015 .. 3    0.14 .. 1.1; all mass at the rotors: 0.5, 0.5, 1
+    n T / W        .. 30         1.5 .. 10; racing quadrotors reach 15
+    c / r          .. 3          0.06 .. 1.2
+    sqrt(T / k) r  20 .. 800     103 .. 342 m/s; the tips of the blades are slower than sound
+    R / r          0.05 .. 1.5   0.53 .. 0.59
+    A / r^2        0.01 .. 30    3.1
+
+The bounds are the range of the shipped vehicles (conf/vehicle names their sources), about ten times wider where physics
+sets no end: vehicles of 20 g and of 40 kg are inside.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
 from quadexp.parts.settings import REQUIRED, Triple, key
-from quadexp.physics.plausible import plausible
 from quadexp.physics.rotor import RotorGeometry
 
 GRAVITY = 9.81  # m/s^2
 # The largest principal moment of a rigid body is at most the sum of the other two; measured moments may exceed that
 # slightly (those of Lei & Li 2017 by 1.2 %).
 INERTIA_TOLERANCE = 0.02
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
+MOMENTS = {"g m^2": 1e-3, "kg cm^2": 1e-4, "kg mm^2": 1e-6, "g cm^2": 1e-7, "g mm^2": 1e-9}
 FORMER_NAMES = {"thrust_coefficient": "static_thrust"}  # used in hashes, so that existing files keep theirs
 
 
@@ -141,3 +160,50 @@ class Vehicle(Part):
             if key != "name" and value is not None
         }
         return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]
+
+
+class Ratio(NamedTuple):
+    """value: key, number and unit, as a text. meant: another unit -> factor on the ratio, were the number in it."""
+
+    value: str
+    name: str
+    number: float
+    low: float
+    high: float
+    meant: Mapping[str, float]
+
+
+def plausible(vehicle: Vehicle) -> Vehicle:
+    """The same vehicle; raises UsageError where a number of it is none of a multirotor."""
+    for value, name, number, low, high, meant in _ratios(vehicle):
+        if not low <= number <= high:
+            units = [unit for unit, factor in meant.items() if low <= number * factor <= high]
+            bounds = f"{low:g} to {high:g}" if low else f"at most {high:g}"
+            hint = f"; was it meant in {' or '.join(units)}?" if units else ""
+            raise UsageError(f"vehicle.{value}: {name} is {number:.3g}, multirotors have {bounds}{hint}")
+    return vehicle
+
+
+def _ratios(vehicle: Vehicle) -> Iterator[Ratio]:
+    mass, thrust, k, rotor = vehicle.mass, vehicle.thrust_max, vehicle.thrust_coefficient, vehicle.rotor
+    arm, n = float(np.linalg.norm(vehicle.rotor_position, axis=1).max()), len(vehicle.rotor_position)
+    heavy, name = mass / arm**3, "mass / arm^3 (kg/m^3)"
+    if heavy < 5:
+        cubes = {unit: factor**-3 for unit, factor in LENGTHS.items()}
+        yield Ratio(f"rotor_position, an arm of {arm:.4g} m", name, heavy, 5, 5e3, cubes)
+    yield Ratio(f"mass={mass:.4g} kg", name, heavy, 5, 5e3, {"g": 1e-3})
+    for moment in (moment for moment in np.linalg.eigvalsh(vehicle.inertia)[::-1] if moment > 0):
+        value = f"inertia, a moment of {moment:.4g} kg m^2"
+        yield Ratio(value, "moment / (mass arm^2)", moment / (mass * arm**2), 0.015, 3, MOMENTS)
+    units = {"gram-force": 9.80665e-3, "mN": 1e-3, "N of all rotors": 1 / n}
+    power = n * thrust / (mass * vehicle.gravity)
+    yield Ratio(f"thrust_max={thrust:.4g} N per rotor", "thrust / weight", power, 0, 30, units)
+    c = vehicle.torque_coefficient
+    yield Ratio(f"torque_coefficient={c:.4g} m", "torque coefficient / arm", c / arm, 0, 3, LENGTHS)
+    if k is not None:
+        name, speed = "largest rotor speed times arm (m/s)", math.sqrt(thrust / k) * arm
+        yield Ratio(f"thrust_coefficient={k:.4g} N s^2", name, speed, 20, 800, {"N/rpm^2": math.pi / 30})
+    if rotor is not None:
+        R, A, areas = rotor.radius, rotor.reference_area, {"cm^2": 1e-4, "mm^2": 1e-6}
+        yield Ratio(f"rotor.radius={R:.4g} m", "radius / arm", R / arm, 0.05, 1.5, LENGTHS)
+        yield Ratio(f"rotor.reference_area={A:.4g} m^2", "area / arm^2", A / arm**2, 0.01, 30, areas)

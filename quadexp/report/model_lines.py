@@ -37,9 +37,6 @@ QUANTITIES = {
 def identification_lines(model: VehicleModel, report: Row) -> list[str]:
     """The result of an identification. report: as in the checkpoint folder."""
     lines = [_data_line(model), *model_lines(model)]
-    if beside := report.get("beside_quadratic"):
-        where = "where drag along z is linear in v_z; beside quadratic drag it is"
-        lines.append(f"thrust      its interval holds {where} {beside}")
     other = {(row["axis"], row["term"]): row["value"] for row in report["other_loss"]["rows"]}
     drag = ", ".join(f"d_{axis} {other[axis, 'linear']:.4f}" for axis in "xyz")
     lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")
@@ -149,10 +146,6 @@ def validation_lines(report: Row) -> list[str]:
     how = "each by models refitted to the others" if report["leave_one_out"] else "by the models as they are"
     lines = [*report["notes"], f"{len(flights)} flights, {rows[0]['rows']} samples, {how}", ""]
     lines += _one_step_lines(rows)
-    base = next((row for row in rows if row["predictor"] == "nominal" and not row["thrust_tracked"]), None)
-    if base is not None:
-        about = "nominal about its mean (without the accelerometer's constant offsets)"
-        lines.append(f"{about}: {base['rms_about_mean']:.3f}")
     if report.get("nominal"):
         lines.append(f"nominal: the thrust curve {report['nominal']}, as fitted beside drag, without the drag")
     lines += [*_least_lines(rows), "", *_band_lines(report["bands"])]

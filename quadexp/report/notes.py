@@ -14,7 +14,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
-from quadexp.models.support import REPORTED_SHARE
+from quadexp.models.base import REPORTED_SHARE
 from quadexp.report.checked import mixed_programs
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound, is_invalid
 from quadexp.report.text import count, speed_text, too_few

@@ -34,7 +34,14 @@ from quadexp.models.blade_element import blade_element_correction
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Settings, key, part
-from quadexp.physics.blade_element import ADOPTED, PRINTED, CrossTerms, aerodynamic_wrench, rotor_flow
+from quadexp.physics.blade_element import (
+    ADOPTED,
+    PRINTED,
+    CrossTerms,
+    aerodynamic_wrench,
+    rotor_flow,
+    static_coefficients,
+)
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import (
     REASONS,
@@ -47,7 +54,6 @@ from quadexp.physics.induced_velocity import (
 )
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.rotor import C_D0, C_LA, IDLE_SPEED, STANDING, THETA, BladeCoefficients, BladeKeys
-from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart

@@ -210,7 +210,7 @@ class TestLearning:
     """collect -> fit-drag and fit-gp -> simulate, as small as it goes."""
 
     @pytest.fixture(scope="class")
-    def chain(self, tmp_path_factory, small_trials):
+    def chain(self, tmp_path_factory):
         folder = tmp_path_factory.mktemp("chain")
         done = [
             quadexp("collect", "collect.duration=24", "--save-flights", "flights", "--json", cwd=folder),

@@ -10,7 +10,7 @@ import quadexp as qx
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "api.md"
 
 
-def test_its_calls_give_what_it_shows(tmp_path, monkeypatch, small_trials):
+def test_its_calls_give_what_it_shows(tmp_path, monkeypatch):
     """And leave nothing behind where they are run."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "docs").symlink_to(PAGE.parent)

@@ -46,7 +46,7 @@ def test_on_the_public_flights(tmp_path, monkeypatch):
     assert least(tmp_path, tracked=False) < 0.62
 
 
-def test_on_logs_made_here(tmp_path, monkeypatch, small_trials):
+def test_on_logs_made_here(tmp_path, monkeypatch):
     """PX4 logs of a flight with known drag (0.4, 0.3, 0.1 1/s) under the names of the page."""
     (tmp_path / "logs").mkdir()
     for seed, name in enumerate(NAMES):

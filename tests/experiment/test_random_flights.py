@@ -71,7 +71,7 @@ class TestFlownByAll:
     """What the nominal controller flies, those that know more fly too: their references contain what they can."""
 
     @pytest.fixture(scope="class")
-    def model(self, tmp_path_factory, small_trials):
+    def model(self, tmp_path_factory):
         """A Gaussian process of the default features, learned from a minute of flights."""
         from quadexp.experiment.collect import collect_dataset
         from quadexp.experiment.fit import fit_checkpoint

@@ -23,7 +23,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.messages import clean
 from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report, save_model
-from quadexp.models.gaussian_process import GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.physics.state import STATE_COLUMNS, input_columns
 from tests.faults.command import ROOT, START, apart, one_line, run
 from tests.models.synthetic import synthetic_dataset
@@ -203,7 +203,7 @@ def put(*places):
 
 @pytest.fixture(scope="module")
 def gp_folder(tmp_path_factory):
-    model = fit_gp(synthetic_dataset(400, 4), GPSettings(inducing=5, features={"a_x": ("v_x",)}))
+    model = fit_gp(synthetic_dataset(400, 4), GPConfig(inducing=5, features={"a_x": ("v_x",)}))
     return save_model(tmp_path_factory.mktemp("gp") / "gp", model)
 
 

@@ -6,15 +6,9 @@ import numpy as np
 
 
 def batch_least_squares(
-    regressors: np.ndarray,
-    target: np.ndarray,
-    *,
-    prior: np.ndarray,
-    covariance: np.ndarray,
-    noise: float = 1.0,
-    forgetting: float = 1.0,
-    estimates: np.ndarray | None = None,
-) -> np.ndarray:
+    regressors: np.ndarray, target: np.ndarray, *, prior: np.ndarray, covariance: np.ndarray, noise: float = 1.0,
+    forgetting: float = 1.0, estimates: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Minimum of |y - Phi theta|^2 / noise^2 + (theta - prior)^T covariance^-1 (theta - prior), (p,).
 
     regressors Phi: (k, p). target y: (k,). prior: (p,). covariance: (p, p). forgetting, lambda: all this weighs

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPConfig, GPModel, fit_gp
 from tests.models.synthetic import synthetic_dataset
 
 
@@ -13,4 +13,4 @@ def dataset():
 
 @pytest.fixture(scope="session")
 def model(dataset) -> GPModel:
-    return fit_gp(dataset, GPSettings(inducing=15, mean="linear_drag", max_iterations=40))
+    return fit_gp(dataset, GPConfig(inducing=8, mean="linear_drag", max_iterations=8))

@@ -22,20 +22,21 @@ def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
 
 
 def logged_flight(
-    seed: int, *, seconds: float = 20.0, noise: float = 0.05, memory: float = 10.0, wind=(0.0, 0.0, 0.0),
-    quadratic=(0.0, 0.0, 0.0), exponent: float = 1.0, drag: np.ndarray = DRAG, name: str | None = None,
+    seed: int, *, seconds: float = 20.0, rate: float = 100.0, noise: float = 0.05, memory: float = 10.0,
+    wind=(0.0, 0.0, 0.0), quadratic=(0.0, 0.0, 0.0), exponent: float = 1.0, drag: np.ndarray = DRAG,
+    name: str | None = None,
 ) -> Flight:  # fmt: skip
-    """One flight at 100 Hz; wind (m/s, world) is in its columns where it is not zero."""
+    """One flight, its battery changed every minute; wind (m/s, world) is in its columns where it is not zero."""
     rng = np.random.default_rng(seed)
-    n = int(100 * seconds)
-    t = np.arange(n) * 0.01
-    phase, rate = rng.uniform(0, 2 * np.pi, 8), rng.uniform(0.4, 1.6, 8)
-    angles = np.stack([0.4 * np.sin(rate[i] * t + phase[i]) for i in range(3)], axis=1)
+    n = int(rate * seconds)
+    t = np.arange(n) / rate
+    phase, omega = rng.uniform(0, 2 * np.pi, 8), rng.uniform(0.4, 1.6, 8)
+    angles = np.stack([0.4 * np.sin(omega[i] * t + phase[i]) for i in range(3)], axis=1)
     attitude = Rotation.from_euler("zyx", angles)
-    air = np.stack([[2.5, 2.2, 1.2][i] * np.sin(rate[3 + i] * t + phase[3 + i]) for i in range(3)], axis=1)
+    air = np.stack([[2.5, 2.2, 1.2][i] * np.sin(omega[3 + i] * t + phase[3 + i]) for i in range(3)], axis=1)
     air += 0.1 * np.stack([coloured(rng, n, 20) for _ in range(3)], axis=1)
-    voltage = 4.1 - 0.02 * t + 0.03 * np.sin(0.3 * t + phase[6])
-    command = 0.75 + 0.12 * np.sin(rate[7] * t + phase[7])[:, None] + 0.03 * rng.normal(size=(n, 4))
+    voltage = 4.1 - 0.02 * (t % 60) + 0.03 * np.sin(0.3 * t + phase[6])
+    command = 0.75 + 0.12 * np.sin(omega[7] * t + phase[7])[:, None] + 0.03 * rng.normal(size=(n, 4))
     scaled = command * (voltage[:, None] / 4) ** exponent
     force = OFFSET - drag * air - np.array(quadratic) * air * np.abs(air)
     force[:, 2] += np.sum(CURVE[0] * scaled + CURVE[1] * scaled**2, axis=1)
@@ -51,8 +52,8 @@ def logged_flight(
     return Flight(columns, {"name": name or f"flight_{seed}", "vehicle": dict(VEHICLE), "recorded": True})
 
 
-def specific_force(model, flight: Flight, kind: str | None = None) -> np.ndarray:
-    """Specific force predicted by a vehicle model, (k, 3) body FLU (m/s^2); kind: None for the best, or "nominal"."""
+def specific_force(model, flight: Flight, kind: str = "best") -> np.ndarray:
+    """Specific force predicted by a vehicle model, (k, 3) body FLU (m/s^2); kind: "best", "nominal", ..."""
     rotors = model.thrust.rotor_acceleration(flight)
     force = (
         np.zeros((len(rotors), 3)) if kind == "nominal" else model.model(kind).acceleration(flight.air_velocity, rotors)

@@ -12,8 +12,8 @@ from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_re
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.neural import Network, neural_residual
 from quadexp.models.residual import Residual, no_residual, sum_residual
+from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
-from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange

@@ -8,17 +8,16 @@ import pytest
 
 from quadexp.models.base import AXIS
 from quadexp.models.checkpoint import load_model, plain, record_of, save_model
-from quadexp.models.gaussian_process import GPModel, GPSettings
-from quadexp.models.linear_drag import LinearDrag
-from quadexp.models.neural import NeuralModel, NNSettings
-from quadexp.models.settings import DragConfig
+from quadexp.models.gaussian_process import GPConfig, GPModel
+from quadexp.models.linear_drag import DragConfig, LinearDrag
+from quadexp.models.neural import NeuralModel, NNConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 
 SETTINGS = {
     LinearDrag: DragConfig(),
-    GPModel: GPSettings(inducing=5, max_iterations=5, mean="quadratic", features={"a_x": ("v_x",), "tau_y": ("w_y",)}),
-    NeuralModel: NNSettings(hidden=(4,), max_iterations=5),
+    GPModel: GPConfig(inducing=5, max_iterations=5, mean="quadratic", features={"a_x": ("v_x",), "tau_y": ("w_y",)}),
+    NeuralModel: NNConfig(hidden=(4,), max_iterations=5),
 }
 FEATURES = ["v_x", "v_y", "v_z", "w_x", "w_y", "w_z", "u_0", "u_1", "u_2", "u_3"]
 
@@ -28,11 +27,16 @@ def rows():
     return synthetic_dataset(600, 4)
 
 
+@pytest.fixture(scope="module")
+def fits(rows):
+    return {kind: kind.fit(rows, settings) for kind, settings in SETTINGS.items()}
+
+
 @pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)
 class TestContract:
     @pytest.fixture
-    def fitted(self, kind, rows):
-        return kind.fit(rows, SETTINGS[kind])
+    def fitted(self, kind, fits):
+        return fits[kind]
 
     def test_what_flies_is_what_is_predicted(self, kind, rows, fitted):
         flown = fitted.residual(VEHICLE)(rows.matrix(FEATURES))

@@ -30,14 +30,9 @@ VEHICLE = Vehicle(
 
 
 def simulate(
-    dt: float,
-    steps: int = 20,
-    *,
-    force=lambda v, w: np.zeros(3),
-    torque=lambda v, w: np.zeros(3),
-    vehicle: Vehicle = VEHICLE,
-    seed: int = 0,
-) -> Flight:
+    dt: float, steps: int = 20, *, force=lambda v, w: np.zeros(3), torque=lambda v, w: np.zeros(3),
+    vehicle: Vehicle = VEHICLE, seed: int = 0,
+) -> Flight:  # fmt: skip
     """A flight of the rigid body with a body force (N) and torque (N m) of (v_body, w), by an independent integrator.
 
     Newton-Euler written out in numpy here; the rotors' thrust changes every dt.
@@ -147,7 +142,7 @@ def test_simulated_rows_carry_what_a_mean_of_terms_needs():
     def drag(v, w):
         return -(0.3 * v + 0.08 * v * np.abs(v))
 
-    flights = [simulate(0.02, steps=150, force=drag, seed=seed) for seed in range(6)]
+    flights = [simulate(0.02, steps=80, force=drag, seed=seed) for seed in range(4)]
     dataset = residual_dataset(flights, VEHICLE)
     mean = fit_term_mean(dataset, "quadratic")
     found, true = mean.acceleration(dataset), np.array([drag(v, None) for v in dataset.matrix(("v_x", "v_y", "v_z"))])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from quadexp.log.schema import Flight
-from quadexp.models.dataset import residual_dataset
-from quadexp.models.known_noise import OUTPUTS, explained, explained_lines, known_noise
+from quadexp.models.dataset import known_noise, residual_dataset
+from quadexp.models.residual import OUTPUTS
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.world import PlantEffects, SimplifiedPlant
 
@@ -68,11 +68,3 @@ def test_what_states_no_noise_is_not_guessed(vehicle, rng):
     filtered = {"plant": {"kind": "simplified"}, "estimator": {"name": "eskf"}}
     assert known_noise(data, vehicle, [filtered], of_estimate=True) is None
     assert known_noise(data, vehicle, [filtered], of_estimate=False) is not None
-
-
-def test_the_report_says_what_is_left():
-    rows = [{"output": "a_z", "predictor": name, "rmse": rmse} for name, rmse in (("gp", 0.5), ("zero", 2.0))]
-    found = explained(rows, {"a_z": 0.3, "a_x": 0.1})
-    assert found == {"a_z": {"rmse": 0.5, "known_noise": 0.3, "unexplained": pytest.approx(0.4)}}
-    assert "rmse 0.5, known noise 0.3, unexplained 0.4 m/s^2" in explained_lines(found)[1]
-    assert explained(rows, {}) == {} and explained_lines({}) == []

@@ -16,7 +16,7 @@ from quadexp.log import store
 from quadexp.log.store import read_table, write_flight
 from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import BATCH, evaluate_rows
-from tests.models.long_log import DRAG, THRUST, long_log
+from tests.models.logged_flights import CURVE, DRAG, logged_flight
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST = 1.0  # GB
@@ -34,7 +34,7 @@ def test_a_function_of_rows_is_that_of_every_row_to_the_last_bit(rng, rows):
 
 
 def test_a_table_that_is_read_column_by_column_is_the_same(tmp_path, monkeypatch):
-    path = write_flight(tmp_path / "a.parquet", long_log(20, 50))
+    path = write_flight(tmp_path / "a.parquet", logged_flight(0, rate=50))
     whole, record = read_table(path, "flight")
     monkeypatch.setattr(store, "LONG", 10)
     again, same = read_table(path, "flight")
@@ -47,7 +47,7 @@ def test_a_long_table_that_was_edited_is_refused(tmp_path, monkeypatch):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    path = write_flight(tmp_path / "a.parquet", long_log(20, 50))
+    path = write_flight(tmp_path / "a.parquet", logged_flight(0, rate=50))
     table = pq.read_table(path)
     values = table.column("v_x").to_numpy().copy()
     values[3] += 1e-9
@@ -81,13 +81,13 @@ def used(*words):
 
 @pytest.mark.slow
 def test_an_hour_at_250_hz_takes_less_than_a_gigabyte(tmp_path):
-    log = write_flight(tmp_path / "hour.parquet", long_log(3600, 250))
+    log = write_flight(tmp_path / "hour.parquet", logged_flight(0, seconds=3600, rate=250))
     model = tmp_path / "model"
     assert used("identify", log, "--out", model) < MOST
     rows = json.loads((model / "report.json").read_text())["models"]["linear"]
     found = {row["axis"]: row for row in rows if row["term"] == "linear"}
     for axis, true in zip("xyz", DRAG, strict=True):
         assert found[axis]["value"] == pytest.approx(true, rel=0.01)
-    np.testing.assert_allclose(load_model(model).thrust.coefficients, THRUST, rtol=0.02)
+    np.testing.assert_allclose(load_model(model).thrust.coefficients, CURVE, rtol=0.02)
     data = tmp_path / "data.parquet"
     assert used("collect", "--flight", log, "--out", data, f"collect.identified={model}") < MOST

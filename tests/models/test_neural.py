@@ -8,17 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import MODEL_FILE, _hash, load_model, save_model
-from quadexp.models.evaluation import evaluate, split_by_flight, without
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.neural import NeuralModel, NNSettings, fit_network
+from quadexp.models.neural import NeuralModel, NNConfig, fit_network
+from quadexp.models.verdict import evaluate, split_by_flight, without
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_checkpoint import assert_same_bits
 
-QUICK = NNSettings(hidden=(10, 10), max_iterations=120)
+QUICK = NNConfig(hidden=(10, 10), max_iterations=120)
 
 
 @pytest.fixture(scope="module")
@@ -92,21 +91,7 @@ def test_a_file_whose_parts_do_not_fit_is_refused(tmp_path, network, key, value)
 )
 def test_impossible_settings_are_refused(change):
     with pytest.raises(UsageError, match=r"nn\."):
-        NNSettings(**change)
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="has a CUDA device")
-def test_a_device_that_is_not_there_is_named(data):
-    with pytest.raises(UsageError, match="nn.device=cuda: torch finds no CUDA device"):
-        fit_network(data, replace(QUICK, device="cuda"))
-    assert fit_network(data, replace(QUICK, device="auto", max_iterations=1)).weights
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-def test_the_devices_agree(data):
-    few = replace(QUICK, max_iterations=10)
-    here, there = fit_network(data, few), fit_network(data, replace(few, device="cuda"))
-    assert np.allclose(here.residual_std, there.residual_std, rtol=1e-6)
+        NNConfig(**change)
 
 
 def test_constant_features_and_empty_data_are_refused(data):

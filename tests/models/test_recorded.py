@@ -9,21 +9,24 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import rms
-from quadexp.models.gaussian_process import GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.open_loop import Track, rollout_errors
-from quadexp.models.recorded import force_rows, logged_thrust, recorded_dataset, target_cost
+from quadexp.models.recorded import force_rows, logged_thrust, recorded_dataset, tracked_scale, with_common_scale
 from quadexp.models.samples import read_rows
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.thrust_scale import tracked_scale, with_common_scale
-from quadexp.models.validation import nominal, predictors, residuals, score_rows
+from quadexp.models.validation import Track, nominal, predictors, residuals, rollout_errors, score_rows
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 
 VEHICLE = crazyflie()
 TRUE_CURVE = ThrustCurve("motor_command", np.array([1.0]), np.array([CURVE]), np.zeros(1))
-SETTINGS = GPSettings(
-    features={"a_x": ("v_x",), "a_y": ("v_y",)}, method="exact", mean="linear_drag", max_rows=60, holdout=0.5
+SETTINGS = GPConfig(
+    features={"a_x": ("v_x",), "a_y": ("v_y",)},
+    method="subset",
+    inducing=60,
+    mean="linear_drag",
+    max_rows=60,
+    holdout=0.5,
 )
 
 
@@ -51,17 +54,6 @@ def test_velocity_is_relative_to_the_air():
     assert abs(wrong.intercept[0] - OFFSET[0]) > 0.5  # what a log without its wind does to the fit
     by_velocity = recorded_dataset([flight], VEHICLE, TRUE_CURVE, target="velocity")
     assert fit_linear_drag(by_velocity, thrust=False, loss="squares").drag == pytest.approx(DRAG, abs=0.01)
-
-
-def test_what_the_velocity_as_target_costs(flights):
-    rng = np.random.default_rng(0)
-    noisy = dict(flights[0].columns) | {
-        f"v_{a}": flights[0][f"v_{a}"] + 0.01 * rng.standard_normal(1200) for a in "xyz"
-    }
-    cost = target_cost([replace(flights[0], columns=noisy)], VEHICLE, TRUE_CURVE, frame="midpoint")
-    assert cost.force < 0.05
-    assert cost.velocity == pytest.approx(0.01 * np.sqrt(2 * 3) / 0.01, rel=0.1)  # sqrt(2) sigma / dt on three axes
-    assert "ratio" in str(cost)
 
 
 def test_commands_without_a_curve_are_refused(flights):

@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import load_model, save_model
-from quadexp.models.open_loop import Track, full_rollout, rollout_errors
 from quadexp.models.samples import gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import explained, fit_torque, torque_lines
-from quadexp.models.validation import predictors
+from quadexp.models.validation import Track, full_rollout, predictors, rollout_errors
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.log.imitated import imitated, vehicle_named
 
@@ -114,7 +113,7 @@ def test_rates_held_turn_by_their_start(fitted):
     predictor = predictors(model, "m", body, None)[0]
     track = Track(one, predictor)
     starts, steps = np.array([50, 400, 900]), 30
-    last = full_rollout(track, starts, steps, body, tracked=True, mode="held")[-1]
+    last = full_rollout(track, starts, steps, body, tracked=True, mode="held")
     assert np.allclose(last[:, 10:13], track.rate[starts])
     seconds = (track.time[starts + steps] - track.time[starts])[:, None]
     expected = track.rotation[starts] * Rotation.from_rotvec(seconds * track.rate[starts])

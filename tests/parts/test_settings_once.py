@@ -62,7 +62,7 @@ NODES = nodes()
 
 def test_the_search_finds_settings_and_what_they_configure():
     names = {one.__name__ for one in ALL}
-    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPSettings", "MPC", *NOT_SETTINGS} <= names
+    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPConfig", "MPC", *NOT_SETTINGS} <= names
     assert len(NODES) > 25
 
 

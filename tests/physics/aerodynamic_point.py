@@ -33,14 +33,9 @@ class AerodynamicPoint(NamedTuple):
 
 
 def aerodynamic_point(
-    vehicle: Vehicle,
-    coefficients: BladeCoefficients,
-    body_velocity: np.ndarray,
-    rotor_speed: np.ndarray,
-    *,
-    rate: np.ndarray | None = None,
-    terms: CrossTerms = ADOPTED,
-) -> AerodynamicPoint:
+    vehicle: Vehicle, coefficients: BladeCoefficients, body_velocity: np.ndarray, rotor_speed: np.ndarray, *,
+    rate: np.ndarray | None = None, terms: CrossTerms = ADOPTED,
+) -> AerodynamicPoint:  # fmt: skip
     """Forces and torques of equations (4)-(7), (9)-(17) at one point.
 
     body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). rate: (3,) (rad/s) for rotor-local velocities, or None.

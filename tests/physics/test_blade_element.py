@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.blade_element import PRINTED, aerodynamic_wrench, blade_forces
+from quadexp.physics.blade_element import (
+    PRINTED,
+    aerodynamic_wrench,
+    blade_forces,
+    motor_coefficients,
+    static_coefficients,
+)
 from quadexp.physics.rotor import BladeCoefficients
-from quadexp.physics.rotor_coefficients import motor_coefficients, static_coefficients
 from tests import paper
 from tests.physics.aerodynamic_point import aerodynamic_point
 
@@ -169,24 +174,15 @@ def test_rotors_of_their_own_lift(lei_li, blade, rng):
     share = np.array([1.0, 0.7, 1.3, 0.5])
     found = aerodynamic_wrench(lei_li, blade.parameters(), ca.DM(v), ca.DM(w), ca.DM(V_I), lift_scale=ca.DM(share))
     force, torque = (np.array(part).ravel() for part in found)
-    thrust, hub, drag = (
-        np.array(part)
-        for part in zip(
-            *(
-                blade_forces(
-                    lei_li.rotor, blade.profile_drag, f * blade.lift_slope, w_i, V_i + v[2], v[0] ** 2 + v[1] ** 2
-                )
-                for f, w_i, V_i in zip(share, w, V_I, strict=True)
-            ),
-            strict=True,
-        )
-    )
-    assert force[2] == pytest.approx(
-        thrust.sum() - paper.RHO * paper.S / 2 * np.linalg.norm(v) * paper.C_D[2] * v[2], rel=1e-12
-    )
-    assert force[0] == pytest.approx(
-        -hub.sum() * v[0] - paper.RHO * paper.S / 2 * np.linalg.norm(v) * paper.C_D[0] * v[0], rel=1e-12
-    )
+    rotor, squared = lei_li.rotor, v[0] ** 2 + v[1] ** 2
+    forces = [
+        blade_forces(rotor, blade.profile_drag, f * blade.lift_slope, w_i, V_i + v[2], squared)
+        for f, w_i, V_i in zip(share, w, V_I, strict=True)
+    ]
+    thrust, hub, drag = np.array(forces, float).T
+    body = -paper.RHO * paper.S / 2 * np.linalg.norm(v) * np.array(paper.C_D) * v
+    assert force[2] == pytest.approx(thrust.sum() + body[2], rel=1e-12)
+    assert force[0] == pytest.approx(-hub.sum() * v[0] + body[0], rel=1e-12)
     roll, pitch = paper.D * (thrust[3] - thrust[1]), paper.D * (thrust[2] - thrust[0])
     assert torque == pytest.approx([roll, pitch, drag @ [1, -1, 1, -1]], rel=1e-12)
 

@@ -81,14 +81,6 @@ def test_windmilling_climb(solve):
     assert g(V_I[0], 100.0, 0.5, -12.0) == pytest.approx(0, abs=1e-13)
 
 
-def test_plain_fixed_point_diverges_at_hover(lei_li, blade):
-    """Remark 2 (ii): slope -1 - b / (2 rho pi r^2 V_I) = -1.741 of the iteration V_I <- T / (K V_I)."""
-    w = np.sqrt(lei_li.hover_thrust / lei_li.thrust_coefficient)
-    slope = paper.thrust(w, 0, 0, paper.HOVER + 1e-6) / (paper.HOVER + 1e-6)
-    slope = (slope - paper.thrust(w, 0, 0, paper.HOVER) / paper.HOVER) / K / 1e-6
-    assert slope == pytest.approx(-1.741, abs=1e-3)
-
-
 def unrolled(lei_li, start, iterations):
     w, squared, axial = ca.SX.sym("w"), ca.SX.sym("squared"), ca.SX.sym("axial")
     equation = balance(lei_li.rotor, 3.32, w, squared, axial)
@@ -109,17 +101,14 @@ def worst(lei_li, solve, rng, start):
     ]
 
 
-def test_newton_from_hover(lei_li, solve, rng):
-    """The published-like flights: errors .72, .039, 1.3e-4, 1.5e-9 m/s after 1 to 4 steps from V_hover."""
-    errors = worst(lei_li, solve, rng, lambda equation: paper.HOVER)
-    assert np.all(np.array(errors) < [1.0, 0.06, 3e-4, 1e-8])
-    assert errors[0] > 0.3 and errors[1] > 0.01
-
-
-def test_newton_from_the_starting_point(lei_li, solve, rng):
-    """One step better: what the residual starts from."""
-    errors = worst(lei_li, solve, rng, starting_point)
-    assert np.all(np.array(errors) < [0.06, 2e-4, 5e-9, 1e-13])
+@pytest.mark.parametrize(
+    ("start", "most"),
+    [(lambda equation: paper.HOVER, [1.0, 0.06, 3e-4, 1e-8]), (starting_point, [0.06, 2e-4, 5e-9, 1e-13])],
+    ids=["from hover", "from where the residual starts, one step better"],
+)
+def test_errors_of_newton_after_one_to_four_steps(lei_li, solve, rng, start, most):
+    errors = worst(lei_li, solve, rng, start)
+    assert np.all(np.array(errors) < most)
 
 
 def test_starting_point_is_exact_in_axial_flight(lei_li, solve):

@@ -17,7 +17,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.log.outcome import COMPLETED
 from quadexp.models.checkpoint import save_model
-from quadexp.models.gaussian_process import GPSettings, fit_gp
+from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.neural import NeuralModel
 from quadexp.parts.compose import compose, session
 from quadexp.parts.schema import Config
@@ -31,7 +31,7 @@ def models(tmp_path_factory):
     """Checkpoints for the controllers and the plant that have one; what they know is of no importance."""
     folder, vehicle, rng = tmp_path_factory.mktemp("models"), compose().vehicle, np.random.default_rng(0)
     told = {"name": vehicle.name, "fingerprint": build_vehicle(vehicle).fingerprint}
-    gp = fit_gp(synthetic_dataset(400, 4), GPSettings(inducing=5, features={"a_x": ("v_x",)}))
+    gp = fit_gp(synthetic_dataset(400, 4), GPConfig(inducing=5, features={"a_x": ("v_x",)}))
     save_model(folder / "gp", replace(gp, vehicle=told))
     axes, weights = ("x", "y", "z"), (rng.normal(size=(4, 3)) / 5, rng.normal(size=(3, 4)) / 5)
     names = tuple(tuple(f"{one}_{axis}" for axis in axes) for one in "va")

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from quadexp.errors import ModelDomainError
 from quadexp.models.blade_element import blade_element_residual
-from quadexp.physics.blade_element import blade_forces, body_drag
+from quadexp.physics.blade_element import blade_forces, body_drag, motor_coefficients, static_coefficients
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.induced_velocity import balance, starting_point
 from quadexp.physics.motor import thrust_loss
-from quadexp.physics.rotor_coefficients import motor_coefficients, static_coefficients
 from quadexp.world.blade_element import BladeElementPlant
 from tests.physics.aerodynamic_point import aerodynamic_point
 from tests.properties.strategies import few, generators, make_blade, make_thrusts, vehicles

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.rls import AXES, BladeElementRLS, RLSSettings
+from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients
-from quadexp.physics.rotor_coefficients import static_coefficients
 from tests.models.batch import batch_least_squares
 from tests.physics.aerodynamic_point import aerodynamic_point
 from tests.properties.strategies import GP_FEATURES, few, generators, make_blade, make_features, make_thrusts, vehicles

@@ -28,14 +28,13 @@ from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.online import Adapting, Law, prior_belief, update_function
-from quadexp.models.residual import Residual, sum_residual
+from quadexp.models.residual import LEARNED, Residual, sum_residual
 from quadexp.models.rls import Identification
-from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Settings, key, part
 from quadexp.physics.vehicle import Vehicle
 
-FEATURES = (*MAKERS, "terms")  # models that are linear in some of their parameters
+FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters
 
 
 @dataclass(frozen=True)
@@ -193,7 +192,7 @@ class OnlineMPC(PredictivePart):
             if getattr(self.adapt, name) and last != "gaussian_process":
                 has = "fitted signal variance" if name == "fit_prior" else "inducing points"
                 raise UsageError(f"controller.adapt.{name}: {last} has no {has}, a Gaussian process has")
-        if last in MAKERS:
+        if last in LEARNED:
             residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
             deviation = None if self.adapt.fit_prior else self.adapt.deviation
             adapting = checkpoint.adapting(given.vehicle, residual, deviation)

@@ -8,7 +8,7 @@ from typing import Any
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import UsageError
-from quadexp.models.settings import MAKERS
+from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Backend, Setting, key, part
 
@@ -60,7 +60,7 @@ class SumMPC(PredictivePart):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_models("controller.residual", self.residual, tuple(MAKERS))
+        check_models("controller.residual", self.residual, LEARNED)
 
 
 def check_models(key: str, parts: tuple[str, ...], allowed: tuple[str, ...]) -> None:
