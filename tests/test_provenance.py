@@ -25,7 +25,6 @@ ASIDE = {
     "quadexp.provenance": "what is said of a flight",
     "quadexp.parts": "empty",
     "quadexp.experiment": "empty",
-    "quadexp.experiment.inputs": "where copies of files lie; their content is in the key",
     "quadexp.log": "names",
     "quadexp.log.schema": "what a flight is on disk, like the next two",
     "quadexp.log.store": "",

@@ -13,7 +13,6 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.experiment.checkpoints import ModelFile, load_checkpoint, model_hash, model_residual, residuals
-from quadexp.experiment.inputs import located
 from quadexp.experiment.kept import keep
 from quadexp.parts.part import TARGET, Given, Part, imported
 from quadexp.parts.schema import WORLD, Config, remedies, world_parts
@@ -99,7 +98,7 @@ def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
     not hover.
     """
-    effects = [_with_located_file(one) for one in parts]
+    effects = [_with_file(one) for one in parts]
     for effect in effects:
         vehicle = effect.true_vehicle(vehicle)
     return effects, vehicle
@@ -111,13 +110,11 @@ def build_sensor(config: Any) -> Any:
     return config.build() if hasattr(config, "build") else None
 
 
-def _with_located_file(part: Any) -> Any:
-    """The part with its file as it lies on this machine; UsageError where there is none."""
-    if not hasattr(part, "path"):
-        return part
-    if not (path := located(part.path)).is_file():
+def _with_file(part: Any) -> Any:
+    """The part; UsageError where it names a file that is not there."""
+    if not Path(getattr(part, "path", __file__)).is_file():
         raise UsageError(f"{part.prefix}path: there is no file {str(part.path)!r}")
-    return replace(part, path=str(path))
+    return part
 
 
 def _check_one_lag(config: Config, plant: Any) -> None:
@@ -161,7 +158,7 @@ def build_trajectory(config: Any, vehicle: Vehicle | None = None) -> Any:
     """
 
     def make() -> Any:
-        return checked("trajectory", config, _with_located_file(config).build(vehicle))
+        return checked("trajectory", config, _with_file(config).build(vehicle))
 
     if not config.follows_limits or hasattr(config, "path"):
         return make()

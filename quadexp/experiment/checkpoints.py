@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.inputs import located
 from quadexp.experiment.kept import keep
 from quadexp.models.settings import MAKERS
 from quadexp.parts.schema import Config
@@ -94,7 +93,7 @@ def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
     """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
     from quadexp.models.checkpoint import load_model
 
-    folder = located(model.path)
+    folder = Path(model.path)
     if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
         raise DataError(f"{model.path}: has changed since this run began")
     return load_model(folder, vehicle=vehicle)
@@ -121,7 +120,7 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 # --------------------------------------------------------------------------------- a model that is flown as the truth
 def model_hash(path: str) -> str:
     """Content hash of a checkpoint; UsageError where there is none."""
-    file = located(path) / MODEL_FILE
+    file = Path(path) / MODEL_FILE
     if not file.is_file():
         raise UsageError(f"plant.model={path}: no checkpoint there; make one: {MAKER}")
     return hashlib.sha256(file.read_bytes()).hexdigest()
@@ -134,7 +133,7 @@ def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
     """
     from quadexp.models.checkpoint import load_model
 
-    model = load_model(located(path))
+    model = load_model(path)
     if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):
         raise UsageError(
             f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({model.vehicle.get('fingerprint')}), not for"
