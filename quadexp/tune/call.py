@@ -23,7 +23,7 @@ from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.sweep import opened
 from quadexp.tune import Tune
 from quadexp.tune.preset import check_name, options_of, write_preset
-from quadexp.tune.search import JOURNAL, Request, Search, Trial, best_of, cells_of, with_seeds
+from quadexp.tune.search import REQUEST, Request, Search, Trial, best_of, cells_of, with_seeds
 from quadexp.tune.space import Axis, overrides, read_axes, settings_of
 
 HISTORY = "history.parquet"
@@ -86,8 +86,8 @@ def tune(
                 )
             options = options_of(given, first)
             check_name(options, asked.name)
-            for file in (JOURNAL, f"{JOURNAL}.lock") if force else ():
-                (out / file).unlink(missing_ok=True)
+            if force:
+                (out / REQUEST).unlink(missing_ok=True)
             trials = search.run(asked.flights // each, progress)
         best = best_of(trials)
         history = _write_history(out, request, search, trials)

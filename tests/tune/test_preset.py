@@ -85,7 +85,7 @@ def test_where_it_comes_from_stands_in_its_file(tuned):
 
 def test_the_same_search_writes_the_same_bytes(tuned, tmp_path):
     out = tuned[0]
-    shutil.copytree(out, tmp_path / "u", ignore=shutil.ignore_patterns("journal*", "*.yaml"))
+    shutil.copytree(out, tmp_path / "u", ignore=shutil.ignore_patterns("search.json", "*.yaml"))
     weighed(tmp_path / "u")
     option = "controller/perfect_mpc_tuned.yaml"
     assert (out / option).read_bytes() == (tmp_path / "u" / option).read_bytes()
