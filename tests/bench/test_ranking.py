@@ -4,26 +4,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
-from quadexp.bench.ranking import _error, cell_ranks, standings
-from tests.bench.rows import board, row
+from quadexp.bench.ranking import standings
+from tests.bench.rows import board
 
 
 def of(found):
     return {one.entry: one for one in found}
-
-
-def test_ranks_of_a_cell():
-    cell = {
-        "a": row("a", 0.2), "b": row("b", 0.1), "c": row("c", 0.1), "d": row("d", 0.3),
-        "e": row("e", 0.01, outcome="lost"), "f": row("f", math.nan, outcome="infeasible"),
-    }  # fmt: skip
-    errors = np.array([[_error(one, "mean_error")] for one in cell.values()])
-    ranks = dict(zip(cell, cell_ranks(errors)[:, 0], strict=True))
-    assert ranks == {"b": 1.5, "c": 1.5, "a": 3.0, "d": 4.0, "e": 5.5, "f": 5.5}
-    assert sum(ranks.values()) == 21  # 1 + ... + 6, however they are shared
 
 
 def test_places_by_mean_rank():
