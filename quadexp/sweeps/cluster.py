@@ -37,7 +37,7 @@ from quadexp.parts.plugins import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, CellFunction, Task, Workers
 from quadexp.sweeps.engine_settings import DaskConfig, JobsConfig
-from quadexp.sweeps.server import SAFE, THREADS, safe_path
+from quadexp.sweeps.server import SAFE, THREADS, environment
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.
 LOOPBACK = "127.0.0.1:0"
@@ -63,7 +63,7 @@ def open_cluster(config: DaskConfig | JobsConfig, workers: int) -> Iterator[Clie
         said = "is not encrypted. Anybody who can reach the scheduler or a worker can run code as you"
         print(f"warning: engine.address={address}: {said}", file=sys.stderr, flush=True)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(safe_path())
+        stack.enter_context(environment({SAFE: "1"}))
         stack.enter_context(dask.config.set({**SETTINGS, "distributed.comm.timeouts.connect": f"{CONNECT:g}s"}))
         try:
             security = Security() if address else Security.temporary()  # the former as Dask's settings say

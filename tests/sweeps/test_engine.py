@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 from pebble.pool.base_pool import PoolStatus
 
 from quadexp.sweeps.engine import CellFailed, Workers
@@ -12,17 +10,6 @@ from tests.sweeps import cells
 
 def run(function, jobs, **options):
     return dict(cells.run_cells(function, jobs, **options))
-
-
-def test_every_job_has_its_result():
-    assert run(cells.add, {f"{i}": (i, 1) for i in range(30)}, workers=2) == {f"{i}": i + 1 for i in range(30)}
-
-
-def test_workers_use_one_thread_and_the_environment_is_left_alone(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    assert run(cells.threads, {"a": (0,)}, workers=1)["a"] == ("1", "1")
-    assert os.environ["OMP_NUM_THREADS"] == "7" and "OPENBLAS_NUM_THREADS" not in os.environ
 
 
 def test_poisoned_cells_cost_themselves_only(tmp_path):
@@ -39,12 +26,6 @@ def test_poisoned_cells_cost_themselves_only(tmp_path):
     assert tries["raise"] == 1, "an exception would come again"
     assert tries["kill"] == tries["exit"] == tries["loop"] == 2
     assert tries["kill_once"] == 2
-
-
-def test_leaving_early_stops_the_workers():
-    results = cells.run_cells(cells.add, {f"{i}": (i, 1) for i in range(200)}, workers=2)
-    next(results)
-    results.close()
 
 
 def test_a_pool_that_breaks_is_replaced():

@@ -127,17 +127,6 @@ def test_children_have_the_path_and_the_environment_of_their_parent(monkeypatch,
     assert os.environ["PYTHONPATH"] == "mine" and os.environ.get("PYTHONSAFEPATH") is None
 
 
-def test_python_that_ignores_the_environment_is_told_what_to_add(standing, tmp_path):
-    given = ["evaluate", "--sweep", *SHORT, "seed=0,1", *FIXED, "--out", tmp_path / "r"]
-    refused = command(*given, python=["-E"])
-    assert not (standing / "executed").exists()
-    if "No module named" in refused.stderr:
-        pytest.skip("quadexp is found by PYTHONPATH only")
-    assert refused.returncode == 2 and "Python was started with -E" in refused.stderr and "add -P" in refused.stderr
-    assert command(*given, python=["-E", "-P"]).returncode == 0
-    assert not (standing / "executed").exists()
-
-
 class TestRows:
     def test_a_row_of_another_program_is_refused_by_name_and_flown_again(self, tmp_path):
         result = run_sweep(expand(["seed=0,1"]), tmp_path / "r", function=cells.foreign_cell, workers=1)
