@@ -51,8 +51,8 @@ def test_a_range_that_is_not_given():
     [
         (["controller.positon_weight=1..2"], "no such key; did you mean controller.position_weight"),
         (["plant.mass=1..2"], "what is tuned is the controller and what is around it"),
-        (["controller.horizon=0..2"], r"controller.horizon: 0: must be in \(0, 10\] s"),
-        (["controller.horizon=0.5..20"], r"20: must be in \(0, 10\] s"),
+        (["controller.horizon=0..2"], r"controller.horizon=0.0: must be in \(0, 10\] s"),
+        (["controller.horizon=0.5..20"], r"20.0: must be in \(0, 10\] s"),
         (["controller.horizon=2..3"], "must contain 1, which it is now"),
         (["controller.horizon=1..1"], "the range is empty"),
         (["controller.horizon=1-2"], "expected LOW..HIGH"),
