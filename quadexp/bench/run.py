@@ -1,4 +1,4 @@
-"""From a request to a leaderboard: models, flights, rows, tables, page."""
+"""From a request to a leaderboard: models, flights, rows, tables."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from quadexp.bench.board import (
     read_board,
     update_markdown,
     write_board,
-    write_page,
 )
 from quadexp.bench.entries import Entry, configs_of, field, make_model, read_entries, why_not
 from quadexp.bench.protocol import Protocol, read_protocol, with_fewer_seeds
@@ -34,7 +33,7 @@ from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import fly_cells, flying, opened
 
-PAGE, MODELS = "leaderboard.html", "models"
+MODELS = "models"
 SETTABLE = ("engine", "evaluate")
 CALLS = 64  # flights that an entry has at least in the larger sizes
 
@@ -139,10 +138,7 @@ def _write(rows: Sequence[Row], protocol: Protocol, out: Path, asked: Bench, not
     options: dict[str, Any] = {"metric": protocol.metric, "baseline": protocol.baseline}
     tables = {name: board_table(own, title=name, **options) for name, own in families_of(rows).items()}
     record = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "notes": list(notes)}
-    files = {
-        "leaderboard": write_board(out / FILE, rows, record),
-        "page": write_page(out / PAGE, rows, protocol, notes),
-    }
+    files = {"leaderboard": write_board(out / FILE, rows, record)}
     if asked.markdown is not None:
         what = {family.name: family.what for family in protocol.families.values()}
         files["markdown"] = update_markdown(asked.markdown, markdown(rows, what=what, **options))

@@ -21,7 +21,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -203,71 +203,64 @@ class DaskEngine:
         """See engine.Engine. A cell whose worker is lost is flown by another, as often as Dask allows (four times)."""
         with self.open() as client:
             try:
-                yield from _Flights(client, self, function).run(tasks)
+                yield from self._fly(client, function, iter(tasks))
             except OSError as error:  # of the connection: errors of files are WriteErrors
                 raise QuadexpError(GONE) from error
 
-
-@dataclass
-class _Flights:
-    """The cells that are submitted. alive: when there was a worker (s, monotonic)."""
-
-    client: Client
-    engine: DaskEngine
-    function: CellFunction
-    submitted: dict[Future[Any], Task] = field(default_factory=dict)
-    alive: float = field(default_factory=time.monotonic)
-
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[str, Any]]:
-        sweep = Sweep(self.engine.timeout, self.engine.memory, identity(), own_folders(), os.getcwd())
-        completed = as_completed(with_results=True, raise_errors=False, loop=self.client.loop)
-        waiting, threads, looked = iter(tasks), self._threads(), time.monotonic()
+    def _fly(self, client: Client, function: CellFunction, tasks: Iterator[Task]) -> Iterator[tuple[str, Any]]:
+        sweep = Sweep(self.timeout, self.memory, identity(), own_folders(), os.getcwd())
+        completed = as_completed(with_results=True, raise_errors=False, loop=client.loop)
+        submitted: dict[Future[Any], Task] = {}
+        threads, looked = _threads(client), time.monotonic()
+        alive = looked  # when there was a worker
         try:
             while True:
-                while len(self.submitted) < QUEUED * max(threads, 1) and (task := next(waiting, None)):
-                    given = sweep, self.function, task, input_hashes(task.config, task.model)
-                    future = self.client.submit(run_cell, *given, key=f"{self.client.id}/{task.key}", pure=False)
-                    self.submitted[future] = task
+                while len(submitted) < QUEUED * max(threads, 1) and (task := next(tasks, None)):
+                    given = sweep, function, task, input_hashes(task.config, task.model)
+                    future = client.submit(run_cell, *given, key=f"{client.id}/{task.key}", pure=False)
+                    submitted[future] = task
                     completed.add(future)
-                if not self.submitted:
+                if not submitted:
                     return
                 for future, result in completed.next_batch(block=False):
-                    task = self.submitted.pop(future)
-                    yield task.key, self._settled(task, future, result)
+                    task = submitted.pop(future)
+                    yield task.key, _settled(task, future, result)
                 if not completed.has_ready():
                     time.sleep(LOOKED)
-                if time.monotonic() - looked > CHECKED:
-                    threads, looked = self._threads(), time.monotonic()
+                if (now := time.monotonic()) - looked > CHECKED:
+                    threads, looked = _threads(client), now
+                    alive = now if threads else alive
+                    if now - alive > self.wait:
+                        why = f"no worker for {self.wait:g} s (engine.wait)"
+                        raise QuadexpError(f"{why}: run the same command to continue")
         finally:
             with suppress(Exception):
-                self.client.cancel([*self.submitted], force=True)
+                client.cancel([*submitted], force=True)
 
-    def _settled(self, task: Task, future: Future[Any], result: Any) -> Any:
-        """The row of a cell that has come back, whose file is written, or CellFailed."""
-        if future.status == "error":
-            _, error, _ = result
-            if isinstance(error, KilledWorker):
-                return CellFailed("every worker that flew it was lost")
-            raise QuadexpError(f"the cluster cannot fly this: {str(error).splitlines()[0]}") from error
-        if future.status != "finished":
-            raise QuadexpError(GONE)
-        if isinstance(result, CellFailed):
-            return result
-        row, content = result
-        if content is not None:
-            with written(task.path) as file:
-                file.write(content)
-        return row
 
-    def _threads(self) -> int:
-        """Of all workers. Raises QuadexpError where there has been no worker for too long, or there is no scheduler."""
-        threads = 0
-        with suppress(Exception):
-            threads = sum(self.client.nthreads().values())
-        if self.client.status != "running":
-            raise QuadexpError(GONE)
-        if threads:
-            self.alive = time.monotonic()
-        elif time.monotonic() - self.alive > self.engine.wait:
-            raise QuadexpError(f"no worker for {self.engine.wait:g} s (engine.wait): run the same command to continue")
-        return threads
+def _settled(task: Task, future: Future[Any], result: Any) -> Any:
+    """The row of a cell that has come back, whose file is written, or CellFailed."""
+    if future.status == "error":
+        _, error, _ = result
+        if isinstance(error, KilledWorker):
+            return CellFailed("every worker that flew it was lost")
+        raise QuadexpError(f"the cluster cannot fly this: {str(error).splitlines()[0]}") from error
+    if future.status != "finished":
+        raise QuadexpError(GONE)
+    if isinstance(result, CellFailed):
+        return result
+    row, content = result
+    if content is not None:
+        with written(task.path) as file:
+            file.write(content)
+    return row
+
+
+def _threads(client: Client) -> int:
+    """Of all workers; raises QuadexpError where there is no scheduler."""
+    threads = 0
+    with suppress(Exception):
+        threads = sum(client.nthreads().values())
+    if client.status != "running":
+        raise QuadexpError(GONE)
+    return threads

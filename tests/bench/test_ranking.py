@@ -73,11 +73,6 @@ def test_bounds_take_no_rank_and_change_none():
     assert with_bound[2].bound and with_bound[2].least == pytest.approx(0.5) and math.isnan(with_bound[2].rank)
 
 
-def test_one_seed_cannot_tell_entries_apart():
-    first, second = standings(board({"a": lambda t, s: 0.1, "b": lambda t, s: 0.2}, seeds=[0]))
-    assert second.level and math.isnan(first.rank_low)
-
-
 def test_who_lost_everything():
     found = of(standings(board({"a": lambda t, s: 0.1, "b": lambda t, s: None}), baseline="a"))
     assert found["b"].lost == 6 and math.isnan(found["b"].least) and math.isnan(found["b"].ratio.value)

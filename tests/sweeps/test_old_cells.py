@@ -10,7 +10,7 @@ from quadexp import provenance
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight
-from quadexp.report.flown_by import flown_by, versions_of
+from quadexp.report.flown_by import flown_by
 from quadexp.report.summary import summarise
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import SweepInterrupted
@@ -109,22 +109,15 @@ def test_show_and_results_print_what_the_cells_carry(mixed, monkeypatch):
     assert [one["cells"] for one in json.loads(out)["flown_by"]] == [2, 1, 1]
 
 
-class TestLibraries:
-    def test_other_versions_are_said_in_one_line_and_do_not_stop_anything(self, folder):
-        keys = [row["key"] for row in select(folder).rows]
-        other = provenance.libraries().replace("casadi ", "casadi 1").replace("numpy ", "numpy 0")
-        rewrite(folder, keys[0], libraries=other)
-        here = provenance.versions()
-        result = fly(folder)
-        assert result.flown == 0
-        (note,) = result.notes
-        assert note == (
-            f"1 cells were flown with other libraries: 1 with casadi 1{here['casadi']} (here {here['casadi']}),"
-            f" 1 with numpy 0{here['numpy']} (here {here['numpy']})"
-        )
-        assert f"casadi 1{here['casadi']}" in "\n".join(summarise(folder)["lines"])
-        assert [one["cells"] for one in flown_by(result.rows)] == [3, 1]
-        assert versions_of(result.rows)["numpy"] == f"{here['numpy']} | 0{here['numpy']}"
+def test_other_libraries_are_said_in_one_line_and_do_not_stop_anything(folder):
+    other = provenance.libraries().replace("casadi ", "casadi 1")
+    rewrite(folder, select(folder).rows[0]["key"], libraries=other)
+    here = provenance.versions()["casadi"]
+    result = fly(folder)
+    assert result.flown == 0
+    (note,) = result.notes
+    assert note == f"1 cells were flown with other libraries: 1 with casadi 1{here} (here {here})"
+    assert [program["cells"] for program in flown_by(result.rows)] == [3, 1]
 
 
 class TestCommand:

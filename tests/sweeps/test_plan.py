@@ -7,18 +7,16 @@ from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
-from quadexp.errors import UsageError
 from quadexp.experiment.build import input_hashes
 from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.identity import FLIGHT_GROUPS
-from quadexp.log.store import read_table, write_table
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.schema import WORLD, Config
 from quadexp.parts.settings import keys_of
 from quadexp.report.inference import least_p
 from quadexp.sweeps.plan import plan_cells, too_few_seeds
-from tests.sweeps.test_sweep import fly, key_of
+from tests.sweeps.test_sweep import key_of
 
 OPTIONS = [
     [],
@@ -107,18 +105,6 @@ def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
     assert first.condition == other.condition
 
 
-def test_another_content_of_a_wind_file_is_another_cell(tmp_path):
-    grid = expand(["wind=file", f"wind.path={tmp_path}/wind.csv"])
-    (tmp_path / "wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,1,0,0\n")
-    (first,) = plan_cells(grid).values()
-    (tmp_path / "wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,2,0,0\n")
-    (other,) = plan_cells(grid).values()
-    assert first.key != other.key and first.condition == other.condition
-    (tmp_path / "wind.csv").unlink()
-    with pytest.raises(UsageError, match="wind.path=.*: no such file"):
-        plan_cells(grid)
-
-
 class TestCells:
     def test_they_are_made_when_asked_for(self):
         made = []
@@ -151,17 +137,6 @@ class TestCells:
                 alone = another_one.compose(cell.overrides)
                 alone = replace(alone, sweep=None)
                 assert cell.config == alone
-
-
-class TestInterrupted:
-    def test_rows_are_taken_from_the_flights_and_not_from_the_table(self, tmp_path):
-        """Which may be of a flight that has been flown again since, or edited."""
-        grid, out = expand(["seed=range(3)"]), tmp_path / "r"
-        first = fly(grid, out)
-        columns, _ = read_table(out / "results.parquet", "results")
-        write_table(out / "results.parquet", {**columns, "rmse": 2 * columns["rmse"]}, {}, "results")
-        second = fly(grid, out)
-        assert second.flown == 0 and list(second.rows) == list(first.rows)
 
 
 @pytest.mark.parametrize(

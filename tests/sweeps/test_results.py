@@ -11,12 +11,9 @@ from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table, write_table
 from quadexp.parts.compose import expand
-from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.results import prune, select
-from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
-from tests.sweeps import cells
-from tests.sweeps.test_sweep import GRID, files, fly
+from tests.sweeps.test_sweep import GRID, fly
 
 
 @pytest.fixture(scope="module")
@@ -48,21 +45,10 @@ class TestList:
     def test_filters_must_all_hold(self, flown, filters, count):
         assert len(select(flown, filters).rows) == count
 
-    def test_sorted(self, flown):
-        errors = [row["mean_error"] for row in select(flown, sort="-mean_error").rows]
-        assert errors == sorted(errors, reverse=True)
-        assert [row["seed"] for row in select(flown, sort="seed").rows][:5] == [0, 0, 0, 0, 1]
-
     @pytest.mark.parametrize("wrong", [{"filters": ["sped=4"]}, {"sort": "sped"}])
     def test_a_column_that_is_none(self, flown, wrong):
         with pytest.raises(UsageError, match="sped: no such column; did you mean speed"):
             select(flown, **wrong)
-
-    def test_failures_with_their_causes(self, tmp_path):
-        grid = expand(["seed=0,2,6"])
-        run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, engine=LocalEngine(1))
-        (row,) = select(tmp_path / "r", failures=True).rows
-        assert (row["seed"], row["outcome"], row["cause"]) == (2, "failed", "ValueError: this seed does not work")
 
     def test_cells_of_an_earlier_sweep_are_listed_as_not_wanted(self, flown):
         fly(expand(["seed=9"]), flown, force=True)
@@ -139,10 +125,6 @@ class TestPrune:
         smaller = expand(["trajectory.speed=4,8", "controller=nominal_mpc", "seed=range(3)"])
         assert fly(smaller, flown).flown == 0, "the smaller sweep is not another one"
         assert fly(expand(GRID), flown).flown == 6
-
-    def test_everything(self, flown):
-        prune(flown, ["controller=*"], remove=True)
-        assert not [name for name in files(flown) if name.endswith((".parquet", ".csv"))]
 
     def test_without_a_table_nobody_knows_what_is_wanted(self, flown):
         (flown / "results.parquet").unlink()

@@ -77,17 +77,6 @@ class TestSweep:
         flight = read_flight(CellStore(tmp_path / "r").path(columns["key"][0]))
         assert flight.metadata["row"]["controller"] == "nominal_mpc"
 
-    def test_a_second_run_leaves_what_it_would_write_again(self, grid, tmp_path):
-        fly(grid, tmp_path / "r")
-        at = {name: (tmp_path / "r" / name).stat().st_mtime_ns for name in ("results.parquet", "results.csv")}
-        fly(grid, tmp_path / "r")
-        assert at == {name: (tmp_path / "r" / name).stat().st_mtime_ns for name in at}
-        other = fly(grid, tmp_path / "r", metric="rmse")
-        assert read_table(other.out / "results.parquet", "results")[1]["metric"] == "rmse"
-        (tmp_path / "r" / "results.csv").unlink()
-        fly(grid, tmp_path / "r", metric="rmse")
-        assert len((tmp_path / "r" / "results.csv").read_text().splitlines()) == 13
-
     def test_more_seeds_may_be_added(self, grid, tmp_path):
         fly(grid, tmp_path / "r")
         more = fly(expand([*GRID[:2], "seed=range(4)"]), tmp_path / "r")

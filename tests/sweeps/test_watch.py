@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,7 +13,6 @@ from quadexp.errors import UsageError
 from quadexp.report.live import Live, clock, page
 from quadexp.sweeps.sweep import SweepInterrupted
 from quadexp.sweeps.watch import FILE, Watch
-from tests.cli.command import run_main
 from tests.report.test_html_browser import BROWSER, DRIVER, browser, wait  # noqa: F401
 from tests.report.test_tables import row
 
@@ -93,12 +90,3 @@ def test_a_sweep_that_is_refused_leaves_nothing(tmp_path):
 def test_times():
     assert [clock(s) for s in (4.6, 65, 3723, float("nan"))] == ["5 s", "1:05 min", "1:02:03 h", "?"]
     assert Live("r", "mean_error", 10, 8.0, 2, rows=[row()] * 6).left == pytest.approx(8.0)  # 4 in 8 s, 4 to go
-
-
-def test_the_command(tmp_path):
-    """In a process of its own: the path is said, and the file shows the end."""
-    words = ("evaluate", "--sweep", "--watch", "--no-figures", *HOVER, "seed=range(4)", "--out", str(tmp_path / "r"))
-    done = subprocess.run([sys.executable, "-m", "quadexp", *words], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0 and str(tmp_path / "r" / FILE) in done.stderr.splitlines()[0], done
-    assert "nominal_mpc" in done.stdout and "4 of 4 flights, finished" in (tmp_path / "r" / FILE).read_text()
-    assert run_main("results", tmp_path / "r", "--verify").returncode == 0
