@@ -15,6 +15,7 @@ import os
 import resource
 import signal
 import sys
+import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -31,7 +32,8 @@ from quadexp.parts.schema import Config
 from quadexp.sweeps.server import PATH, PRELOAD, start_server, undisturbed, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
-STARTING = 60.0  # s to wait for the first process of a pool
+STARTING = 60.0  # s to wait for the processes of a pool
+PAUSE = 0.05  # s that a process sleeps first, so that each one is given a call while the others start
 QUEUED = 4  # cells handed out per worker, so that no worker waits
 CHECKED = 1.0  # s between checks of the pool
 # Exceptions of a call whose process died or took too long, or whose pool was given up.
@@ -157,7 +159,7 @@ class Workers:
                 start_server([*self._preload, function.__module__])
                 given = self._memory, os.environ.get(PATH), folders
                 self._pool = ProcessPool(max_workers=most, context=context, initializer=begin, initargs=given)
-                wait([self._pool.schedule(os.getpid)], timeout=STARTING)
+                wait([self._pool.schedule(time.sleep, args=(PAUSE,)) for _ in range(most)], timeout=STARTING)
         future: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
         return future
 

@@ -251,6 +251,8 @@ def _fly_missing(
     for folder in {store.path(job.key).parent for job in todo}:
         make_inside(store.root, folder)
     progress(len(rows), len(jobs))
+    if not todo:
+        return
     tasks = [Task(job.key, job.cell.config, job.model, str(store.path(job.key))) for job in flying_order(todo)]
     if not isolate:
         flown = ((t.key, function(t.config, t.model, t.path, t.key)) for t in tasks)
