@@ -120,7 +120,8 @@ class Search:
         self._composer, self._engine, self._function, self._isolate = composer, engine, function, isolate
         jobs = plan_cells(cells_of(composer, request.given))
         self._cells = [job.cell for job in jobs.values()]
-        self._durations = [_duration(cell.config) for cell in self._cells]
+        configs = [cell.config for cell in self._cells]
+        self._durations = [float(build_trajectory(c.trajectory, build_vehicle(c.vehicle)).duration) for c in configs]
         self._asked = {"cells": digest([*jobs]), **request.record()}
         models = {job.model for job in jobs.values() if job.model}
         self.models = sorted(f"{model.path}, sha256 {model.sha256[:20]}" for model in models)
@@ -217,10 +218,6 @@ class Search:
 def best_of(trials: Sequence[Trial]) -> int:
     """Place of the first of the best trials."""
     return min(range(len(trials)), key=lambda i: trials[i].worth.value)
-
-
-def _duration(config: Config) -> float:
-    return float(build_trajectory(config.trajectory, build_vehicle(config.vehicle)).duration)
 
 
 @contextlib.contextmanager
