@@ -16,8 +16,7 @@ from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
-from quadexp.report.metrics import SHOWN
-from quadexp.report.result_rows import from_columns, to_columns
+from quadexp.report.metrics import SHOWN, from_columns, to_columns
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
 

@@ -14,8 +14,8 @@ from typing import Any
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table
-from quadexp.report.result_rows import ROW_COLUMNS
-from quadexp.report.statistics_file import FILE
+from quadexp.report.metrics import ROW_COLUMNS
+from quadexp.report.tables import STATISTICS
 from quadexp.sweeps.sweep_table import RESULTS, Row, altered_texts, open_results, read_rows, table_row
 
 TEXTS = ("results.csv", "statistics.csv", "table.md", "table.tex", "comparison.tex")
@@ -63,7 +63,7 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
             if wrong := _unlike(rows, flights):
                 verified.wrong[str(path)] = wrong
             _verify_made(store.root, record, verified)
-    elif any((store.root / name).exists() for name in (*TEXTS, FILE)):
+    elif any((store.root / name).exists() for name in (*TEXTS, STATISTICS)):
         verified.wrong[str(path)] = "is not there, and what is made of it is"
     return verified
 
@@ -93,10 +93,10 @@ def _same(a: Any, b: Any) -> bool:
 
 def _verify_made(root: Path, record: dict[str, Any], verified: Verified) -> None:
     """Look at what was made of the rows."""
-    made, path = record.get("made", {}), root / FILE
+    made, path = record.get("made", {}), root / STATISTICS
     verified.files += sum((root / name).is_file() for name in made)
     verified.wrong |= altered_texts(root, record)
-    wanted = [*made, FILE] if "statistics" in record else [*made]
+    wanted = [*made, STATISTICS] if "statistics" in record else [*made]
     verified.wrong |= {str(root / name): "is not there" for name in wanted if not (root / name).is_file()}
     statistics = verified.look(path, lambda: read_table(path, "statistics")) if path.exists() else None
     if statistics and record.get("statistics", statistics[1].get("fingerprint")) != statistics[1].get("fingerprint"):

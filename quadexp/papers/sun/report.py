@@ -31,8 +31,7 @@ from quadexp.papers.sun.data import CRASHED, INFEASIBLE, Ellipse, Published, ell
 from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
-from quadexp.report.figures import save
-from quadexp.report.style import Figure, looks, plain_log, styled
+from quadexp.report.style import Figure, looks, plain_log, save, styled
 from quadexp.report.table import Table
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
