@@ -67,15 +67,15 @@ def open_cluster(config: DaskConfig | JobsConfig, workers: int) -> Iterator[Clie
         stack.enter_context(dask.config.set({**SETTINGS, "distributed.comm.timeouts.connect": f"{CONNECT:g}s"}))
         try:
             security = Security() if address else Security.temporary()  # the former as Dask's settings say
-            start = _of_jobs if isinstance(config, JobsConfig) else _of_this_machine
+            start: Any = _of_jobs if isinstance(config, JobsConfig) else _of_this_machine
             cluster = address or stack.enter_context(start(config, workers, security))
             client = Client(cluster, security=security, timeout=CONNECT, set_as_default=False)
         except QuadexpError:
             raise
         except Exception as error:
             where = f"engine.address={address}" if address else f"engine={config.name}"
-            said = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-            raise QuadexpError(f"{where} cannot be had: {said[-1]}") from error
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+            raise QuadexpError(f"{where} cannot be had: {lines[-1]}") from error
         stack.enter_context(client)
         yield client
 

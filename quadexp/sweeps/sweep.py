@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -253,6 +253,7 @@ def _fly_missing(
     if not todo:
         return
     tasks = [Task(job.key, job.cell.config, job.model, str(store.path(job.key))) for job in flying_order(todo)]
+    flown: Generator[tuple[str, Any]]
     if not isolate:
         flown = ((t.key, function(t.config, t.model, t.path, t.key)) for t in tasks)
     else:
