@@ -19,4 +19,3 @@ class Bench(Settings):
     add: tuple[Path, ...] = key((), "Rank rows of another leaderboard with these.")
     seeds: int = key(0, "Only the first seeds of the size; 0: all. A later run flies more.", "[0, inf)")
     markdown: Path | None = key(None, "Write the tables between the marks of this file.")
-    page: Path | None = key(None, "Where to write the page.")

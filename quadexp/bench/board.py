@@ -1,4 +1,4 @@
-"""The rows of a leaderboard as a Parquet file, and as tables for the terminal, Markdown and the page."""
+"""The rows of a leaderboard as a Parquet file, and as tables for the terminal and Markdown."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.bench.protocol import FORMER, SHORT, Protocol
+from quadexp.bench.protocol import FORMER, SHORT
 from quadexp.bench.ranking import Row, Standing, standings
 from quadexp.errors import UsageError
 from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
-from quadexp.report.checked import flown_by_lines
-from quadexp.report.document import Block, PageTable, Section, document
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN, from_columns, to_columns
 from quadexp.report.table import Table
@@ -84,14 +82,15 @@ def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None
 
 def check_cells(rows: Sequence[Row], where: str) -> None:
     """Raise UsageError where the entries of a family have not flown the same cells."""
-    cells: dict[tuple[str, str], set[tuple[str, str, int]]] = {}
+    families: dict[str, dict[str, set[tuple[str, str, int]]]] = {}
     for row in rows:
-        cells.setdefault((row["family"], row["entry"]), set()).add((row["task"], row["world"], int(row["seed"])))
-    first: dict[str, tuple[str, set[tuple[str, str, int]]]] = {}
-    for (family, entry), own in cells.items():
-        other, theirs = first.setdefault(family, (entry, own))
-        if own != theirs:
-            raise UsageError(f"{where}: {entry} and {other} have not flown the same cells of {family}")
+        entries = families.setdefault(row["family"], {})
+        entries.setdefault(row["entry"], set()).add((row["task"], row["world"], int(row["seed"])))
+    for family, entries in families.items():
+        first, *others = entries
+        for entry in others:
+            if entries[entry] != entries[first]:
+                raise UsageError(f"{where}: {entry} and {first} have not flown the same cells of {family}")
 
 
 def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -185,20 +184,3 @@ def update_markdown(path: Path, text: str) -> Path:
         raise UsageError(f"{path}: has no marks to write between: {BEGIN} and {END}")
     before, rest = old.split(BEGIN, 1)
     return write_text(path, f"{before}{BEGIN}\n\n{text}\n{END}{rest.split(END, 1)[1]}")
-
-
-def write_page(path: Path, rows: Sequence[Row], protocol: Protocol, notes: Sequence[str] = ()) -> Path:
-    """Write the leaderboard as one page that opens offline."""
-    entries, metric = {row["entry"] for row in rows}, protocol.metric
-    size = f"size {rows[0]['size']}, protocol v{protocol.version} ({protocol.sha256[:SHORT]})"
-    lead = f"{len(entries)} entries, {count(len(rows), 'flight')}, {size}. {RULE[:1].upper()}{RULE[1:]}."
-    sections = []
-    for name, flights in families_of(rows).items():
-        what = f"{protocol.families[name].what}." if name in protocol.families else ""
-        board = board_table(flights, metric=metric, baseline=protocol.baseline)
-        worlds, tasks = (error_table(flights, metric=metric, by=by) for by in (("world",), ("task", "world")))
-        tables = [PageTable.of(table) for table in (board, worlds, tasks)]
-        sections.append(Section(name, name, name, f"{lead} {what}".strip(), [Block(tables=tables)]))
-    origin = [f"Protocol: sha256 {protocol.sha256}", *flown_by_lines(rows), *notes]
-    sections.append(Section("provenance", "Provenance", "Provenance", "", [Block(notes=origin)]))
-    return write_text(path, document(f"Leaderboard, protocol v{protocol.version}", sections))

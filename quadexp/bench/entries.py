@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -17,6 +18,7 @@ from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import digest, find_model
 from quadexp.files.writer import write_text
+from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.provenance import DECIDING, package_folder, source_hash
@@ -139,25 +141,24 @@ def make_model(
     out, data = folder / name, folder / f"{family.name}.parquet"
     hashed = source_hash(package_folder() / part for part in MAKING)
     rules = {part: family.models[part] for part in ("collect", rule)}
-    if _is_made(out / MODEL, key := digest([rules, name, hashed])):
-        return out
-    say(f"{family.name}: {'a network' if rule == 'network' else 'models'} of the air, from flights in still air")
-    data.parent.mkdir(parents=True, exist_ok=True)
-    if not _is_made(data, rows := digest([family.models["collect"], family.name, hashed])):
-        _mark(data).unlink(missing_ok=True)
-        collect_dataset(composer.compose(family.models["collect"]), data)
-        write_text(_mark(data), rows + "\n")
-    _mark(out / MODEL).unlink(missing_ok=True)
-    kind = "nn" if rule == "network" else "gp"
-    fit_checkpoint(kind, composer.compose(family.models[rule]), data, out, force=True, figures=False)
-    write_text(_mark(out / MODEL), key + "\n")
+
+    def fit() -> None:
+        say(f"{family.name}: {'a network' if rule == 'network' else 'models'} of the air, from flights in still air")
+        data.parent.mkdir(parents=True, exist_ok=True)
+        collect = composer.compose(rules["collect"])
+        _once(data, digest([rules["collect"], family.name, hashed]), lambda: collect_dataset(collect, data))
+        kind = "nn" if rule == "network" else "gp"
+        fit_checkpoint(kind, composer.compose(rules[rule]), data, out, force=True, figures=False)
+
+    _once(out / MODEL, digest([rules, name, hashed]), fit)
     return out
 
 
-def _mark(path: Path) -> Path:
-    return path.with_name(f".{path.name}.made")
-
-
-def _is_made(path: Path, key: str) -> bool:
-    mark = _mark(path)
-    return path.is_file() and mark.is_file() and mark.read_text(encoding="utf-8").strip() == key
+def _once(path: Path, key: str, make: Callable[[], Any]) -> None:
+    """Make a file, unless one is there that was made by the same key, as a mark beside it says."""
+    mark = path.with_name(f".{path.name}.made")
+    if path.is_file() and (read_text(mark) or "").strip() == key:
+        return
+    mark.unlink(missing_ok=True)
+    make()
+    write_text(mark, key + "\n")

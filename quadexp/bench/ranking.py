@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import rankdata
 
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
 from quadexp.report.pairing import seed_means, whole
@@ -74,15 +75,13 @@ def standings(
     of_seed: dict[int, list[int]] = {}  # the cells of each seed
     for cell in sorted(cells):
         of_seed.setdefault(cell[2], []).append(cells[cell])
-    ranked = [i for i, name in enumerate(names) if not entries[name]["bound"]]
-    ranks, lost = cell_ranks(errors[ranked]), ~np.isfinite(errors)
-    seed_ranks = {
-        i: np.array([np.mean(own[k]) for k in of_seed.values()]) for i, own in zip(ranked, ranks, strict=True)
-    }
+    ranked, lost = [i for i, name in enumerate(names) if not entries[name]["bound"]], ~np.isfinite(errors)
+    ranks = dict(zip(ranked, rankdata(errors[ranked], axis=0), strict=True))  # ties share their mean rank
+    seed_ranks = {i: np.array([np.mean(own[k]) for k in of_seed.values()]) for i, own in ranks.items()}
     seed_losses = np.array([[own[k].sum() for k in of_seed.values()] for own in lost])
     order = _order(seed_losses, seed_ranks, confidence)
     least = np.min(errors[ranked], axis=0, initial=np.inf)
-    found = []
+    board = []
     for i, name in enumerate(names):
         place, level, rank, limits = 0, False, math.nan, NO_INTERVAL
         if i in seed_ranks:
@@ -93,38 +92,29 @@ def standings(
             if len(of_seed) >= least_seeds(1, confidence):
                 limits = mean_interval(seed_ranks[i], confidence, least=1.0)
         ratios = _log_ratios(errors[i], least)
+        known = ratios[np.isfinite(ratios)]
         other = errors[places[baseline]] if baseline in places and name != baseline else np.full(len(cells), np.inf)
-        against = {((task, world), seed): float(value)
-                   for (task, world, seed), value in zip(cells, _log_ratios(errors[i], other), strict=True)
-                   if not math.isnan(value)}  # fmt: skip
+        of_cells = zip(cells, _log_ratios(errors[i], other), strict=True)
+        against = {((task, world), seed): float(x) for (task, world, seed), x in of_cells if not math.isnan(x)}
         times = steps[i][np.isfinite(steps[i])]
-        found.append(
-            Standing(
-                entry=name,
-                settings=str(entries[name]["settings"]),
-                place=place,
-                level=level,
-                flights=len(cells),
-                lost=int(lost[i].sum()),
-                rank=rank,
-                rank_low=limits.low,
-                rank_high=min(limits.high, len(order)),
-                least=_geometric(ratios),
-                least_cells=int(np.isfinite(ratios).sum()),
-                ratio=log_ratio(seed_means(against), confidence),
-                ratio_cells=len(whole(against.keys())) if against else 0,
-                step=float(np.median(times)) if len(times) else math.nan,
-            )
+        standing = Standing(
+            entry=name,
+            settings=str(entries[name]["settings"]),
+            place=place,
+            level=level,
+            flights=len(cells),
+            lost=int(lost[i].sum()),
+            rank=rank,
+            rank_low=limits.low,
+            rank_high=min(limits.high, len(order)),
+            least=math.exp(float(np.mean(known))) if len(known) else math.nan,
+            least_cells=len(known),
+            ratio=log_ratio(seed_means(against), confidence),
+            ratio_cells=len(whole(against.keys())) if against else 0,
+            step=float(np.median(times)) if len(times) else math.nan,
         )
-    return sorted(found, key=lambda one: (one.bound, one.place, one.lost, one.least))
-
-
-def cell_ranks(errors: np.ndarray) -> np.ndarray:
-    """The rank of every entry in every cell, (entries, cells); see the module. errors: inf for a lost flight."""
-    below = (errors[None] < errors[:, None]).sum(axis=1)
-    same = (errors[None] == errors[:, None]).sum(axis=1)
-    ranks: np.ndarray = below + (same + 1) / 2
-    return ranks
+        board.append(standing)
+    return sorted(board, key=lambda standing: (standing.bound, standing.place, standing.lost, standing.least))
 
 
 def _order(losses: np.ndarray, ranks: Mapping[int, np.ndarray], confidence: float) -> list[int]:
@@ -157,9 +147,3 @@ def _log_ratios(own: np.ndarray, other: np.ndarray) -> np.ndarray:
     """ln(own / other) of each cell, NaN where one was lost or is zero."""
     both = np.isfinite(own) & np.isfinite(other) & (own > 0) & (other > 0)
     return np.array([math.log(a / b) if good else math.nan for a, b, good in zip(own, other, both, strict=True)])
-
-
-def _geometric(logs: np.ndarray) -> float:
-    """Geometric mean of what the logarithms are of, NaN for none."""
-    known = logs[np.isfinite(logs)]
-    return math.exp(float(np.mean(known))) if len(known) else math.nan

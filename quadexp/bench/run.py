@@ -1,4 +1,4 @@
-"""From a request to a leaderboard: models, flights, rows, tables, page."""
+"""From a request to a leaderboard: models, flights, rows, tables."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from quadexp.bench.board import (
     read_board,
     update_markdown,
     write_board,
-    write_page,
 )
 from quadexp.bench.entries import Entry, configs_of, field, make_model, read_entries, why_not
 from quadexp.bench.protocol import Protocol, read_protocol, with_fewer_seeds
@@ -32,9 +31,9 @@ from quadexp.parts.compose import Composer, session
 from quadexp.report.table import Table
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.plan import plan_cells
-from quadexp.sweeps.sweep import SweepInterrupted, fly_cells, opened
+from quadexp.sweeps.sweep import fly_cells, flying, opened
 
-PAGE, MODELS = "leaderboard.html", "models"
+MODELS = "models"
 SETTABLE = ("engine", "evaluate")
 CALLS = 64  # flights that an entry has at least in the larger sizes
 
@@ -88,22 +87,15 @@ def bench(
         if not entries and not added:
             raise UsageError("--only: nobody takes part; give --controller NAME, or --add FILE")
         store = CellStore(out)
-        store.open()
-        with store.emptied(), store.lock():
-            store.clean()
-            try:
-                flights, notes = _flights(entries, protocol, asked.size, composer, out / MODELS, say)
-                flying = {about["entry"] for _, about in flights}
-                for name in (entry.name for entry in invited if entry.name not in flying):
-                    raise UsageError(next(note for note in notes if note.startswith(f"{name} has no part")))
-                keys = [next(iter(plan_cells([cell]))) for cell, _ in flights]
-                cells = dict(zip(keys, (cell for cell, _ in flights), strict=True))  # two entries may fly the same
-                options: Any = {"function": function, "isolate": isolate, "progress": progress}
-                flown = {row["key"]: row for row in fly_cells([*cells.values()], store, engine, **options)}
-            except KeyboardInterrupt:
-                raise SweepInterrupted("what is flown is kept; run the same command to continue") from None
-            finally:
-                store.clean()
+        with flying(store, lambda: "interrupted"):
+            flights, notes = _flights(entries, protocol, asked.size, composer, out / MODELS, say)
+            flying_entries = {about["entry"] for _, about in flights}
+            for name in (entry.name for entry in invited if entry.name not in flying_entries):
+                raise UsageError(next(note for note in notes if note.startswith(f"{name} has no part")))
+            keys = [next(iter(plan_cells([cell]))) for cell, _ in flights]
+            cells = dict(zip(keys, (cell for cell, _ in flights), strict=True))  # two entries may fly the same
+            options: Any = {"function": function, "isolate": isolate, "progress": progress}
+            flown = {row["key"]: row for row in fly_cells([*cells.values()], store, engine, **options)}
             made_by = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called}
             rows = [{**flown[key], **about, **made_by} for key, (_, about) in zip(keys, flights, strict=True)]
             for path, more in added:
@@ -146,10 +138,7 @@ def _write(rows: Sequence[Row], protocol: Protocol, out: Path, asked: Bench, not
     options: dict[str, Any] = {"metric": protocol.metric, "baseline": protocol.baseline}
     tables = {name: board_table(own, title=name, **options) for name, own in families_of(rows).items()}
     record = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "notes": list(notes)}
-    files = {
-        "leaderboard": write_board(out / FILE, rows, record),
-        "page": write_page(asked.page or out / PAGE, rows, protocol, notes),
-    }
+    files = {"leaderboard": write_board(out / FILE, rows, record)}
     if asked.markdown is not None:
         what = {family.name: family.what for family in protocol.families.values()}
         files["markdown"] = update_markdown(asked.markdown, markdown(rows, what=what, **options))

@@ -28,7 +28,7 @@ def bench(asked: Bench, overrides: Overrides = None, out: OptionalOut = None, co
 
     Settings after the command are those of the engine and its limits (engine=..., evaluate.workers=...). Models that
     controllers need are made by the protocol, in still air. An interrupted run continues; results of different versions
-    of the protocol are not ranked together. Writes DIR/leaderboard.parquet and DIR/leaderboard.html.
+    of the protocol are not ranked together. Writes DIR/leaderboard.parquet.
 
     \b
     quadexp bench --size quick --out results/bench

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.identity import MODEL_FILE, ModelFile, content_hash, digest, located, model_hash
+from quadexp.experiment.identity import MODEL_FILE, ModelFile, content_hash, digest, model_hash
 from quadexp.models.base import model_class
 from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given, Part
@@ -129,7 +129,7 @@ def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
     not hover.
     """
-    effects = [_with_located_file(one) for one in parts]
+    effects = [_with_file(one) for one in parts]
     for effect in effects:
         vehicle = effect.true_vehicle(vehicle)
     return effects, vehicle
@@ -141,13 +141,11 @@ def build_sensor(config: Any) -> Any:
     return config.build() if hasattr(config, "build") else None
 
 
-def _with_located_file(part: Any) -> Any:
-    """The part with its file as it lies on this machine; UsageError where there is none."""
-    if not hasattr(part, "path"):
-        return part
-    if not (path := located(part.path)).is_file():
+def _with_file(part: Any) -> Any:
+    """The part; UsageError where it names a file that is not there."""
+    if not Path(getattr(part, "path", __file__)).is_file():
         raise UsageError(f"{part.prefix}path: there is no file {str(part.path)!r}")
-    return replace(part, path=str(path))
+    return part
 
 
 def _check_one_lag(config: Config, plant: Any) -> None:
@@ -186,7 +184,7 @@ def build_trajectory(config: Any, vehicle: Vehicle | None = None) -> Any:
     """
 
     def make() -> Any:
-        return checked("trajectory", config, _with_located_file(config).build(vehicle))
+        return checked("trajectory", config, _with_file(config).build(vehicle))
 
     if not config.follows_limits or hasattr(config, "path"):
         return make()
@@ -266,7 +264,7 @@ def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
     """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
     from quadexp.models.checkpoint import load_model
 
-    folder = located(model.path)
+    folder = Path(model.path)
     if content_hash(folder / MODEL_FILE) != model.sha256:
         raise DataError(f"{model.path}: has changed since this run began")
     return load_model(folder, vehicle=vehicle)
@@ -297,7 +295,7 @@ def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
     """
     from quadexp.models.checkpoint import load_model
 
-    model = load_model(located(path))
+    model = load_model(path)
     if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):
         raise UsageError(
             f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({model.vehicle.get('fingerprint')}), not for"

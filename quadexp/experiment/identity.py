@@ -1,15 +1,11 @@
-"""What decides a flight: its settings, their hash, its noise, and the content of every file that it reads.
-
-A configuration and the metadata of its flights have the paths of the machine on which the sweep was started. A worker
-on another machine gets copies and registers their paths here.
-"""
+"""What decides a flight: its settings, their hash, its noise, and the content of every file that it reads."""
 
 from __future__ import annotations
 
 import hashlib
 import inspect
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -140,20 +136,6 @@ def unused_model(configs: Iterable[Config]) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------- files it reads
-_copies: dict[str, str] = {}
-
-
-def use_copies(copies: Mapping[str, str]) -> None:
-    """Set the map from configured path to path of the copy, replacing an earlier one."""
-    _copies.clear()
-    _copies.update(copies)
-
-
-def located(path: str | Path) -> Path:
-    """The path to read for the configured `path`."""
-    return Path(_copies.get(str(path), path))
-
-
 def content_hash(path: str | Path) -> str:
     """sha256 of a file."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
@@ -161,7 +143,7 @@ def content_hash(path: str | Path) -> str:
 
 def model_hash(path: str) -> str:
     """Content hash of a checkpoint that is taken as the truth; UsageError where there is none."""
-    file = located(path) / MODEL_FILE
+    file = Path(path) / MODEL_FILE
     if not file.is_file():
         raise UsageError(f"plant.model={path}: no checkpoint there; make one: {MAKER}")
     return content_hash(file)

@@ -3,7 +3,7 @@
 The workers are forked from one server process that has the slow imports done (forkserver), so that a worker starts, or
 is replaced, quickly. Every worker uses one thread of linear algebra, has a memory limit, and ends with the process that
 started it, even if that is killed. It imports from the same places as its parent and from no others, so not from the
-current folder; a pool whose workers import another quadexp is refused.
+current folder.
 """
 
 from __future__ import annotations
@@ -15,30 +15,27 @@ import os
 import resource
 import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, InvalidStateError, TimeoutError, wait
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from pebble import ProcessExpired, ProcessPool
-from pebble.pool.base_pool import Task as PoolTask
-from pebble.pool.process import TaskManager
 
 from quadexp.errors import ModuleError, QuadexpError, UsageError, WriteError, stops_all
 from quadexp.experiment.identity import ModelFile
 from quadexp.parts.plugins import import_from, own_folders
 from quadexp.parts.schema import Config
-from quadexp.provenance import identity, package_folder
 from quadexp.sweeps.server import PATH, PRELOAD, start_server, undisturbed, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
+STARTING = 60.0  # s to wait for the processes of a pool
+PAUSE = 0.05  # s that a process sleeps first, so that each one is given a call while the others start
 QUEUED = 4  # cells handed out per worker, so that no worker waits
 CHECKED = 1.0  # s between checks of the pool
-STARTING = 60.0  # s to wait for the first process of a pool
 # Exceptions of a call whose process died or took too long, or whose pool was given up.
 GONE = (ProcessExpired, TimeoutError, BrokenProcessPool, CancelledError)
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
@@ -56,7 +53,7 @@ class CellFailed:
     contradiction: bool = False
 
     @classmethod
-    def of(cls, error: Exception, timeout: float | None) -> CellFailed:
+    def of(cls, error: BaseException, timeout: float | None) -> CellFailed:
         """Of what a call raised."""
         wrong = isinstance(error, UsageError) and not isinstance(error, ModuleError | WriteError)
         return cls(cause(error, timeout), stops_all(error), wrong)
@@ -117,7 +114,7 @@ class Workers:
     workers: how many at most, 0 for one a core. memory: GB that each may take, None for no limit. preload: modules that
     their server imports once (server.py), if it does not run yet. calls: how many there will be at least; no more
     processes start than there are calls. folders: those in which `_target_` may name modules, None for those of this
-    process. Threads may share it.
+    process.
     """
 
     def __init__(
@@ -131,10 +128,7 @@ class Workers:
         self._most, self._memory, self._preload, self._calls = workers or default_workers(), memory, preload, calls
         self._folders = folders
         self._pool: ProcessPool | None = None
-        self._under_way: set[Future[Any]] = set()
         self._hidden = contextlib.ExitStack()
-        self._lock = threading.RLock()  # of the pool and the calls under way
-        self._ended = False
 
     def __enter__(self) -> Workers:
         self._hidden.enter_context(without_main())
@@ -145,173 +139,77 @@ class Workers:
         self._hidden.close()
 
     def stop(self) -> None:
-        """End the processes, with whatever they are doing: calls under way raise CancelledError."""
-        with self._lock:
-            pool, self._pool = self._pool, None
-            if pool is not None:
-                pool.stop()
-                pool.join()
-            for future in self._under_way:  # a stopped pool leaves them pending
-                with contextlib.suppress(InvalidStateError):  # it has ended
-                    future.set_exception(CancelledError("its processes were stopped"))
-            self._under_way.clear()
-
-    def end(self) -> None:
-        """Stop, and begin no other call."""
-        with self._lock:
-            self._ended = True
-            self.stop()
+        """End the processes, with whatever they are doing."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.stop()
+            pool.join()
 
     def call(
         self, function: Callable[..., Any], *arguments: Any, timeout: float | None = None, calls: int = 1
     ) -> Future[Any]:
-        """Begin a call. timeout: s it may take (monotonic). calls: how many there will be.
-
-        Raises QuadexpError where the processes import another quadexp than this one, CancelledError after the end.
-        """
-        with self._lock:
-            if self._ended:
-                raise CancelledError("its processes were ended")
-            self._check()
-            if self._pool is None:
-                preload = [*self._preload, function.__module__]
-                self._pool = start_pool(min(self._most, max(calls, self._calls)), self._memory, preload, self._folders)
-            future: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
-            self._under_way.add(future)
-            return future
-
-    def _check(self) -> None:
-        """Give up a pool that does not work any more: a thread of it ends where the server dies while it forks."""
-        with self._lock:
-            if self._pool is not None and not self._pool.active:
-                self.stop()
-
-    def result(self, function: Callable[..., Any], *arguments: Any, timeout: float | None = None) -> Any:
-        """Of one call, which is tried once more where its process dies or it takes too long."""
-        ((_, ended),) = self._calls_of(function, {"": arguments}, timeout)
-        return ended.result()
+        """Begin a call. timeout: s it may take. calls: how many there will be."""
+        if self._pool is not None and not self._pool.active:
+            self.stop()
+        if self._pool is None:
+            folders = own_folders() if self._folders is None else tuple(self._folders)
+            context = multiprocessing.get_context("forkserver")
+            most = min(self._most, max(calls, self._calls))
+            with undisturbed():  # processes whose parent ends while they start print long tracebacks
+                start_server([*self._preload, function.__module__])
+                given = self._memory, os.environ.get(PATH), folders
+                self._pool = ProcessPool(max_workers=most, context=context, initializer=begin, initargs=given)
+                wait([self._pool.schedule(time.sleep, args=(PAUSE,)) for _ in range(most)], timeout=STARTING)
+        future: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
+        return future
 
     def run(
         self, function: Callable[..., Any], jobs: Mapping[str, tuple[Any, ...]], *, timeout: float | None = None
     ) -> Generator[tuple[str, Any]]:
         """Call `function(*arguments)` for every job; yield (key, result or CellFailed) as they end.
 
-        jobs: key -> arguments, handed out in this order. timeout: s a call may take (monotonic).
+        jobs: key -> arguments, handed out in this order. timeout: s a call may take.
         A call that raises fails at once (it would raise again); one whose process dies or that takes too long is tried
         once more. Leaving the iterator early, or an interrupt, stops every process.
         """
-        ended = False
-        try:
-            for key, future in self._calls_of(function, jobs, timeout):
-                try:
-                    yield key, future.result()
-                except Exception as error:
-                    yield key, CellFailed.of(error, timeout)
-            ended = True
-        finally:
-            if not ended:
-                self.stop()
-
-    def _calls_of(
-        self, function: Callable[..., Any], jobs: Mapping[str, tuple[Any, ...]], timeout: float | None
-    ) -> Iterator[tuple[str, Future[Any]]]:
-        """Key and future of every job, as they end for good."""
         waiting = [(key, ATTEMPTS) for key in jobs][::-1]  # the next one last
-        running: dict[Future[Any], tuple[str, int]] = {}
-        while waiting or running:
-            while waiting and len(running) < QUEUED * min(self._most, len(jobs)):
-                key, attempts = waiting.pop()
-                running[self.call(function, *jobs[key], timeout=timeout, calls=len(jobs))] = key, attempts
-            ended = wait(running, timeout=CHECKED, return_when=FIRST_COMPLETED).done
-            if not ended:
-                self._check()
-            with self._lock:
-                self._under_way -= ended
-            for future in ended:
-                key, attempts = running.pop(future)
-                if attempts > 1 and isinstance(future.exception(), GONE):
-                    waiting.append((key, attempts - 1))
-                else:
-                    yield key, future
-
-
-# --------------------------------------------------------------------------------------------------------------- pool
-def start_pool(
-    workers: int, memory: float | None, preload: Sequence[str], folders: Sequence[str] | None = None
-) -> ProcessPool:
-    """A pool whose processes are forked from one server that has imported `preload`.
-
-    memory: limit of the data of a process (heap and private maps) in GB, None for no limit. folders: those in which
-    `_target_` may name modules, None for those of this process.
-    Raises QuadexpError where the processes import another quadexp than this one.
-    """
-    path, pool = os.environ.get(PATH), None
-    try:
-        with undisturbed():
-            start_server(preload)
-            given = own_folders() if folders is None else tuple(folders)
-            context = multiprocessing.get_context("forkserver")
-            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, path, given))
-            manager = pool._pool_manager
-            manager.task_manager = _MonotonicTasks(manager.task_manager.task_done_callback)
-            asked = pool.schedule(identity)
-            wait([asked], timeout=STARTING)
-        if asked.done():
-            _check_program(asked)
-    except (KeyboardInterrupt, QuadexpError):
-        if pool is not None:
-            pool.stop()
-            pool.join()
-        raise
-    return pool
-
-
-def _check_program(asked: Future[dict[str, str]]) -> None:
-    """Raise QuadexpError if the workers run another program than this process."""
-    try:
-        child = asked.result()
-    except GONE:  # every cell will report it
-        return
-    except Exception as error:  # another program may have no such function
-        raise QuadexpError(f"worker processes do not run the quadexp of {package_folder()} ({error})") from None
-    for name, mine in identity().items():
-        if child.get(name) != mine:
-            raise QuadexpError(f"worker processes have {name} {child.get(name)}, this process has {mine}")
-
-
-class _MonotonicTasks(TaskManager):
-    """Pebble's tasks with time limits by the monotonic clock, which a suspended computer or a changed clock does not
-    affect. (Pebble 5 uses wall time.)"""
-
-    def task_start(self, task_id: int, worker_id: int | None) -> None:
-        super().task_start(task_id, worker_id)
-        task = self.tasks.get(task_id)
-        if task is not None:
-            task.timestamp = time.monotonic()
-
-    @staticmethod
-    def timeout(task: PoolTask) -> bool:
-        return bool(task.timeout and task.started and time.monotonic() - task.timestamp > task.timeout)
+        running: dict[Future[Any], tuple[str, int, ProcessPool | None]] = {}
+        try:
+            while waiting or running:
+                while waiting and len(running) < QUEUED * min(self._most, len(jobs)):
+                    key, attempts = waiting.pop()
+                    future = self.call(function, *jobs[key], timeout=timeout, calls=len(jobs))
+                    running[future] = key, attempts, self._pool
+                ended = wait(running, timeout=CHECKED, return_when=FIRST_COMPLETED).done
+                # A thread of a pool ends where the server dies while it forks: then no call of that pool comes back.
+                lost = {f for f, (*_, pool) in running.items() if not (pool and pool is self._pool and pool.active)}
+                for future in ended | lost:
+                    key, attempts, _ = running.pop(future)
+                    error = future.exception() if future.done() else BrokenProcessPool()
+                    if attempts > 1 and isinstance(error, GONE):
+                        waiting.append((key, attempts - 1))
+                    else:
+                        yield key, CellFailed.of(error, timeout) if error else future.result()
+        except BaseException:
+            self.stop()
+            raise
 
 
 def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> None:
-    """Called first in a worker: it shall end with its parent, keep to its memory limit, and import the user's modules
-    from `folders` (those given with --conf).
+    """Called first in a worker: it shall end with its parent, keep to its memory limit (of heap and private maps), and
+    import the user's modules from `folders` (those given with --conf).
 
     path: PYTHONPATH for programs that the worker itself starts.
     """
-    if path is None:
-        os.environ.pop(PATH, None)
-    else:
-        os.environ[PATH] = path
+    os.environ[PATH] = path or ""
     for folder in folders:
         import_from(Path(folder))
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
     if memory:
+        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
         limit = int(memory * 1e9)
-        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
         if hard == resource.RLIM_INFINITY or limit < hard:
             resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
 

@@ -8,6 +8,7 @@ removed is chosen by its own file alone.
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -89,18 +90,18 @@ def _frame(store: CellStore, *, own: bool = False) -> tuple[SweepFrame, dict[str
     path = store.root / RESULTS
     rows, record = read_rows(path) if path.exists() else ([], {})
     listed = {row["key"]: row for row in rows}
-    made: list[Row] = [] if own else [{**row, WANTED: True} for row in rows]
+    cells: list[Row] = [] if own else [{**row, WANTED: True} for row in rows]
     configs: dict[str, dict[str, Any]] = {}
     for key in sorted(store.done() if own else store.done() - listed.keys()):
         row, wanted = listed.get(key, {}), key in listed or not path.exists()
         try:
-            found = store.record(key)
-            configs[key] = found.get("config") or {}
-            row = {**found["row"], "variant": row.get("variant")}
+            stored = store.record(key)
+            configs[key] = stored.get("config") or {}
+            row = {**stored["row"], "variant": row.get("variant")}
         except (DataError, UsageError) as error:
             row, wanted = {"key": key, "outcome": "damaged", "cause": str(error)}, key in listed
-        made.append({**table_row(row), WANTED: wanted})
-    return SweepFrame(made, store.root, record, configs), configs
+        cells.append({**table_row(row), WANTED: wanted})
+    return SweepFrame(cells, store.root, record, configs), configs
 
 
 def _filtered(frame: SweepFrame, filters: Sequence[str]) -> SweepFrame:
@@ -108,31 +109,22 @@ def _filtered(frame: SweepFrame, filters: Sequence[str]) -> SweepFrame:
         name, equals, value = text.partition("=")
         if not equals:
             raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=gp_mpc")
-        allowed, column = _alternatives(value), frame.column(name)
-        frame = frame.where([any(_matches(found, one) for one in allowed) for found in column])
+        allowed, column = (
+            re.split(r",(?![^\[]*\])", value),
+            frame.column(name),
+        )  # a comma inside brackets is one of a value
+        frame = frame.where([any(_matches(cell, text) for text in allowed) for cell in column])
     return frame
 
 
-def _alternatives(value: str) -> list[str]:
-    """The parts of a comma list; a comma inside brackets is one of a value."""
-    parts, depth = [""], 0
-    for letter in value:
-        depth += (letter in "[{") - (letter in "]}")
-        if letter == "," and not depth:
-            parts.append("")
-        else:
-            parts[-1] += letter
-    return parts
-
-
-def _matches(found: Any, allowed: str) -> bool:
+def _matches(cell: Any, allowed: str) -> bool:
     """Whether a value of a row is the one allowed: a text by its pattern, a number or a list by its value."""
-    if found is None:
+    if cell is None:
         return allowed in ("", "null")
     value = read_value(allowed)
-    if isinstance(found, str) and fnmatchcase(found, allowed):
+    if isinstance(cell, str) and fnmatchcase(cell, allowed):
         return True
-    return bool(found == value) and isinstance(found, bool) is isinstance(value, bool)
+    return bool(cell == value) and isinstance(cell, bool) is isinstance(value, bool)
 
 
 def _shorten_table(root: Path, keys: set[str], conditions: set[str]) -> None:

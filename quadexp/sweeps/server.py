@@ -16,8 +16,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
-from quadexp.errors import UsageError
-
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 SAFE, PATH = "PYTHONSAFEPATH", "PYTHONPATH"
 # What nearly every flight needs.
@@ -44,25 +42,11 @@ def start_server(preload: Sequence[str] = PRELOAD) -> None:
 
 
 @contextlib.contextmanager
-def safe_path() -> Iterator[None]:
-    """Python processes started inside do not import from the folder where they are started.
-
-    Raises UsageError where Python was started with the option to ignore the environment variables that ask for it.
-    """
-    if sys.flags.ignore_environment and not sys.flags.safe_path:
-        raise UsageError(
-            "Python was started with -E, so that its children would import from the current folder: add -P"
-        )
-    with environment({SAFE: "1"}):
-        yield
-
-
-@contextlib.contextmanager
 def same_imports() -> Iterator[None]:
     """Python processes started inside search for modules in the same places as this one, and in no others."""
     places = [str(Path(place).absolute()) for place in sys.path if isinstance(place, str)]
     known = os.pathsep.join(place for place in places if os.pathsep not in place)
-    with safe_path(), environment({PATH: known}):
+    with environment({SAFE: "1", PATH: known}):
         yield
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,11 +40,9 @@ from quadexp.sweeps.engine import (
     Workers,
     default_workers,
 )
-from quadexp.sweeps.engine_settings import DaskConfig, JobsConfig
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
 
-NEEDED = {"dask": ("distributed", "cryptography"), "jobs": ("distributed", "cryptography", "dask_jobqueue")}
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
 
 
@@ -116,36 +114,19 @@ def run_sweep(
         for config in (job.cell.config for job in jobs.values() if not job.invalid):
             vehicle = build_vehicle(config.vehicle)
             check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
-    store.open()
-    with store.emptied(), store.lock():
-        store.clean()
+    with flying(store, lambda: f"{len(store.done().intersection(jobs))} of {len(jobs)} done"):
         if force:
             store.remove(jobs)
         else:
             _refuse_another_sweep(store, jobs)
-        rows, notes = _recall(store, jobs)
-        notes += _settle_old(store, rows, old)
+        rows, notes = _recall(store, jobs, old)
         for job in (job for job in jobs.values() if job.invalid):
             rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID))
-        todo = [job for job in jobs.values() if job.key not in rows]
+        todo = len(jobs) - len(rows)
         for row in rows.values():
             landed(row)
-        progress(len(rows), len(jobs))
-        try:
-            for key, row in _fly(todo, store, engine or LocalEngine(workers), function, isolate):
-                rows[key] = _row_of(jobs[key], row)
-                landed(rows[key])
-                progress(len(rows), len(jobs))
-        except KeyboardInterrupt:
-            raise SweepInterrupted(
-                f"{_done(store, jobs)}; run the same command to continue (what is done is kept in {store.root})"
-            ) from None
-        except WriteError as error:
-            raise QuadexpError(
-                f"{error}: {_done(store, jobs)}; run the same command to continue once it can be written"
-            ) from None
-        finally:
-            store.clean()
+        for row in _fly_missing(jobs, rows, store, engine or LocalEngine(workers), function, isolate, progress):
+            landed(row)
         in_order = [rows[key] for key in jobs]
         if all(row["outcome"] == INVALID for row in in_order):
             raise UsageError(in_order[0]["cause"])
@@ -165,7 +146,7 @@ def run_sweep(
         }
         flown(in_order, record)
         statistics, shown, files, altered = write_results(store.root, in_order, record)
-    return SweepResult(store.root, in_order, len(todo), shown, statistics, files, [*notes, *altered])
+    return SweepResult(store.root, in_order, todo, shown, statistics, files, [*notes, *altered])
 
 
 def fly_cells(
@@ -185,19 +166,39 @@ def fly_cells(
     jobs = plan_cells(cells)
     if wrong := check_jobs(jobs.values()):
         raise UsageError(next(iter(wrong.values())))
-    rows, _ = _recall(store, jobs)
-    _settle_old(store, rows, "refly")
-    todo = [job for job in jobs.values() if job.key not in rows]
-    progress(len(rows), len(jobs))
-    for key, row in _fly(todo, store, engine or LocalEngine(), function, isolate):
-        rows[key] = _row_of(jobs[key], row)
-        progress(len(rows), len(jobs))
+    rows, _ = _recall(store, jobs, "refly")
+    list(_fly_missing(jobs, rows, store, engine or LocalEngine(), function, isolate, progress))
     return [rows[key] for key in jobs]
 
 
-def _recall(store: CellStore, jobs: Mapping[str, Job]) -> tuple[dict[str, Row], list[str]]:
-    """Key -> row of the cells that are there, each taken from its file, whose bytes are compared with their hash; and
-    a note on those that have changed, or hold fewer samples than asked for, which are to be flown again."""
+@contextlib.contextmanager
+def flying(store: CellStore, state: Callable[[], str]) -> Iterator[None]:
+    """A folder of cells, made and locked while flights are written there; removed again where there were none.
+
+    state: what is done so far. Raises SweepInterrupted on Ctrl-C, QuadexpError at a file that cannot be written.
+    """
+    store.open()
+    with store.emptied(), store.lock():
+        store.clean()
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise SweepInterrupted(
+                f"{state()}; run the same command to continue (what is done is kept in {store.root})"
+            ) from None
+        except WriteError as error:
+            again = "run the same command to continue once it can be written"
+            raise QuadexpError(f"{error}: {state()}; {again}") from None
+        finally:
+            store.clean()
+
+
+def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[str, Row], list[str]]:
+    """Key -> row of the cells that are there and stay, each taken from its file, whose bytes are compared with their
+    hash; and notes on those that have changed or hold too few samples, and on those of other sources or libraries.
+
+    Raises UsageError where there are some of other sources and `old` does not say what to do with them.
+    """
 
     def read(key: str) -> Row | QuadexpError:
         try:
@@ -208,79 +209,69 @@ def _recall(store: CellStore, jobs: Mapping[str, Job]) -> tuple[dict[str, Row], 
     done = store.done()
     there = [key for key in jobs if key in done]
     with ThreadPoolExecutor(2) as readers:  # hashing needs no interpreter lock
-        found = dict(zip(there, readers.map(read, there), strict=True))
-    changed = [str(row) for row in found.values() if isinstance(row, QuadexpError)]
-    rows = {key: _row_of(jobs[key], row) for key, row in found.items() if not isinstance(row, QuadexpError)}
-    if not changed:
-        return rows, []
-    return rows, [
-        f"{len(changed)} cells have changed since they were flown, or lack samples, and are flown again: {changed[0]}"
-    ]
+        read_rows = dict(zip(there, readers.map(read, there), strict=True))
+    changed = [str(row) for row in read_rows.values() if isinstance(row, QuadexpError)]
+    rows = {key: _row_of(jobs[key], row) for key, row in read_rows.items() if not isinstance(row, QuadexpError)}
+    what = "cells have changed since they were flown, or lack samples, and are flown again"
+    notes = [f"{len(changed)} {what}: {changed[0]}"] if changed else []
+    others = {key: row for key, row in rows.items() if row["sources"] != sources()}
+    programs = programs_text(others.values())
+    if others and old == "ask":
+        raise UsageError(
+            f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
+            f" {quadexp.__version__}, sources {sources()}): {programs}; pass --refly to fly them again or --keep-old to"
+            f" keep them beside new ones (`quadexp results {store.root} sources=HASH` lists them)"
+        )
+    if others and old == "refly":
+        store.remove(others)
+        rows = {key: row for key, row in rows.items() if key not in others}
+        notes.append(f"{len(others)} cells of other sources are flown again: {programs}")
+    elif others:
+        notes.append(f"{len(others)} cells of other sources are kept: {programs}; these are {sources()}")
+    differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
+    return rows, [*notes, *filter(None, [differing])]
 
 
 def _row_of(job: Job, row: Mapping[str, Any]) -> Row:
     return table_row({**row, "key": job.key, "variant": job.cell.varied})
 
 
-def _settle_old(store: CellStore, rows: dict[str, Row], old: Old) -> list[str]:
-    """Decide on recalled cells that other sources of this program have flown; returns notes on the recalled ones.
-
-    Raises UsageError where there are some and `old` does not say what to do with them.
-    """
-    notes = []
-    others = {key: row for key, row in rows.items() if row["sources"] != sources()}
-    found = programs_text(others.values())
-    if others and old == "ask":
-        raise UsageError(
-            f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
-            f" {quadexp.__version__}, sources {sources()}): {found}; pass --refly to fly them again or --keep-old to"
-            f" keep them beside new ones (`quadexp results {store.root} sources=HASH` lists them)"
-        )
-    if others and old == "refly":
-        store.remove(others)
-        for key in others:
-            del rows[key]
-        notes.append(f"{len(others)} cells of other sources are flown again: {found}")
-    elif others:
-        notes.append(f"{len(others)} cells of other sources are kept: {found}; these are {sources()}")
-    differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
-    return [*notes, *filter(None, [differing])]
-
-
-def _done(store: CellStore, jobs: Mapping[str, Job]) -> str:
-    return f"{len(store.done().intersection(jobs))} of {len(jobs)} done"
-
-
-def _fly(
-    todo: Sequence[Job], store: CellStore, engine: Engine, function: CellFunction, isolate: bool
-) -> Iterator[tuple[str, Row]]:
-    """Fly the cells; yield the key and row of each as it ends, also of those that failed."""
-    if not todo:
-        return
+def _fly_missing(
+    jobs: Mapping[str, Job],
+    rows: dict[str, Row],
+    store: CellStore,
+    engine: Engine,
+    function: CellFunction,
+    isolate: bool,
+    progress: Progress,
+) -> Iterator[Row]:
+    """Fly the cells that have no row, and give them one; yield each as it ends, also of those that failed."""
+    todo = [job for job in jobs.values() if job.key not in rows]
     for folder in {store.path(job.key).parent for job in todo}:
         make_inside(store.root, folder)
-    if not isolate:
-        for job in todo:
-            yield job.key, _own(function(job.cell.config, job.model, str(store.path(job.key)), job.key))
+    progress(len(rows), len(jobs))
+    if not todo:
         return
-    configs = {job.key: (job.cell.config, job.model) for job in todo}
-    tasks = (Task(job.key, *configs[job.key], str(store.path(job.key))) for job in flying_order(todo))
-    with contextlib.closing(engine.fly(function, tasks)) as flown:
+    tasks = [Task(job.key, job.cell.config, job.model, str(store.path(job.key))) for job in flying_order(todo)]
+    flown: Generator[tuple[str, Any]]
+    if not isolate:
+        flown = ((t.key, function(t.config, t.model, t.path, t.key)) for t in tasks)
+    else:
+        flown = engine.fly(function, tasks)
+    with contextlib.closing(flown):
         for key, row in flown:
-            row = _own(row)
+            if not isinstance(row, CellFailed) and row.get("sources") != sources():
+                here = f"quadexp {quadexp.__version__}, {sources()}"
+                row = CellFailed(f"flown by {program_name(row)}, not by this one ({here})")
             if isinstance(row, CellFailed):
                 if row.all:
                     raise WriteError(row.cause)
                 store.remove([key])
-                row = failed_row(*configs[key], row.cause, INVALID if row.contradiction else "failed")
-            yield key, row
-
-
-def _own(row: Any) -> Any:
-    """A row that comes in, or CellFailed where another program than this one made it."""
-    if isinstance(row, CellFailed) or row.get("sources") == sources():
-        return row
-    return CellFailed(f"flown by {program_name(row)}, not by this one (quadexp {quadexp.__version__}, {sources()})")
+                cell = jobs[key].cell.config, jobs[key].model
+                row = failed_row(*cell, row.cause, INVALID if row.contradiction else "failed")
+            rows[key] = _row_of(jobs[key], row)
+            yield rows[key]
+            progress(len(rows), len(jobs))
 
 
 def _refuse_another_sweep(store: CellStore, jobs: Mapping[str, Job]) -> None:
@@ -299,7 +290,6 @@ def _refuse_another_sweep(store: CellStore, jobs: Mapping[str, Job]) -> None:
         )
 
 
-# ------------------------------------------------------------------------------------------------------------- engine
 def build_engine(config: Config, processes: Workers | None = None) -> Engine:
     """The engine that a configuration names; nothing is started before the first cell is flown.
 
@@ -308,14 +298,14 @@ def build_engine(config: Config, processes: Workers | None = None) -> Engine:
     """
     settings, engine = config.evaluate, config.engine
     memory = settings.memory or None
-    if not isinstance(engine, DaskConfig | JobsConfig):
+    if engine.kind == "local":
         return LocalEngine(settings.workers, settings.timeout, memory, processes)
-    for name in NEEDED[engine.kind]:
-        try:
+    try:
+        for name in ("distributed", "cryptography", *(["dask_jobqueue"] if engine.kind == "jobs" else [])):
             importlib.import_module(name)
-        except ImportError:
-            extra = "pip install 'quadexp[cluster]'"
-            raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {extra}") from None
+    except ImportError:
+        extra = "pip install 'quadexp[cluster]'"
+        raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {extra}") from None
     from quadexp.sweeps.cluster import DaskEngine, open_cluster
 
     workers = settings.workers or default_workers()

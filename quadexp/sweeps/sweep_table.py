@@ -7,20 +7,17 @@ sweep.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.files.names import NAMED, check_names
 from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import has_content_hash, read_table, read_text, write_table
+from quadexp.log.store import read_table, write_table
 from quadexp.report.metrics import (
     INTEGER_COLUMNS,
     ROW_COLUMNS,
@@ -83,26 +80,21 @@ def write_results(
     """Write the rows and all that is made from them; returns statistics, the error table, name -> path, and a line for
     each file that no longer held what was written.
 
-    record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows. Rows that
-    are there already with the same record are left as they are.
+    record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows.
     """
     statistics = results_statistics(rows, baseline=record["baseline"], confidence=record["confidence"])
     csv, columns, path = to_csv(rows), to_columns(rows), root / RESULTS
     table, texts = comparison_texts(statistics, record["metric"])
     made = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in {**texts, "results.csv": csv}.items()}
     record = {**record, "made": made, "statistics": statistics.fingerprint}
-    wrong, same = [], False
+    wrong = []
     if path.exists():
         try:
-            stored, old = read_table(path, "results")
-            wrong = [f"{name}: {what}" for name, what in altered_texts(root, old).items()]
-            same = has_content_hash(path) and _same_table(stored, old, columns, record)
+            wrong = [f"{name}: {what}" for name, what in altered_texts(root, read_table(path, "results")[1]).items()]
         except QuadexpError as error:
             wrong = [str(error)]
-    if read_text(root / "results.csv") != csv:
-        write_text(root / "results.csv", csv)
-    if not same:
-        write_table(path, columns, record, "results")
+    write_text(root / "results.csv", csv)
+    write_table(path, columns, record, "results")
     paths = write_comparison(root, statistics, texts)
     files = {"results": str(path), "csv": str(root / "results.csv"), **paths}
     return statistics, table, files, [f"{what}: written anew" for what in wrong]
@@ -116,15 +108,3 @@ def altered_texts(root: Path, record: Mapping[str, Any]) -> dict[str, str]:
         for path, digest in texts.items()
         if hashlib.sha256(path.read_bytes()).hexdigest() != digest
     }
-
-
-def _same_table(
-    stored: Mapping[str, Any], old: Mapping[str, Any], columns: Mapping[str, Any], record: Mapping[str, Any]
-) -> bool:
-    """Whether a stored table with its record holds these; when and where they were made takes no part."""
-    asked = json.loads(json.dumps({name: value for name, value in record.items() if name != "provenance"}))
-    return (
-        all(old.get(name) == asked[name] for name in asked)
-        and columns.keys() == stored.keys()
-        and all(np.array_equal(a, stored[n], equal_nan=a.dtype.kind == "f") for n, a in columns.items())
-    )

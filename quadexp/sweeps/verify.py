@@ -51,22 +51,21 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
 
     Raises UsageError for a folder without results.
     """
-    store, found = open_results(out), Verified()
-    keys = sorted(store.done())
-    rows: dict[str, Row | None] = {}
+    store, verified = open_results(out), Verified()
+    keys, path = sorted(store.done()), store.root / RESULTS
+    flights: dict[str, Row | None] = {}
     for count, key in enumerate(keys, 1):
-        rows[key] = found.look(store.path(key), functools.partial(_flight_row, store, key))
+        flights[key] = verified.look(store.path(key), functools.partial(_flight_row, store, key))
         progress(count, len(keys))
-    path = store.root / RESULTS
-    table = found.look(path, lambda: read_rows(path)) if path.exists() else None
-    if not path.exists() and any((store.root / name).exists() for name in (*TEXTS, STATISTICS)):
-        found.wrong[str(path)] = "is not there, and what is made of it is"
-    if table is not None:
-        listed, record = table
-        if wrong := _unlike(listed, rows):
-            found.wrong[str(path)] = wrong
-        _verify_made(store.root, record, found)
-    return found
+    if path.exists():
+        if (table := verified.look(path, lambda: read_rows(path))) is not None:
+            rows, record = table
+            if wrong := _unlike(rows, flights):
+                verified.wrong[str(path)] = wrong
+            _verify_made(store.root, record, verified)
+    elif any((store.root / name).exists() for name in (*TEXTS, STATISTICS)):
+        verified.wrong[str(path)] = "is not there, and what is made of it is"
+    return verified
 
 
 def _flight_row(store: CellStore, key: str) -> Row:
@@ -75,14 +74,14 @@ def _flight_row(store: CellStore, key: str) -> Row:
     return table_row({**row, "key": key})
 
 
-def _unlike(listed: list[Row], rows: dict[str, Row | None]) -> str:
-    """How a table differs from what the flights say, in one line; "" where it does not. rows: None of a damaged one."""
+def _unlike(rows: list[Row], flights: dict[str, Row | None]) -> str:
+    """How a table differs from what the flights say, in one line, "" where it does not. flights: None if damaged."""
     other, lost = [], []
-    for row in listed:
-        mine = rows.get(row["key"])
-        if mine is not None:
-            other += [f"{row['key']} ({name})" for name in COMPARED if not _same(mine[name], row[name])][:1]
-        elif row["key"] not in rows and row["outcome"] not in ("failed", "invalid"):
+    for row in rows:
+        flight = flights.get(row["key"])
+        if flight is not None:
+            other += [f"{row['key']} ({name})" for name in COMPARED if not _same(flight[name], row[name])][:1]
+        elif row["key"] not in flights and row["outcome"] not in ("failed", "invalid"):
             lost.append(row["key"])
     differences = {"are not what their flights say": other, "are of flights that are not there": lost}
     return "; ".join(f"{len(keys)} rows {what}, the first {keys[0]}" for what, keys in differences.items() if keys)
@@ -92,19 +91,17 @@ def _same(a: Any, b: Any) -> bool:
     return bool(a == b or (a != a and b != b))  # NaN equals NaN here
 
 
-def _verify_made(root: Path, record: dict[str, Any], found: Verified) -> None:
+def _verify_made(root: Path, record: dict[str, Any], verified: Verified) -> None:
     """Look at what was made of the rows."""
-    made = record.get("made", {})
-    found.files += sum((root / name).is_file() for name in made)
-    found.wrong |= altered_texts(root, record)
-    found.wrong |= {str(root / name): "is not there" for name in made if not (root / name).is_file()}
-    path = root / STATISTICS
-    if "statistics" in record and not path.exists():
-        found.wrong[str(path)] = "is not there"
-    table = found.look(path, lambda: read_table(path, "statistics")) if path.exists() else None
-    if table and record.get("statistics", table[1].get("fingerprint")) != table[1].get("fingerprint"):
-        found.wrong[str(path)] = f"is not of the rows of {RESULTS}"
+    made, path = record.get("made", {}), root / STATISTICS
+    verified.files += sum((root / name).is_file() for name in made)
+    verified.wrong |= altered_texts(root, record)
+    wanted = [*made, STATISTICS] if "statistics" in record else [*made]
+    verified.wrong |= {str(root / name): "is not there" for name in wanted if not (root / name).is_file()}
+    statistics = verified.look(path, lambda: read_table(path, "statistics")) if path.exists() else None
+    if statistics and record.get("statistics", statistics[1].get("fingerprint")) != statistics[1].get("fingerprint"):
+        verified.wrong[str(path)] = f"is not of the rows of {RESULTS}"
     if not made:
         texts = [str(root / name) for name in TEXTS if (root / name).is_file()]
-        found.files += len(texts)
-        found.unhashed += texts
+        verified.files += len(texts)
+        verified.unhashed += texts

@@ -24,7 +24,7 @@ from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.sweep import opened
 from quadexp.tune import Tune
 from quadexp.tune.preset import check_name, options_of, write_preset
-from quadexp.tune.search import JOURNAL, Request, Search, Trial, best_of, cells_of, with_seeds
+from quadexp.tune.search import REQUEST, Request, Search, Trial, best_of, cells_of, with_seeds
 from quadexp.tune.space import Axis, overrides, read_axes, settings_of
 
 HISTORY = "history.parquet"
@@ -87,8 +87,8 @@ def tune(
                 )
             options = options_of(given, first)
             check_name(options, asked.name)
-            for file in (JOURNAL, f"{JOURNAL}.lock") if force else ():
-                (out / file).unlink(missing_ok=True)
+            if force:
+                (out / REQUEST).unlink(missing_ok=True)
             trials = search.run(asked.flights // each, progress)
         best = best_of(trials)
         history = _write_history(out, request, search, trials)
@@ -100,10 +100,9 @@ def tune(
     before, after = (settings_of(axes, trial.numbers) for trial in (trials[0], trials[best]))
     settings = {key: (before[key], after[key]) for key in before}
     record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
-    lines = _lines(request, search, trials, best)
     width = max(map(len, settings))
-    lines += [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
-    return Tuned(trials, best, choice, option, record, [*lines, str(option)], axes)
+    changes = [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
+    return Tuned(trials, best, choice, option, record, [*_lines(search, trials, best), *changes, str(option)], axes)
 
 
 def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -> None:
@@ -139,32 +138,23 @@ def _short(value: Any) -> str:
     return f"[{', '.join(f'{x:.4g}' for x in value)}]" if isinstance(value, list) else f"{value:.4g}"
 
 
-def _lines(request: Request, search: Search, trials: Sequence[Trial], best: int) -> list[str]:
-    spent = len(trials) * search.flights
-    title = f"{controller_name(search.config)}: {len(trials)} trials of {search.flights} flights, {spent} in all"
-
-    def line(what: str, trial: Trial) -> str:
-        factor, unit = SHOWN[request.metric]
-        margin = f", delay margin {1e3 * trial.worth.margin:.0f} ms" if np.isfinite(trial.worth.margin) else ""
-        error = number(factor * trial.worth.error)
-        return f"  {what}  {error} {unit}, {trial.worth.lost} of {search.flights} flights lost{margin}"
-
-    lines = [title, line("before", trials[0]), line("tuned ", trials[best])]
-    if best == 0:
-        lines.append("  nothing better was found: the settings stay as they were")
-    return lines
+def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
+    spent, (factor, unit) = len(trials) * search.flights, SHOWN[search.request.metric]
+    lines = [f"{controller_name(search.config)}: {len(trials)} trials of {search.flights} flights, {spent} in all"]
+    for what, worth in (("before", trials[0].worth), ("tuned ", trials[best].worth)):
+        margin = f", delay margin {1e3 * worth.margin:.0f} ms" if np.isfinite(worth.margin) else ""
+        error = f"{number(factor * worth.error)} {unit}"
+        lines.append(f"  {what}  {error}, {worth.lost} of {search.flights} flights lost{margin}")
+    return lines if best else [*lines, "  nothing better was found: the settings stay as they were"]
 
 
 def _write_history(out: Path, request: Request, search: Search, trials: Sequence[Trial]) -> Path:
-    values = [trial.worth.value for trial in trials]
-    columns: dict[str, Any] = {
-        "trial": np.arange(len(trials)),
-        "flights": search.flights * np.arange(1, len(trials) + 1),
-        "value": np.array(values),
-        "best": np.minimum.accumulate(values),
-        "error": np.array([trial.worth.error for trial in trials]),
-        "lost": np.array([trial.worth.lost for trial in trials]),
-        "margin": np.array([trial.worth.margin for trial in trials]),
+    values = np.array([trial.worth.value for trial in trials])
+    count = np.arange(len(trials))
+    columns: dict[str, Any] = {"trial": count, "flights": search.flights * (count + 1), "value": values}
+    columns["best"] = np.minimum.accumulate(values)
+    columns |= {
+        name: np.array([getattr(trial.worth, name) for trial in trials]) for name in ("error", "lost", "margin")
     }
     for i, axis in enumerate(request.axes):
         columns[axis.name] = np.array([float(trial.numbers[i]) for trial in trials])

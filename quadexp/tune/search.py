@@ -1,14 +1,15 @@
 """The search: Optuna's tree-structured Parzen estimator, an equal number of flights for every controller.
 
 A trial is one set of settings, flown in all cells (worlds, trajectories, speeds, seeds). The first trial is the option
-as it is. The journal in the folder holds what was asked and what came out; the flights are cells of a sweep beside it.
-The draws of a trial depend on the seed, its number and the trials before its batch, so that a search that was
-interrupted, or whose budget was raised, goes on as if it never had been; workers and engines have no part in it.
+as it is. The draws of a trial depend on the seed, its number and the trials before its batch, and the flights are cells
+of a sweep. So a search that was interrupted, or whose budget was raised, begins anew from its first trial, and flies
+only what is not there. Workers and engines have no part in it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,22 +22,23 @@ from quadexp.errors import QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell
 from quadexp.experiment.identity import canonical, digest
+from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import read_record
+from quadexp.log.store import read_record, read_text
 from quadexp.parts.cells import Cell
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, Config
 from quadexp.provenance import sources
 from quadexp.sweeps.engine import CellFunction, Engine
 from quadexp.sweeps.plan import plan_cells
-from quadexp.sweeps.sweep import SweepInterrupted, fly_cells
+from quadexp.sweeps.sweep import fly_cells, flying
 from quadexp.tune.objective import LOST, Worth, worth
 from quadexp.tune.space import TUNED, Axis, overrides
 
 FIRST_SEED = 1_000_000  # of the flights that tune, far from those that evaluate
 SEEDS = 2  # of the flights that tune
 STARTUP = 10  # trials drawn at random, the first one aside
-JOURNAL, STUDY = "journal.log", "tune"
+REQUEST = "search.json"  # in the folder: what decides the trials beside the flights
 EXTRA = "pip install 'quadexp[tune]'"
 
 
@@ -118,7 +120,8 @@ class Search:
         self._composer, self._engine, self._function, self._isolate = composer, engine, function, isolate
         jobs = plan_cells(cells_of(composer, request.given))
         self._cells = [job.cell for job in jobs.values()]
-        self._durations = [_duration(cell.config) for cell in self._cells]
+        configs = [cell.config for cell in self._cells]
+        self._durations = [float(build_trajectory(c.trajectory, build_vehicle(c.vehicle)).duration) for c in configs]
         self._asked = {"cells": digest([*jobs]), **request.record()}
         models = {job.model for job in jobs.values() if job.model}
         self.models = sorted(f"{model.path}, sha256 {model.sha256[:20]}" for model in models)
@@ -139,89 +142,52 @@ class Search:
 
         Raises QuadexpError where the option as it is cannot be flown, SweepInterrupted on Ctrl-C; what is done is kept.
         """
-        self.store.open()
-        with self.store.emptied(), self.store.lock(), _quiet():
-            self.store.clean()
-            storage, study = self._study()
-            identity = storage.get_study_id_from_name(STUDY)
-            done = _complete(study)
-            progress(min(len(done), trials) * self.flights, trials * self.flights)
-            try:
-                while len(done) < trials:
-                    for number, numbers in self._next(study, len(done), trials):
-                        found = self._fly(numbers, first=not done)
-                        storage.set_trial_user_attr(
-                            storage.get_trial_id_from_study_id_trial_number(identity, number),
-                            "worth",
-                            [_plain(value) for value in found],
-                        )
-                        study.tell(number, found.value)
-                        done = _complete(study)
-                        progress(len(done) * self.flights, trials * self.flights)
-            except KeyboardInterrupt:
-                raise SweepInterrupted(
-                    f"{len(done)} of {trials} trials done; run the same command to continue"
-                ) from None
-            finally:
-                self.store.clean()
-        return [self._trial(one) for one in done[:trials]]
+        done: list[Trial] = []
+        with flying(self.store, lambda: f"{len(done)} of {trials} trials done"), _quiet():
+            import optuna
 
-    def _study(self) -> tuple[Any, Any]:
-        """The journal and its study, made or continued."""
-        import optuna
-        from optuna.storages.journal import JournalFileBackend
+            self._check_request()
+            study = optuna.create_study(direction="minimize")
+            study.enqueue_trial({axis.name: axis.start for axis in self.request.axes})
+            while len(done) < trials:
+                # The whole batch is asked for before any of it is flown, also where the budget ends in it.
+                batch = [self._ask(study, len(done) + i) for i in range(self.request.batch)]
+                for asked in batch[: trials - len(done)]:
+                    numbers = tuple(
+                        axis.start if asked.params[axis.name] == axis.start else axis.rounded(asked.params[axis.name])
+                        for axis in self.request.axes
+                    )
+                    result = self._fly(numbers, first=not done)
+                    study.tell(asked, result.value)
+                    done.append(Trial(numbers, result))
+                    progress(len(done) * self.flights, trials * self.flights)
+                write_text(self.store.root / REQUEST, json.dumps(self._asked, indent=1) + "\n")
+        return done
 
-        storage = optuna.storages.JournalStorage(JournalFileBackend(str(self.store.root / JOURNAL)))
-        study = optuna.create_study(study_name=STUDY, storage=storage, direction="minimize", load_if_exists=True)
-        begun = study.user_attrs.get("request")
-        if begun is None:
-            study.set_user_attr("request", self._asked)
-        elif wrong := [name for name, value in self._asked.items() if begun.get(name) != value]:
+    def _check_request(self) -> None:
+        """Raise UsageError where another search was begun in the folder."""
+        text = read_text(self.store.root / REQUEST)
+        begun = self._asked if text is None else json.loads(text)
+        if wrong := [name for name, value in self._asked.items() if begun.get(name) != value]:
             was = "" if wrong[0] == "cells" else f" ({begun.get(wrong[0])}, now {self._asked[wrong[0]]})"
             raise UsageError(
                 f"{self.store.root}: holds a search with other {wrong[0]}{was}: choose another --out, or pass --force"
                 " to begin anew"
             )
-        return storage, study
 
-    def _next(self, study: Any, done: int, trials: int) -> Iterator[tuple[int, tuple[float, ...]]]:
-        """(number, numbers) of the trials of the present batch that are not complete: those that were asked before an
-        interruption, then new ones. The whole batch is asked for before any of it is flown, also where the budget ends
-        in it: what is left waits for a larger budget."""
+    def _ask(self, study: Any, index: int) -> Any:
+        """Optuna's trial of this number, with a value for every axis."""
         from optuna.samplers import TPESampler
-        from optuna.trial import TrialState
 
-        axes, asked = self.request.axes, []
-        for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            if all(axis.name in trial.params for axis in axes):
-                asked.append((trial.number, trial.params))
+        draws = int(np.random.SeedSequence([self.request.seed, index]).generate_state(1)[0])
+        study.sampler = TPESampler(seed=draws, multivariate=True, n_startup_trials=STARTUP)
+        trial = study.ask()
+        for axis in self.request.axes:
+            if axis.whole:
+                trial.suggest_int(axis.name, int(axis.low), int(axis.high), log=axis.log)
             else:
-                study.tell(trial.number, state=TrialState.FAIL)
-        while len(asked) < self.request.batch - done % self.request.batch:
-            index = done + len(asked)
-            draws = int(np.random.SeedSequence([self.request.seed, index]).generate_state(1)[0])
-            study.sampler = TPESampler(seed=draws, multivariate=True, n_startup_trials=STARTUP)
-            if index == 0 and not study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
-                study.enqueue_trial({axis.name: axis.start for axis in axes})
-            trial = study.ask()
-            for axis in axes:
-                if axis.whole:
-                    trial.suggest_int(axis.name, int(axis.low), int(axis.high), log=axis.log)
-                else:
-                    trial.suggest_float(axis.name, axis.low, axis.high, log=axis.log)
-            asked.append((trial.number, trial.params))
-        for number, params in asked[: trials - done]:
-            yield number, self._numbers(params)
-
-    def _numbers(self, params: Mapping[str, float]) -> tuple[float, ...]:
-        return tuple(
-            axis.start if params[axis.name] == axis.start else axis.rounded(params[axis.name])
-            for axis in self.request.axes
-        )
-
-    def _trial(self, trial: Any) -> Trial:
-        value, error, lost, margin = (np.nan if x is None else x for x in trial.user_attrs["worth"])
-        return Trial(self._numbers(trial.params), Worth(value, error, int(lost), margin))
+                trial.suggest_float(axis.name, axis.low, axis.high, log=axis.log)
+        return trial
 
     def _fly(self, numbers: Sequence[float], first: bool) -> Worth:
         """The worth of one trial; settings that contradict each other count as flights that were lost at the start."""
@@ -252,20 +218,6 @@ class Search:
 def best_of(trials: Sequence[Trial]) -> int:
     """Place of the first of the best trials."""
     return min(range(len(trials)), key=lambda i: trials[i].worth.value)
-
-
-def _complete(study: Any) -> list[Any]:
-    from optuna.trial import TrialState
-
-    return list(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
-
-
-def _duration(config: Config) -> float:
-    return float(build_trajectory(config.trajectory, build_vehicle(config.vehicle)).duration)
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 @contextlib.contextmanager

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, get_args
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
-from quadexp.errors import UsageError
+from quadexp.errors import ForbiddenValueError, UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.schema import REMEDIES, Config, remedies
-from quadexp.parts.settings import Declared, declared, inside, record
+from quadexp.parts.settings import Settings, declared, record
 
 TUNED = ("controller", *REMEDIES)  # groups whose settings can be varied
 AROUND = 10.0  # factor on the present value, up and down, of a range that is not given
@@ -96,12 +96,12 @@ def default_space(config: Config) -> list[str]:
     space: list[str] = []
     for group, node in {"controller": config.controller, **remedies(config)}.items():
         rules = [f"{group}.{key}{rule if rule.startswith('.') else f'={rule}'}"
-                 for key, one in declared(type(node)).items() for rule in one.setting.tuned.split()]  # fmt: skip
+                 for key, field in declared(type(node)).items() for rule in field.setting.tuned.split()]  # fmt: skip
         if not rules and group == "controller":
             raise UsageError(f"{node.name}: its keys say no ranges to tune it in: give --vary KEY=LOW..HIGH")
         for text in rules:
             name, _, rule = text.partition("=")
-            start = _Varied(name, config).start
+            start = _varied(name, config).start
             low, high, _ = _limits(name, rule, start)
             space.append(text if low <= start <= high else name)
     return space
@@ -111,65 +111,60 @@ def _axis(text: str, config: Config) -> Axis:
     name, equals, rule = text.partition("=")
     if name.partition(".")[0] not in TUNED:
         raise UsageError(f"--vary {name}: what is tuned is the controller and what is around it: {', '.join(TUNED)}")
-    varied = _Varied(name, config)
+    varied = _varied(name, config)
     low, high, log = _limits(name, rule if equals else "", varied.start)
-    if varied.whole and not (float(low).is_integer() and float(high).is_integer()):
+    whole = isinstance(varied.value, int)
+    if whole and not (float(low).is_integer() and float(high).is_integer()):
         raise UsageError(f"--vary {text}: {varied.key} is a whole number")
     if not low <= varied.start <= high:
         raise UsageError(f"--vary {name}={low:g}..{high:g}: must contain {varied.start:g}, which it is now")
     if not low < high:
         raise UsageError(f"--vary {text}: the range is empty")
-    varied.check(low, high)
-    return Axis(name, varied.key, varied.entries, low, high, log, varied.whole, varied.start, varied.value)
+    axis = Axis(name, varied.key, varied.entries, low, high, log, whole, varied.start, varied.value)
+    for end in (low, high) if isinstance(varied.owner, Settings) else ():
+        try:
+            replace(varied.owner, **{varied.key.rpartition(".")[2]: settings_of([axis], [axis.rounded(end)])[axis.key]})
+        except ForbiddenValueError as error:
+            raise UsageError(f"--vary {name}: {error}") from None
+        except UsageError:  # it contradicts another setting as it is now: a trial that does is a lost one
+            pass
+    return axis
 
 
-class _Varied:
-    """What a name means in a configuration. key: of the setting. value: of it now. entries: that are varied, () for a
-    number. start: what they are now (the first of them). whole: whether it is a whole number."""
+class _Varied(NamedTuple):
+    """What a name means in a configuration. key: of the setting. owner: what has it. value: of it now. entries: that
+    are varied of a list, () for a number. start: what they are now (the first of them)."""
 
-    def __init__(self, name: str, config: Config) -> None:
-        self.name, (group, *parts) = name, name.split(".")
-        self.key, letters = name, ""
-        self.value: Any = record(getattr(config, group))
-        for i, part in enumerate(parts):
-            if isinstance(self.value, list) and i == len(parts) - 1 and part in _ENTRIES:
-                self.key, letters = ".".join([group, *parts[:-1]]), part
-            elif isinstance(self.value, dict) and part in self.value:
-                self.value = self.value[part]
-            else:
-                near = self.value if isinstance(self.value, dict) else ()
-                hint = suggestion(name, [f"{'.'.join([group, *parts[:i]])}.{key}" for key in near])
-                raise UsageError(f"--vary {name}: no such key{hint}")
-        node: Any = type(getattr(config, group))
-        self.declared: Declared | None = None  # of an option of a part of the user's own
-        for part in self.key.split(".")[1:]:
-            self.declared = declared(node).get(part) if node is not None else None
-            node = self.declared and self.declared.node
-        kind = self.declared and self.declared.type
-        self.whole = isinstance(self.value, int) and (kind is None or kind is int or int in get_args(kind))
-        self.entries, self.start = self._entries(letters)
+    key: str
+    owner: Any
+    value: Any
+    entries: tuple[int, ...]
+    start: float
 
-    def _entries(self, letters: str) -> tuple[tuple[int, ...], float]:
-        value = self.value
-        if isinstance(value, list) and value and all(map(_is_number, value)):
-            shift = 1 if len(value) == 4 else 0
-            chosen = [i + shift for i in _ENTRIES[letters]] if letters else [i for i, x in enumerate(value) if x]
-            if not chosen or any(i >= len(value) or not value[i] for i in chosen):
-                raise UsageError(f"--vary {self.name}: an entry of {value} is zero: set it first, as KEY=VALUE")
-            return tuple(chosen), float(value[chosen[0]])
-        if letters or not _is_number(value):
-            raise UsageError(f"--vary {self.name}: is {value}, not a number or a list of numbers")
-        return (), value
 
-    def check(self, low: float, high: float) -> None:
-        """Raise UsageError where an end of the range, in the proportions of a list, is no value of the setting."""
-        setting = self.declared and self.declared.setting
-        if not setting or not setting.interval:
-            return
-        shares = [self.value[i] / self.start for i in self.entries] or [1]
-        for end in (low, high) if self.whole else (float(f"{x * share:.6g}") for x in (low, high) for share in shares):
-            if not inside(end, setting.interval):
-                raise UsageError(f"--vary {self.name}: {end:g}: must be in {setting.interval} {setting.unit}".rstrip())
+def _varied(name: str, config: Config) -> _Varied:
+    """Raises UsageError where the name is of no number, nor of a list of them without zeros."""
+    group, *parts = name.split(".")
+    key, letters, owner = name, "", getattr(config, group)
+    value: Any = record(owner)
+    for i, part in enumerate(parts):
+        if isinstance(value, list) and i == len(parts) - 1 and part in _ENTRIES:
+            key, letters = name.rpartition(".")[0], part
+        elif isinstance(value, dict) and part in value:
+            owner, value = owner if i == 0 else getattr(owner, parts[i - 1], None), value[part]
+        else:
+            near = value if isinstance(value, dict) else ()
+            hint = suggestion(name, [f"{'.'.join([group, *parts[:i]])}.{known}" for known in near])
+            raise UsageError(f"--vary {name}: no such key{hint}")
+    if isinstance(value, list) and value and all(map(_is_number, value)):
+        first = 1 if len(value) == 4 else 0
+        entries = [i + first for i in _ENTRIES[letters]] if letters else [i for i, x in enumerate(value) if x]
+        if not entries or any(i >= len(value) or not value[i] for i in entries):
+            raise UsageError(f"--vary {name}: an entry of {value} is zero: set it first, as KEY=VALUE")
+        return _Varied(key, owner, value, tuple(entries), float(value[entries[0]]))
+    if letters or not _is_number(value):
+        raise UsageError(f"--vary {name}: is {value}, not a number or a list of numbers")
+    return _Varied(key, owner, value, (), value)
 
 
 def _is_number(value: Any) -> bool:
@@ -186,10 +181,12 @@ def _limits(name: str, rule: str, start: float) -> tuple[float, float, bool]:
         return start / AROUND, AROUND * start, True
     match = _RANGE.fullmatch(rule.replace(" ", ""))
     try:
-        assert match is not None
-        low, high = float(match[1]), float(match[2])
-    except (AssertionError, ValueError):
-        raise UsageError(f"--vary {name}={rule}: expected LOW..HIGH or LOW..HIGH:log, such as 1..1000:log") from None
-    if match[3] and not low > 0:
+        low, high = (float(text) for text in match.groups()[:2]) if match else (math.nan, math.nan)
+    except ValueError:
+        match = None
+    if match is None:
+        raise UsageError(f"--vary {name}={rule}: expected LOW..HIGH or LOW..HIGH:log, such as 1..1000:log")
+    log = match[3] is not None
+    if log and not low > 0:
         raise UsageError(f"--vary {name}={rule}: a logarithmic range begins above 0")
-    return low, high, bool(match[3])
+    return low, high, log

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import pytest
 
 from quadexp.bench.board import (
@@ -16,12 +14,11 @@ from quadexp.bench.board import (
     read_board,
     update_markdown,
     write_board,
-    write_page,
 )
 from quadexp.bench.protocol import SHORT, read_protocol
 from quadexp.errors import UsageError
 from quadexp.log.store import write_table
-from tests.bench.rows import board, small
+from tests.bench.rows import board
 from tests.docs.commands import ROOT
 
 ERRORS = {"nominal_mpc": lambda task, seed: 0.2, "other": lambda task, seed: 0.1 if seed else None}
@@ -72,12 +69,6 @@ def test_tables_say_who_lost_and_which_settings():
     errors = error_table(ROWS, metric="mean_error", by=("task",))
     assert list(errors.columns) == ["task", "nominal_mpc", "other"]
     assert errors.rows[0] == ["circle", "**200.0**", "100.0 (1 lost)"]
-
-
-def test_the_page_needs_no_network_and_says_everything(tmp_path):
-    page = write_page(tmp_path / "b.html", ROWS, small(), ["a <note>"]).read_text()
-    assert not re.findall(r"(?:src|href)=\"?https?:", page) and "<script" not in page
-    assert "nominal_mpc" in page and "4 of 6" in page and "a &lt;note&gt;" in page and small().sha256 in page
 
 
 def test_markdown_is_written_between_its_marks(tmp_path):

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.bench.entries import configs_of, read_entries
 from quadexp.bench.protocol import Protocol, read_protocol, with_fewer_seeds
 from quadexp.errors import DataError
 from quadexp.parts.compose import session
-from quadexp.tune.preset import provenance_of
 from quadexp.tune.search import FIRST_SEED
-from tests.docs.commands import ROOT
 
 FROZEN = "53725eda9d11477137b7ad7368ee3dd423d0e3e40890728579f79db40e64180d"  # a change of the protocol is a new version
 
@@ -66,30 +63,6 @@ def test_fewer_seeds_are_the_first_of_the_same_flights():
     assert seeds == {"torrente": {*range(5)}, "blade_element": {*range(5)}, "draws": {*range(4)}}
     assert with_fewer_seeds(protocol, "standard", 0) == (protocol, "standard")
     assert with_fewer_seeds(protocol, "standard", 6) == (protocol, "standard")
-
-
-def test_every_seed_has_a_random_path_of_its_own():
-    protocol = read_protocol()
-    with session() as composer:
-        (entry,) = read_entries(["nominal_mpc"], composer, protocol)
-        flights = configs_of(entry, protocol.families["torrente"], protocol, "standard", composer, None)
-    assert {(config.trajectory.seed, config.seed) for task, *_, config in flights if task == "random 10"} == {
-        (seed, seed) for seed in range(6)
-    }
-
-
-def test_quick_flies_no_task_that_settings_were_tuned_on():
-    tuned = {
-        text
-        for path in sorted((ROOT / "conf").glob("*/*_tuned.yaml"))
-        for text in (provenance_of(path.stem, group=path.parent.name) or {})["cells"]
-    }
-    speeds = {text for text in tuned if text.startswith("trajectory.speed=")}
-    shapes = {shape for text in tuned if text.startswith("trajectory=") for shape in text.split("=")[1].split(",")}
-    family = read_protocol().families["torrente"]
-    for task in family.chosen("quick")[1]:
-        shape, speed = family.tasks[task][:2]
-        assert shape.partition("=")[2] not in shapes or speed not in speeds
 
 
 def test_seeds_are_not_those_that_tune():

@@ -4,26 +4,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
-from quadexp.bench.ranking import _error, cell_ranks, standings
-from tests.bench.rows import board, row
+from quadexp.bench.ranking import standings
+from tests.bench.rows import board
 
 
 def of(found):
     return {one.entry: one for one in found}
-
-
-def test_ranks_of_a_cell():
-    cell = {
-        "a": row("a", 0.2), "b": row("b", 0.1), "c": row("c", 0.1), "d": row("d", 0.3),
-        "e": row("e", 0.01, outcome="lost"), "f": row("f", math.nan, outcome="infeasible"),
-    }  # fmt: skip
-    errors = np.array([[_error(one, "mean_error")] for one in cell.values()])
-    ranks = dict(zip(cell, cell_ranks(errors)[:, 0], strict=True))
-    assert ranks == {"b": 1.5, "c": 1.5, "a": 3.0, "d": 4.0, "e": 5.5, "f": 5.5}
-    assert sum(ranks.values()) == 21  # 1 + ... + 6, however they are shared
 
 
 def test_places_by_mean_rank():
@@ -83,11 +71,6 @@ def test_bounds_take_no_rank_and_change_none():
     with_bound = standings([*board(errors), *board({"perfect_mpc": lambda task, seed: 0.1}, bound=1)])
     assert with_bound[:2] == plain
     assert with_bound[2].bound and with_bound[2].least == pytest.approx(0.5) and math.isnan(with_bound[2].rank)
-
-
-def test_one_seed_cannot_tell_entries_apart():
-    first, second = standings(board({"a": lambda t, s: 0.1, "b": lambda t, s: 0.2}, seeds=[0]))
-    assert second.level and math.isnan(first.rank_low)
 
 
 def test_who_lost_everything():

@@ -38,7 +38,7 @@ def test_rows_that_are_there_are_ranked_without_a_flight(here):
     found = json.loads(out)
     assert code == 0, err
     assert [line["entry"] for line in found["boards"]["small"]] == ["other", "nominal_mpc"]
-    assert "| 1 | other |" in (here / "b.md").read_text() and (here / "b" / "leaderboard.html").is_file()
+    assert "| 1 | other |" in (here / "b.md").read_text()
     assert run("show", "b/leaderboard.parquet")[0] == 0
 
 

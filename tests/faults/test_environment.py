@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import resource
 import shutil
 import subprocess
@@ -50,16 +49,6 @@ def test_blanks_and_letters_of_other_alphabets(usual, tmp_path):
     assert same(read_flight(folder / "a b=c.parquet"), usual)
     shown = run("show", folder / "a b=c.parquet")
     assert shown.returncode == 0 and "hover" in shown.stdout
-
-
-@pytest.mark.slow
-def test_a_cache_in_such_a_folder_is_compiled_into(tmp_path):
-    if not shutil.which("gcc"):
-        pytest.skip("no C compiler")
-    folder = tmp_path / "Zwischen speicher é"
-    done = apart(*COMPILED, "--json", "--out", tmp_path / "a.parquet", environment={"QUADEXP_CACHE": str(folder)})
-    assert done.returncode == 0, done.stderr
-    assert '"backend": "compiled"' in done.stdout and list(folder.glob("*.so"))
 
 
 @pytest.mark.slow
@@ -139,19 +128,6 @@ def test_half_installed_extras(flown, missing, words, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
-def test_one_core(usual, tmp_path):
-    """A sweep with every process on one core gives what it gives on all."""
-    out = tmp_path / "r"
-    words = ("evaluate", "--sweep", "--no-figures", *FLY[1:], "seed=0,1", "--out", out)
-    done = apart(*words, limit=lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}))
-    assert done.returncode == 0, done.stderr
-    flights = [read_flight(path) for path in sorted(out.glob("cells/*/*.parquet"))]
-    assert len(flights) == 2
-    (first,) = [flight for flight in flights if flight.metadata["seed"] == 0]
-    assert same(first, usual)
-
-
 def test_512_mb(usual, tmp_path):
     """Address space for what the interpreter maps and 512 MB of data: a flight needs less."""
 
@@ -161,20 +137,6 @@ def test_512_mb(usual, tmp_path):
     done = apart(*FLY, "--out", tmp_path / "a.parquet", limit=limit)
     assert done.returncode == 0, done.stderr
     assert same(read_flight(tmp_path / "a.parquet"), usual)
-
-
-@pytest.mark.slow
-def test_far_too_little_memory(tmp_path):
-    """Either it flies, or it says in one line that it could not."""
-
-    def limit():
-        resource.setrlimit(resource.RLIMIT_DATA, (40 << 20, 40 << 20))
-
-    done = apart(*FLY, "--out", tmp_path / "a.parquet", limit=limit)
-    if done.returncode == 0:
-        read_flight(tmp_path / "a.parquet")
-    else:
-        assert not (tmp_path / "a.parquet").exists()
 
 
 @pytest.mark.slow

@@ -8,10 +8,9 @@ import shutil
 
 import pytest
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
-from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep
 from tests.sweeps.cells import quick_cell
 
@@ -43,23 +42,6 @@ def test_a_damaged_table_is_made_anew_from_the_flights(again, damage):
     assert fly(again).flown == 0
 
 
-@pytest.mark.parametrize("damage", ["cut", "swapped"])
-def test_a_damaged_flight_is_flown_again_where_the_table_does_not_know_it(again, damage):
-    """Also one under another's name: a row is taken from a flight only where the flight says that it is the one."""
-    before = table(again)
-    first, second = sorted(again.glob("cells/*/*.parquet"))
-    if damage == "cut":
-        first.write_bytes(first.read_bytes()[:-30])
-    else:
-        first.write_bytes(second.read_bytes())
-    with pytest.raises(DataError):
-        CellStore(again).row(first.stem)
-    (again / "results.parquet").unlink()
-    assert fly(again).flown == 1
-    assert table(again) == before
-    assert CellStore(again).row(first.stem)["key"] == first.stem
-
-
 def test_what_a_full_disk_leaves_is_no_folder_of_other_things(tmp_path):
     """No flight could be written, nor the table, but the few lines of results.csv."""
     store = CellStore(tmp_path / "r")
@@ -89,21 +71,3 @@ def test_a_lock_that_was_removed_by_the_one_who_held_it(again, monkeypatch):
     monkeypatch.setattr(fcntl, "flock", late)
     with pytest.raises(UsageError, match="another sweep is running there"), store.lock():
         pass
-
-
-def test_figures_are_of_the_rows_beside_them(again):
-    """A sweep that is ended after its table and before its figures leaves the earlier ones."""
-
-    def draw(result):
-        with SweepFigures(again, None, "mean_error", 0.95) as figures:
-            figures.begin(result.rows)
-            assert figures.end() and not figures.failed
-
-    path = again / "figures" / "path_circle.svg"
-    draw(fly(again))
-    first = path.stat().st_mtime_ns
-    fly(again, seeds=4)  # and ended here
-    result = fly(again, seeds=4)
-    assert result.flown == 0
-    draw(result)
-    assert path.stat().st_mtime_ns != first

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import resource
@@ -21,31 +20,6 @@ from tests.sweeps.cells import CountedCell
 
 def files(folder):
     return sorted(path.name for path in folder.rglob("*") if path.is_file())
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A file system with room for 16 kB, where one may be mounted."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", place], capture_output=True)
-    if done.returncode:
-        pytest.skip("no file system can be mounted here")
-    yield place
-    subprocess.run(["umount", place], check=True)
-
-
-@pytest.mark.slow
-def test_the_disk_is_full(small_disk, tmp_path):
-    """The old flight is still there and whole, although a new one was to replace it."""
-    path = small_disk / "a.parquet"
-    assert run(*FLY, "--out", tmp_path / "a.parquet").returncode == 0
-    with contextlib.suppress(OSError):
-        (small_disk / "ballast").write_bytes(b"0" * 16384)
-    done = run(*FLY, "--out", path)
-    line = one_line(done)
-    assert str(path) in line and "No space left on device" in line and done.returncode == 1
-    assert files(small_disk) == ["ballast"]
 
 
 def test_a_file_may_not_grow(tmp_path):

@@ -159,7 +159,6 @@ ELSEWHERE = {
     "quadexp.compile.backend": "a lock, and what is compiled, in a private folder",
     "quadexp.log.cell_store": "a lock",
     "quadexp.log.exporters": "in a private folder",
-    "quadexp.sweeps.cluster": "in a private folder",
     "quadexp.report.style": "hands what it is given on to matplotlib",
 }
 WAYS = re.compile(

@@ -131,7 +131,3 @@ def test_adaptation(changed):
     assert set(files) == {"table_adaptation", "figure_adaptation"}
     table = (folder / "adaptation.md").read_text()
     assert "| payload of 0.3 kg taken up | nominal_mpc |" in table and "| 0..1 s |" in table
-
-
-def test_without_changes_there_is_nothing_to_draw(tmp_path):
-    assert lei_li.draw("adaptation", [], tmp_path) == {}

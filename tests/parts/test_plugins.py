@@ -132,7 +132,7 @@ def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
     dask, engine = engine == "dask", build_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
     with monkeypatch.context() as patch:
         if dask:
-            patch.setattr("quadexp.sweeps.cluster.source_hashes", lambda config: {})  # the driver's own check
+            patch.setattr("quadexp.sweeps.cluster.input_hashes", lambda *_: {})  # the driver's own check
         results = dict(engine.fly(evaluate_cell, iter(tasks[:1])))
     assert "there is no module tool in the --conf folder" in results["0" * 20].cause
     assert not mark.exists()

@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quadexp.papers.sun.as_logged import with_logged
 from quadexp.papers.sun.data import published
-from quadexp.papers.sun.report import Condition, conditions
+from quadexp.papers.sun.report import Condition, conditions, with_logged
 from tests.reproduction.test_torrente import quadexp
 
 pytestmark = pytest.mark.slow

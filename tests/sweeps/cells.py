@@ -12,8 +12,8 @@ from pathlib import Path
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.evaluate import describe, program_record, result_row
-from quadexp.log.store import write_flight, write_table
+from quadexp.experiment.evaluate import describe, result_row
+from quadexp.log.store import write_flight
 from quadexp.sweeps.engine import Workers
 from tests.log.flights import straight_flight
 
@@ -26,10 +26,6 @@ def run_cells(function, jobs, *, workers=0, timeout=None, preload=()):
     """Key and result of every job, in processes of its own."""
     with Workers(workers, preload=preload) as processes:
         yield from processes.run(function, jobs, timeout=timeout)
-
-
-def threads(_):
-    return os.environ.get("OMP_NUM_THREADS"), os.environ.get("OPENBLAS_NUM_THREADS")
 
 
 def misbehave(what, folder):
@@ -82,14 +78,6 @@ class CountedCell:
         with open(self.file, "a") as file:
             file.write("x")
         return quick_cell(config, model, path, key)
-
-
-def bare_cell(config, model, path, key):
-    """A file without samples for a flight, which holds its row."""
-    row = {"controller": config.controller.name, "seed": config.seed, "mean_error": 0.1, "outcome": "ok"}
-    row |= {**program_record(), "key": key, "trajectory": config.trajectory.name}
-    write_table(path, {"t": []}, {"key": key, "row": row}, "flight")
-    return row
 
 
 def poisoned_cell(config, model, path, key):

@@ -16,7 +16,6 @@ ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {
     **os.environ,
     "PYTHONPATH": str(ROOT),
-    "DASK_DISTRIBUTED__WORKER__DAEMON": "False",
     "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error",
     "OMP_NUM_THREADS": "1",
 }

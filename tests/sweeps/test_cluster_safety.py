@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import subprocess
@@ -13,13 +14,13 @@ import pytest
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 pytest.importorskip("cryptography", reason="the extra `cluster` is not installed")
 
+import dask
 from distributed.security import Security
 
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
-from tests.faults.command import FLY, apart, one_line
 from tests.sweeps import cells
 from tests.sweeps.dask_cluster import ROOT, Cluster, descendants
 
@@ -141,70 +142,34 @@ def intrusion(folder, ports):
     return done.stdout.splitlines()[-1:] or [done.stderr]
 
 
-@pytest.fixture
-def certificate(tmp_path):
-    """Files of a certificate, its own authority, as overrides."""
-    return written(tmp_path / "certificate")
-
-
-def written(folder):
-    made = Security.temporary()
+def certificate(folder):
+    """Files of a certificate, its own authority: names of Dask's settings -> paths."""
+    temporary = Security.temporary()
     folder.mkdir(mode=0o700)
-    (folder / "ca.pem").write_text(made.tls_ca_file)
-    (folder / "key.pem").write_text(made.tls_client_key)
-    (folder / "key.pem").chmod(0o600)
+    (folder / "ca.pem").write_text(temporary.tls_ca_file)
+    (folder / "key.pem").write_text(temporary.tls_client_key)
     return {"tls_ca": folder / "ca.pem", "tls_cert": folder / "ca.pem", "tls_key": folder / "key.pem"}
 
 
-def overrides(certificate):
-    return [f"engine.{name}={path}" for name, path in certificate.items()]
+def settings(files):
+    """As Dask's own files and environment state them."""
+    names = {"ca-file": "tls_ca", "client.cert": "tls_cert", "client.key": "tls_key"}
+    return dask.config.set({f"distributed.comm.tls.{name}": str(files[which]) for name, which in names.items()})
 
 
-def test_a_scheduler_that_runs_already(certificate, tmp_path):
-    """With its certificates it flies as at home; with others it is not to be had."""
-    cluster = Cluster(tmp_path / "cluster", workers=1, certificate=certificate)
+def test_a_scheduler_that_runs_already(tmp_path):
+    """With its certificates it flies as at home; with others, or none, it is not to be had."""
+    own = certificate(tmp_path / "own")
+    cluster = Cluster(tmp_path / "cluster", workers=1, certificate=own)
+    engine = build_engine(compose(["engine=dask", f"engine.address={cluster.address}"]))
     try:
-        assert cluster.address.startswith("tls://")
-        address = ["engine=dask", f"engine.address={cluster.address}"]
-        engine = build_engine(compose([*address, *overrides(certificate)]))
-        away = run_sweep(expand([GRID]), tmp_path / "away", function=cells.quick_cell, engine=engine)
+        with settings(own):
+            away = run_sweep(expand([GRID]), tmp_path / "away", function=cells.quick_cell, engine=engine)
         assert away.flown == 12 and not away.not_flown
         same_results(run_sweep(expand([GRID]), tmp_path / "home", function=cells.quick_cell, workers=1), away)
-        other = build_engine(compose([*address, *overrides(written(tmp_path / "other"))]))
-        with pytest.raises(QuadexpError, match="cannot be had") as error:
-            run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=other)
-        assert "\n" not in str(error.value) and not (tmp_path / "r").exists()
+        for others in (settings(certificate(tmp_path / "other")), contextlib.nullcontext()):
+            with others, pytest.raises(QuadexpError, match="cannot be had") as error:
+                run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
+            assert "\n" not in str(error.value) and not (tmp_path / "r").exists()
     finally:
         cluster.stop()
-
-
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        (["engine.address=head:8786"], "must begin with tls://, or with tcp:// if not encrypted"),
-        (["engine.address=tls://127.0.0.1:1"], "needs engine.tls_ca, engine.tls_cert and engine.tls_key"),
-        (["engine.address=tls://127.0.0.1:1", "engine.tls_ca=a"], "needs engine.tls_ca, engine.tls_cert"),
-        (["engine.address=tcp://127.0.0.1:1", "engine.tls_ca=a"], "engine.tls_ca: is of a scheduler at .*tls://"),
-        (["engine.tls_key=a"], "engine.tls_key: is of a scheduler at engine.address=tls://"),
-    ],
-)
-def test_a_request_without_a_clear_answer(given, says):
-    with pytest.raises(UsageError, match=says) as error:
-        compose(["engine=dask", *given])
-    assert "\n" not in str(error.value)
-
-
-def test_a_key_that_others_may_read(certificate, tmp_path):
-    certificate["tls_key"].chmod(0o640)
-    engine = build_engine(compose(["engine=dask", "engine.address=tls://127.0.0.1:1", *overrides(certificate)]))
-    with pytest.raises(UsageError, match=r"key.pem: others may read or change it: chmod go="):
-        run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
-
-
-@pytest.mark.parametrize("engine", ["dask", pytest.param("jobs", marks=pytest.mark.slow)])
-def test_without_cryptography_nothing_is_flown(engine, tmp_path):
-    """One line and exit code 2, not a cluster without certificates."""
-    command = ("evaluate", "--sweep", *FLY[1:], f"engine={engine}", "--out", tmp_path / "r")
-    done = apart(*command, before="import sys; sys.modules['cryptography'] = None")
-    assert done.returncode == 2 and f"engine={engine} needs cryptography" in one_line(done)
-    assert "pip install 'quadexp[cluster]'" in done.stderr and not (tmp_path / "r").exists()

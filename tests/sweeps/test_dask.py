@@ -6,21 +6,17 @@ import os
 import signal
 import sys
 import threading
-import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
-from distributed import Client
-
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.cluster import CellRunner, DaskEngine, open_cluster
-from quadexp.sweeps.engine import CellFailed, LocalEngine, Task
+from quadexp.sweeps.cluster import DaskEngine, open_cluster
+from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
@@ -64,8 +60,8 @@ class TestSameEverywhere:
         same_results(at_home, away)
         assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
 
-    def test_files_that_flights_read_travel_to_the_workers(self, engine, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)  # relative names, which mean nothing where the workers are
+    def test_files_that_flights_read_are_those_of_the_driver(self, engine, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)  # relative names, of the driver's folder
         Path("track.csv").write_text("t,p_x,p_y,p_z\n" + "".join(f"{i / 10},{i / 50},0,1\n" for i in range(12)))
         make_checkpoint(tmp_path / "models/drag")
         Path("wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,1,0,0\n1,0,2,0\n")
@@ -169,49 +165,21 @@ class TestKill:
         assert result.flown == 30 - len(before) and done == list(range(len(before), 31))
         same_results(undisturbed, result)
         assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
-        assert left_on(cluster) == [], "what the killed driver kept on the workers is gone too"
-
-
-def left_on(cluster):
-    """Names of what sweeps have left on the workers."""
-    with Client(cluster.address, set_as_default=False) as client:
-        return client.run_on_scheduler(
-            lambda dask_scheduler: [n for n in dask_scheduler.worker_plugins if n.startswith("quadexp")]
-        )
 
 
 class TestMistakes:
-    @pytest.mark.parametrize("engine", ["dask", "jobs"])
-    def test_the_extra_is_missing(self, monkeypatch, engine):
-        monkeypatch.setitem(sys.modules, "distributed", None)
-        with pytest.raises(UsageError, match=r"needs distributed, .* pip install 'quadexp\[cluster\]'"):
+    @pytest.mark.parametrize(("engine", "package"), [("dask", "distributed"), ("jobs", "cryptography")])
+    def test_the_extra_is_missing(self, monkeypatch, engine, package):
+        monkeypatch.setitem(sys.modules, package, None)
+        with pytest.raises(UsageError, match=rf"needs {package}, .* pip install 'quadexp\[cluster\]'"):
             build_engine(compose([f"engine={engine}"]))
 
-    @pytest.mark.parametrize(
-        ("overrides", "says"),
-        [
-            (["engine.address=tcp://127.0.0.1:1"], "engine.address=tcp://127.0.0.1:1 cannot be had"),
-            (
-                ["engine.address=tls://127.0.0.1:1", "engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"],
-                "tls_ca=a: no such file",
-            ),
-        ],
-    )
-    def test_one_line_says_what_is_wrong(self, overrides, says, tmp_path, monkeypatch):
+    def test_a_scheduler_that_is_not_there(self, tmp_path, monkeypatch):
         monkeypatch.setattr("quadexp.sweeps.cluster.CONNECT", 0.5)
-        engine = build_engine(compose(["engine=dask", *overrides]))
-        with pytest.raises(QuadexpError, match=says) as caught:
+        engine = build_engine(compose(["engine=dask", "engine.address=tcp://127.0.0.1:1"]))
+        with pytest.raises(QuadexpError, match="engine.address=tcp://127.0.0.1:1 cannot be had") as caught:
             run_sweep(expand(SHORT), tmp_path / "r", engine=engine)
         assert "\n" not in str(caught.value)
-
-    def test_a_worker_that_may_not_have_children_is_refused(self, tmp_path):
-        cluster = Cluster(tmp_path / "cluster", workers=0)
-        cluster.add_worker(DASK_DISTRIBUTED__WORKER__DAEMON="True")
-        try:
-            with pytest.raises(QuadexpError, match="start it with DASK_DISTRIBUTED__WORKER__DAEMON=False"):
-                run_sweep(expand(SHORT), tmp_path / "r", engine=on(cluster))
-        finally:
-            cluster.stop()
 
     def test_nothing_is_started_for_a_finished_sweep(self, tmp_path):
         run_sweep(expand(SHORT), tmp_path / "r", engine=LocalEngine(1))
@@ -233,22 +201,3 @@ def make_checkpoint(folder):
     fit = {"residual_std": np.zeros(3), "r_squared": np.ones(3), "n": 10}
     named = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
     save_model(folder, LinearDrag(**numbers, **errors, **fit, vehicle=named))
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.002, 0.2])
-def test_a_cell_under_way_ends_with_its_sweep(tmp_path, delay):
-    """As on a worker whose sweep is removed because its driver was killed: the thread is free for other sweeps, however
-    far the cell was on its way to the child process."""
-    runner = CellRunner("cells", None, None, {})
-    runner.setup(SimpleNamespace(state=SimpleNamespace(nthreads=1), local_directory=str(tmp_path)))
-    task = Task("key", compose([]), None, "")
-    assert runner.fly(cells.quick_cell, task, {}, {})[0]["outcome"] == "ok"
-    answers = []
-    thread = threading.Thread(target=lambda: answers.append(runner.fly(cells.endless_cell, task, {}, {})), daemon=True)
-    thread.start()
-    time.sleep(delay)
-    runner.teardown(None)
-    thread.join(60)
-    assert not thread.is_alive() and isinstance(answers[0], CellFailed)
-    assert isinstance(runner.fly(cells.endless_cell, task, {}, {}), CellFailed), "and no other begins"
-    assert not list(tmp_path.iterdir())

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("dask_jobqueue", reason="the extra `cluster` is not installed")
 pytest.importorskip("cryptography", reason="the extra `cluster` is not installed")
 
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
@@ -96,13 +96,9 @@ def test_what_a_queue_refuses_is_said_before_anything_is_flown(queue, tmp_path):
     assert "''" not in seen.read_text() and str(tmp_path) not in seen.read_text()
 
 
-def test_certificates_go_to_no_folder_that_others_write_to(tmp_path):
-    tmp_path.chmod(0o1777)
-    with pytest.raises(UsageError, match="others may write to"):
-        run_sweep(expand([GRID]), tmp_path / "r", engine=engine_of(shared_temp_directory=tmp_path))
-
-
-@pytest.mark.parametrize(("options", "says"), [({"cores": 4}, "cores: ...}: is set by"), ({"nodes": 4}, "nodes")])
+@pytest.mark.parametrize(
+    ("options", "says"), [({"cores": 4}, "multiple values for .*'cores'"), ({"nodes": 4}, "nodes")]
+)
 def test_options_that_are_not_for_the_user(queue, tmp_path, options, says):
     queue(sbatch=REFUSE.format(folder=tmp_path))
     with pytest.raises(QuadexpError, match=says) as error:

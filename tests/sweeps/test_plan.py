@@ -7,18 +7,14 @@ from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
-from quadexp.errors import UsageError
 from quadexp.experiment.identity import FLIGHT_GROUPS, find_model, input_hashes
-from quadexp.log.store import read_table, write_table
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.schema import WORLD, Config
 from quadexp.parts.settings import keys_of
 from quadexp.report.inference import least_p
-from quadexp.sweeps import plan
 from quadexp.sweeps.plan import plan_cells, too_few_seeds
-from quadexp.sweeps.results import select
-from tests.sweeps.test_sweep import fly, key_of
+from tests.sweeps.test_sweep import key_of
 
 OPTIONS = [
     [],
@@ -107,42 +103,6 @@ def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
     assert first.condition == other.condition
 
 
-def test_another_content_of_a_wind_file_is_another_cell(tmp_path):
-    grid = expand(["wind=file", f"wind.path={tmp_path}/wind.csv"])
-    (tmp_path / "wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,1,0,0\n")
-    (first,) = plan_cells(grid).values()
-    (tmp_path / "wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,2,0,0\n")
-    (other,) = plan_cells(grid).values()
-    assert first.key != other.key and first.condition == other.condition
-    (tmp_path / "wind.csv").unlink()
-    with pytest.raises(UsageError, match="wind.path=.*: no such file"):
-        plan_cells(grid)
-
-
-def test_a_new_schema_makes_every_cell_new(monkeypatch):
-    before = plan_cells(expand(["seed=0"]))
-    monkeypatch.setattr(plan, "SCHEMA", 99)
-    assert plan_cells(expand(["seed=0"])).keys().isdisjoint(before)
-
-
-@pytest.mark.parametrize(
-    "setting",
-    ["engine=dask", "engine=jobs", "evaluate.workers=1", "evaluate.memory=1", "evaluate.metric=rmse", "gp=full"],
-)
-def test_an_irrelevant_setting_flies_nothing(tmp_path, setting):
-    fly(expand(["seed=range(3)"]), tmp_path / "r")
-    (tmp_path / "r").rename(tmp_path / "elsewhere")
-    assert fly(expand(["seed=range(3)", setting]), tmp_path / "elsewhere").flown == 0
-
-
-@pytest.mark.parametrize(
-    "setting", ["plant.lift=0.1", "vehicle.mass=1.01", "controller.nodes=11", "trajectory.speed=8.5", "sensor=lei_li"]
-)
-def test_a_relevant_setting_flies_everything(tmp_path, setting):
-    fly(expand(["seed=range(3)"]), tmp_path / "r")
-    assert fly(expand(["seed=range(3)", setting]), tmp_path / "r", force=True).flown == 3
-
-
 class TestCells:
     def test_they_are_made_when_asked_for(self):
         made = []
@@ -155,10 +115,6 @@ class TestCells:
         assert {cell.varied for cell in grid} == {"a=1", "a=2", "a=3"}
         with pytest.raises(IndexError):
             grid[7]
-
-    def test_of_a_million_one_can_be_had(self):
-        grid = Cells([(("a=1", "a=2"), tuple(f"seed={i}" for i in range(500_000)))], lambda overrides: None)
-        assert grid[999_999].overrides == ("a=2", "seed=499999")
 
     @pytest.mark.parametrize(
         "overrides",
@@ -179,28 +135,6 @@ class TestCells:
                 alone = another_one.compose(cell.overrides)
                 alone = replace(alone, sweep=None)
                 assert cell.config == alone
-
-
-class TestInterrupted:
-    def test_the_cells_of_a_sweep_that_has_not_ended_are_listed(self, tmp_path):
-        grid = expand(["seed=range(10)"])
-
-        def stop(done, total):
-            if done == 9:
-                raise KeyboardInterrupt
-
-        with pytest.raises(Exception, match="of 10 done"):
-            fly(grid, tmp_path / "r", progress=stop)
-        assert sum(row["wanted"] for row in select(tmp_path / "r").rows) in (9, 10)  # one may have been under way
-
-    def test_rows_are_taken_from_the_flights_and_not_from_the_table(self, tmp_path):
-        """Which may be of a flight that has been flown again since, or edited."""
-        grid, out = expand(["seed=range(3)"]), tmp_path / "r"
-        first = fly(grid, out)
-        columns, _ = read_table(out / "results.parquet", "results")
-        write_table(out / "results.parquet", {**columns, "rmse": 2 * columns["rmse"]}, {}, "results")
-        second = fly(grid, out)
-        assert second.flown == 0 and list(second.rows) == list(first.rows)
 
 
 @pytest.mark.parametrize(

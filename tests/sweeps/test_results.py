@@ -11,12 +11,9 @@ from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table, write_table
 from quadexp.parts.compose import expand
-from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.results import prune, select
-from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
-from tests.sweeps import cells
-from tests.sweeps.test_sweep import GRID, files, fly
+from tests.sweeps.test_sweep import GRID, fly
 
 
 @pytest.fixture(scope="module")
@@ -48,31 +45,16 @@ class TestList:
     def test_filters_must_all_hold(self, flown, filters, count):
         assert len(select(flown, filters).rows) == count
 
-    def test_sorted(self, flown):
-        errors = [row["mean_error"] for row in select(flown, sort="-mean_error").rows]
-        assert errors == sorted(errors, reverse=True)
-        assert [row["seed"] for row in select(flown, sort="seed").rows][:5] == [0, 0, 0, 0, 1]
-
     @pytest.mark.parametrize("wrong", [{"filters": ["sped=4"]}, {"sort": "sped"}])
     def test_a_column_that_is_none(self, flown, wrong):
         with pytest.raises(UsageError, match="sped: no such column; did you mean speed"):
             select(flown, **wrong)
-
-    def test_failures_with_their_causes(self, tmp_path):
-        grid = expand(["seed=0,2,6"])
-        run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, engine=LocalEngine(1))
-        (row,) = select(tmp_path / "r", failures=True).rows
-        assert (row["seed"], row["outcome"], row["cause"]) == (2, "failed", "ValueError: this seed does not work")
 
     def test_cells_of_an_earlier_sweep_are_listed_as_not_wanted(self, flown):
         fly(expand(["seed=9"]), flown, force=True)
         rows = select(flown).rows
         assert len(rows) == 13 and sum(row["wanted"] for row in rows) == 1
         assert len(select(flown, ["wanted=true"]).rows) == 1
-
-    def test_a_sweep_that_is_not_finished(self, flown):
-        (flown / "results.parquet").unlink()
-        assert len(select(flown).rows) == 12
 
     def test_a_damaged_cell_is_listed(self, flown):
         key = select(flown).rows[0]["key"]
@@ -119,12 +101,6 @@ class TestSettings:
         left = [tuple(_value(config, name) for name in NAMES) for config in configs]
         assert sorted(left) == sorted(setting for setting in SETTINGS if not holds(*setting))
 
-    def test_what_is_listed_is_its_own(self, varied, request):
-        if "wrong" in request.node.name:
-            pytest.skip("a table is taken as it is, until something is removed")
-        frame = select(varied, ["seed=0"], where="wind.velocity in ['[1, 0, 0]', '[0.5,2,0]']")
-        assert sorted(zip(*map(frame.column, NAMES), strict=True)) == sorted(SETTINGS)
-
 
 def _value(config, name):
     group, _, key = name.partition(".")
@@ -150,10 +126,6 @@ class TestPrune:
         assert fly(smaller, flown).flown == 0, "the smaller sweep is not another one"
         assert fly(expand(GRID), flown).flown == 6
 
-    def test_everything(self, flown):
-        prune(flown, ["controller=*"], remove=True)
-        assert not [name for name in files(flown) if name.endswith((".parquet", ".csv"))]
-
     def test_without_a_table_nobody_knows_what_is_wanted(self, flown):
         (flown / "results.parquet").unlink()
         with pytest.raises(UsageError, match="name the others by KEY=VALUE"):
@@ -161,13 +133,6 @@ class TestPrune:
 
 
 class TestCommand:
-    def test_list(self, flown):
-        code, out, err = run("results", str(flown), "controller=nominal_mpc", "--sort", "-mean_error", "--limit", "2")
-        assert code == 0 and out.count("nominal_mpc") == 2 and "6 cells, 6 ok" in err
-        code, out, _ = run("results", str(flown), "seed=1", "--json")
-        record = json.loads(out)
-        assert record["count"] == 4 and {row["seed"] for row in record["rows"]} == {1}
-
     def test_prune(self, flown):
         code, out, _ = run("results", str(flown), "seed=1", "--prune")
         assert code == 0 and out.startswith("4 cells") and "--yes" in out

@@ -48,31 +48,6 @@ def files(folder):
 
 
 class TestKeys:
-    def test_the_key_is_the_configuration(self):
-        a, b = expand(["trajectory.speed=4,8"])
-        assert key_of(a.config) != key_of(b.config)
-        assert key_of(a.config) == key_of(expand(["trajectory.speed=4"])[0].config)
-
-    def test_what_cannot_change_a_flight_is_not_in_the_key(self):
-        keys = {
-            key_of(expand([extra])[0].config)
-            for extra in (
-                "seed=0",
-                "evaluate.workers=7",
-                "evaluate.metric=rmse",
-                "evaluate.baseline=gp_mpc",
-                "evaluate.confidence=0.9",
-                "gp.inducing=50",
-                "collect.duration=5",
-            )
-        }
-        assert len(keys) == 1
-
-    def test_the_content_of_the_checkpoint_is(self):
-        config = expand(["controller=gp_mpc"])[0].config
-        keys = {key_of(config, {"model": content}) for content in ("a", "b")}
-        assert len(keys | {key_of(config)}) == 3
-
     def test_how_a_number_is_written_is_not(self):
         keys = {key_of(expand([f"trajectory.speed={text}"])[0].config) for text in ("8", "8.0", "8e0")}
         assert len(keys) == 1
@@ -102,42 +77,6 @@ class TestSweep:
         flight = read_flight(CellStore(tmp_path / "r").path(columns["key"][0]))
         assert flight.metadata["row"]["controller"] == "nominal_mpc"
 
-    def test_a_second_run_flies_nothing_and_says_the_same(self, grid, tmp_path):
-        first = fly(grid, tmp_path / "r")
-        second = fly(grid, tmp_path / "r")
-        assert second.flown == 0
-        assert [r["key"] for r in second.rows] == [r["key"] for r in first.rows]
-        assert [r["rmse"] for r in second.rows] == [r["rmse"] for r in first.rows]
-
-    def test_a_second_run_leaves_what_it_would_write_again(self, grid, tmp_path):
-        fly(grid, tmp_path / "r")
-        at = {name: (tmp_path / "r" / name).stat().st_mtime_ns for name in ("results.parquet", "results.csv")}
-        fly(grid, tmp_path / "r")
-        assert at == {name: (tmp_path / "r" / name).stat().st_mtime_ns for name in at}
-        other = fly(grid, tmp_path / "r", metric="rmse")
-        assert read_table(other.out / "results.parquet", "results")[1]["metric"] == "rmse"
-        (tmp_path / "r" / "results.csv").unlink()
-        fly(grid, tmp_path / "r", metric="rmse")
-        assert len((tmp_path / "r" / "results.csv").read_text().splitlines()) == 13
-
-    def test_many_cells_again_are_recalled_from_their_files(self, tmp_path, monkeypatch):
-        """Every one by the hash of its bytes: nothing is decoded, and no table is asked."""
-        overrides = ["controller=nominal_mpc,perfect_mpc", "seed=range(50)"]
-        first = run_sweep(expand(overrides), tmp_path / "r", function=cells.bare_cell, isolate=False)
-        for name in ("results.parquet", "results.csv"):
-            (tmp_path / "r" / name).unlink()
-        monkeypatch.setattr("quadexp.log.store.read_table", lambda *_, **__: pytest.fail("a flight was decoded"))
-        again = run_sweep(expand(overrides), tmp_path / "r")
-        assert again.flown == 0 and len(again.rows) == 100
-        assert [row["key"] for row in again.rows] == [row["key"] for row in first.rows]
-
-    def test_a_lost_cell_is_flown_again_and_only_that(self, grid, tmp_path):
-        first = fly(grid, tmp_path / "r")
-        CellStore(tmp_path / "r").remove([first.rows[5]["key"]])
-        (tmp_path / "r" / "counts").mkdir()
-        assert fly(grid, tmp_path / "r").flown == 1
-        assert files(tmp_path / "r" / "counts") == [first.rows[5]["key"]]
-
     def test_more_seeds_may_be_added(self, grid, tmp_path):
         fly(grid, tmp_path / "r")
         more = fly(expand([*GRID[:2], "seed=range(4)"]), tmp_path / "r")
@@ -162,12 +101,6 @@ class TestSweep:
         store.open()
         with store.lock(), pytest.raises(UsageError, match="another sweep is running"):
             fly(grid, tmp_path / "r")
-
-    def test_progress_counts_what_was_done_before(self, grid, tmp_path):
-        fly(grid[:6], tmp_path / "r")
-        seen = []
-        fly(grid, tmp_path / "r", progress=lambda done, total: seen.append((done, total)))
-        assert seen[0] == (6, 12) and seen[-1] == (12, 12)
 
     def test_settings_that_contradict_each_other_in_every_cell_are_said_before_anything_is_flown(self, tmp_path):
         with pytest.raises(UsageError, match="step_time"):
@@ -206,15 +139,6 @@ class TestSweep:
         # One of each first, so that two workers begin by building two controllers and not the same one.
         assert names == ["nominal_mpc", "perfect_mpc", *["nominal_mpc"] * 5, *["perfect_mpc"] * 5]
 
-    def test_the_order_depends_on_what_is_built_and_not_on_what_is_flown(self):
-        plan = plan_cells(
-            expand(["controller=nominal_mpc", "controller.nodes=10,20", "controller.horizon=1,2", "seed=0,1"])
-        )
-        jobs = flying_order(list(plan.values()))
-        assert sorted(job.key for job in jobs) == sorted(plan)
-        nodes = [(job.cell.config.controller.nodes, job.cell.config.controller.horizon) for job in jobs]
-        assert nodes == [(10, 1.0), (20, 1.0), (10, 1.0), (10, 2.0), (10, 2.0), (20, 1.0), (20, 2.0), (20, 2.0)]
-
 
 class TestPoison:
     def test_each_poisoned_cell_is_a_failed_row_and_the_rest_flies(self, tmp_path):
@@ -231,14 +155,6 @@ class TestPoison:
         # The failed ones are tried again next time, and only they.
         again = run_sweep(grid, tmp_path / "r", function=cells.quick_cell, workers=2)
         assert again.flown == 5 and not again.not_flown
-
-    def test_a_damaged_cell_is_flown_again(self, grid, tmp_path):
-        """Where the table does not know it; it costs one flight, not the sweep."""
-        fly(grid, tmp_path)
-        (tmp_path / "results.parquet").unlink()
-        next(tmp_path.rglob("cells/*/*.parquet")).write_bytes(b"PAR1")
-        result = fly(grid, tmp_path)
-        assert result.flown == 1 and not result.not_flown
 
 
 class TestInterrupt:

@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import read_flight, read_table, write_flight, write_table
+from quadexp.log.store import read_table, write_table
 from quadexp.sweeps.results import select
 from quadexp.sweeps.verify import verify_results
 from tests.cli.command import run
@@ -63,15 +63,6 @@ def test_a_cell_with_a_flipped_byte_is_named_and_flown_again(folder, where):
     assert note.startswith("1 cells have changed since they were flown") and str(path) in note
     assert not verify_results(folder).wrong
     assert fly(folder).flown == 0
-
-
-def test_a_flight_edited_with_pyarrow(folder):
-    before, path = untimed(folder), cell(folder, 1)
-    edit(path, "p_x", 3, 17.5)
-    assert list(verify_results(folder).wrong) == [str(path)]
-    with pytest.raises(DataError, match="edited or damaged"):
-        read_flight(path)
-    assert fly(folder).flown == 1 and untimed(folder) == before
 
 
 def test_a_cell_under_another_s_name(folder):
@@ -135,19 +126,6 @@ def test_what_is_not_there_is_written_anew(folder, name):
     assert made_again or name == "results.parquet"  # whose record says when it was made
 
 
-def test_edited_statistics_are_not_believed(folder):
-    path, before = folder / "statistics.parquet", (folder / "table.md").read_text()
-    edit(path, "mean", 0, 0.123)
-    assert list(verify_results(folder).wrong) == [str(path)]
-    fly(folder)
-    assert not verify_results(folder).wrong and (folder / "table.md").read_text() == before
-
-
-def test_more_cells_are_no_edit(folder):
-    result = fly(folder, ["trajectory.speed=2", "controller=nominal_mpc,perfect_mpc", "seed=0,1,2"])
-    assert result.flown == 2 and not result.notes and not verify_results(folder).wrong
-
-
 def test_a_folder_of_before_there_were_hashes_is_said_and_is_no_failure(folder):
     import hashlib
 
@@ -174,16 +152,3 @@ def test_a_folder_of_other_things(tmp_path):
         verify_results(tmp_path)
     code, _, err = run("results", tmp_path, "seed=0", "--verify")
     assert code == 2 and "give it alone" in err
-
-
-class TestOtherFiles:
-    """A flight outside a sweep, a data set, an imported flight: where they are read in full."""
-
-    def test_an_edited_flight_teaches_nothing(self, folder, tmp_path):
-        flight = read_flight(cell(folder))
-        path = write_flight(tmp_path / "a.parquet", flight)
-        edit(path, "v_x", 2, 3.0)
-        for command in (["collect", "--flight", path, "--out", tmp_path / "d.parquet"], ["show", path]):
-            code, _, err = run(*command)
-            assert code == 1 and f"{path}: its columns do not match their hash" in err
-        assert not (tmp_path / "d.parquet").exists()

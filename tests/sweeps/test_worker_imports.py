@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import textwrap
 from pathlib import Path
 
 import pytest
@@ -119,23 +118,6 @@ def test_workers_of_a_checkout_that_is_run_from_its_folder_are_of_that_checkout(
     assert done.returncode == 2 and f"2 by quadexp 0.1.0, sources {said}" in done.stderr
 
 
-def test_a_pool_of_another_quadexp_is_refused_by_name(tmp_path):
-    copy_of_the_package(tmp_path, drag=True)
-    code = textwrap.dedent(
-        f"""
-        from quadexp.sweeps import server
-        from tests.sweeps.cells import run_cells
-        server.same_imports = lambda: server.environment({{"PYTHONPATH": {str(tmp_path)!r}}})
-        print(list(run_cells(max, {{"a": (1, 2)}}, workers=1, preload=["quadexp.provenance"])))
-        """
-    )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
-    assert done.returncode == 1
-    assert "QuadexpError: worker processes have sources" in done.stderr
-    assert f"this process has {provenance.package_hash()}" in done.stderr
-
-
 def test_children_have_the_path_and_the_environment_of_their_parent(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", "mine")
@@ -143,17 +125,6 @@ def test_children_have_the_path_and_the_environment_of_their_parent(monkeypatch,
     given = [folder for folder in own_folders() if folder not in sys.path]  # with --conf, by tests before this one
     assert found["path"] == [*sys.path, *given] and found["PYTHONPATH"] == "mine"
     assert os.environ["PYTHONPATH"] == "mine" and os.environ.get("PYTHONSAFEPATH") is None
-
-
-def test_python_that_ignores_the_environment_is_told_what_to_add(standing, tmp_path):
-    given = ["evaluate", "--sweep", *SHORT, "seed=0,1", *FIXED, "--out", tmp_path / "r"]
-    refused = command(*given, python=["-E"])
-    assert not (standing / "executed").exists()
-    if "No module named" in refused.stderr:
-        pytest.skip("quadexp is found by PYTHONPATH only")
-    assert refused.returncode == 2 and "Python was started with -E" in refused.stderr and "add -P" in refused.stderr
-    assert command(*given, python=["-E", "-P"]).returncode == 0
-    assert not (standing / "executed").exists()
 
 
 class TestRows:

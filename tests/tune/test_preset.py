@@ -15,15 +15,7 @@ from quadexp.parts.schema import REMEDIES
 from quadexp.parts.settings import record
 from quadexp.tune import Tune
 from quadexp.tune.call import fingerprint, tune
-from quadexp.tune.preset import (
-    check_name,
-    default_name,
-    hidden,
-    options_of,
-    provenance_of,
-    read_provenance,
-    write_preset,
-)
+from quadexp.tune.preset import hidden, options_of, provenance_of, read_provenance, write_preset
 from quadexp.tune.search import FIRST_SEED
 from tests.docs.commands import ROOT
 from tests.tune.parts import HOVER, WeightCell
@@ -85,7 +77,7 @@ def test_where_it_comes_from_stands_in_its_file(tuned):
 
 def test_the_same_search_writes_the_same_bytes(tuned, tmp_path):
     out = tuned[0]
-    shutil.copytree(out, tmp_path / "u", ignore=shutil.ignore_patterns("journal*", "*.yaml"))
+    shutil.copytree(out, tmp_path / "u", ignore=shutil.ignore_patterns("search.json", "*.yaml"))
     weighed(tmp_path / "u")
     option = "controller/perfect_mpc_tuned.yaml"
     assert (out / option).read_bytes() == (tmp_path / "u" / option).read_bytes()
@@ -124,17 +116,6 @@ def test_a_controller_and_its_remedies_are_one_bundle(given, tmp_path):
         assert [[record(getattr(cell.config, group)) for group in groups] for cell in swept] == [wanted] * 2
 
 
-def test_the_controller_of_an_experiment_is_the_one_that_is_tuned(tmp_path):
-    (tmp_path / "experiment").mkdir()
-    chosen = "# @package _global_\ndefaults:\n  - override /controller: dfbc\n  - _self_\ncontroller: {rate: 100}\n"
-    (tmp_path / "experiment" / "mine.yaml").write_text(chosen)
-    with session(tmp_path) as composer:
-        config = composer.compose(["experiment=mine"])
-        options = options_of(["experiment=mine"], config)
-        choice, _ = write_preset(tmp_path, composer, options, config, {"flights": 7}, "own")
-    assert record(compose([choice], tmp_path).controller) == record(config.controller) | {"name": "own"}
-
-
 def test_what_is_called_as_a_shipped_option_is_hidden_by_it(tmp_path):
     """Flown and read alike: the one that is composed is the one whose provenance counts."""
     with session() as composer:
@@ -142,16 +123,6 @@ def test_what_is_called_as_a_shipped_option_is_hidden_by_it(tmp_path):
         _, path = write_preset(tmp_path, composer, {"controller": "nominal_mpc"}, config, {"flights": 7})
     assert hidden(path) and compose(["controller=nominal_mpc_tuned"], tmp_path).controller.nodes != 12
     assert provenance_of("nominal_mpc_tuned", tmp_path) == provenance_of("nominal_mpc_tuned")
-
-
-def test_options_are_called_by_what_they_are_of():
-    around = {"controller": "dfbc", "inner": "indi", "observer": "wind"}
-    assert default_name({"controller": "dfbc"}) == "dfbc_tuned" and default_name(around) == "dfbc_wind_indi_tuned"
-
-
-def test_an_option_is_not_written_over_itself():
-    with pytest.raises(UsageError, match="give another name"):
-        check_name({"controller": "gp_mpc"}, "gp_mpc")
 
 
 SHIPPED = [tuple(name.split("/")) for name in sorted(OptionFiles().entries) if name.endswith("_tuned")]

@@ -6,11 +6,10 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
-from quadexp.log.store import read_table
 from quadexp.sweeps.sweep import SweepInterrupted
 from quadexp.tune import Tune
 from quadexp.tune.call import tune
-from quadexp.tune.search import FIRST_SEED, best_of
+from quadexp.tune.search import best_of
 from tests.tune.parts import BEST, HOVER, WeightCell, open_loop, same, search
 
 BOTH = ("controller.position_weight=1..1000:log", "controller.nodes=5..20")
@@ -51,25 +50,12 @@ def test_an_interrupted_search_goes_on_as_if_it_never_had_been(whole, tmp_path, 
     assert same(whole[1], search(tmp_path / "t", 14, WeightCell(), BOTH))
 
 
-def test_batches_too(tmp_path):
-    complete = search(tmp_path / "a", 13, WeightCell(), BOTH, batch=4)
-    with pytest.raises(SweepInterrupted):
-        search(tmp_path / "b", 13, WeightCell(stop=11), BOTH, batch=4)
-    assert same(complete, search(tmp_path / "b", 13, WeightCell(), BOTH, batch=4))
-
-
 @pytest.mark.parametrize(("batch", "budgets"), [(4, [13, 15]), (3, [2, 4, 11]), (5, [14])])
 def test_a_budget_that_ends_in_a_batch_can_be_raised(tmp_path, batch, budgets):
     complete = search(tmp_path / "a", 17, WeightCell(), BOTH, batch=batch)
     for budget in budgets:
         assert same(complete[:budget], search(tmp_path / "b", budget, WeightCell(), BOTH, batch=batch))
     assert same(complete, search(tmp_path / "b", 17, WeightCell(), BOTH, batch=batch))
-
-
-def test_a_cell_that_is_given_twice_is_flown_once(tmp_path):
-    twice = [*HOVER, "seed=5,5"]
-    once = search(tmp_path / "b", 3, WeightCell(), given=[*HOVER, "seed=5"])
-    assert same(once, search(tmp_path / "a", 3, WeightCell(), given=twice))
 
 
 def test_a_larger_budget_continues_and_a_smaller_one_is_its_beginning(whole, tmp_path):
@@ -105,11 +91,6 @@ def test_one_controller_at_a_time(tmp_path):
     for several in ("controller=nominal_mpc,perfect_mpc", "horizon=published,precise", "controller.nodes=10,20"):
         with pytest.raises(UsageError, match="one controller is tuned at a time"):
             search(tmp_path / "t", 4, WeightCell(), given=[*HOVER, several])
-
-
-def test_seeds_are_not_those_of_evaluations(whole):
-    keys = {read_table(path, "flight")[1]["seed"] for path in whole[0].rglob("cells/*/*.parquet")}
-    assert keys == {FIRST_SEED}
 
 
 def test_a_controller_of_the_users_own_is_tuned_to_what_is_known_to_be_best(tmp_path):

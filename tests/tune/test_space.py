@@ -33,26 +33,13 @@ def test_entries_of_a_list_are_axes_of_their_own():
     ]
 
 
-def test_whole_numbers_stay_whole():
-    (axis,) = read_axes(["controller.nodes=5..20"], CONFIG)
-    assert axis.whole and overrides([axis], [axis.rounded(7)]) == ["controller.nodes=7"]
-    assert not read_axes(["controller.horizon=0.5..2"], CONFIG)[0].whole  # 1.0
-
-
-def test_a_range_that_is_not_given():
-    (axis,) = read_axes(["controller.horizon"], CONFIG)
-    assert (axis.low, axis.high, axis.log) == (0.1, 10.0, True)
-    (axis,) = read_axes(["controller.nodes"], CONFIG)
-    assert (axis.low, axis.high, axis.whole) == (5, 20, True)
-
-
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
         (["controller.positon_weight=1..2"], "no such key; did you mean controller.position_weight"),
         (["plant.mass=1..2"], "what is tuned is the controller and what is around it"),
-        (["controller.horizon=0..2"], r"controller.horizon: 0: must be in \(0, 10\] s"),
-        (["controller.horizon=0.5..20"], r"20: must be in \(0, 10\] s"),
+        (["controller.horizon=0..2"], r"controller.horizon=0.0: must be in \(0, 10\] s"),
+        (["controller.horizon=0.5..20"], r"20.0: must be in \(0, 10\] s"),
         (["controller.horizon=2..3"], "must contain 1, which it is now"),
         (["controller.horizon=1..1"], "the range is empty"),
         (["controller.horizon=1-2"], "expected LOW..HIGH"),

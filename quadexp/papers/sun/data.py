@@ -6,12 +6,12 @@ controller, mean and standard deviation over flights of the RMSE of position (m)
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from quadexp.physics.vehicle import GRAVITY
 
@@ -64,24 +64,16 @@ class Published:
 @cache
 def ellipses() -> tuple[Ellipse, ...]:
     """All 144, the horizontal ones first."""
-    return tuple(
-        Ellipse(
-            row["plane"], float(row["speed"]), float(row["acceleration"]), float(row["ratio"]), row["feasible"] == "1"
-        )
-        for row in _rows("ellipses.csv")
-    )
+    table = _table("ellipses.csv").astype({"speed": float, "acceleration": float, "ratio": float, "feasible": bool})
+    return tuple(Ellipse(**row) for row in table.to_dict("records"))
 
 
 @cache
 def published() -> dict[tuple[str, str], Published]:
     """(world, controller) -> what is printed."""
-    names = ("position", "position_sd", "heading", "heading_sd", "crash")
-    return {
-        (row["world"], row["controller"]): Published(*(float(row[name]) for name in names))
-        for row in _rows("published.csv")
-    }
+    table = _table("published.csv").set_index(["world", "controller"]).astype(float)
+    return {place: Published(*row) for place, row in zip(table.index, table.to_numpy().tolist(), strict=True)}
 
 
-def _rows(name: str) -> list[dict[str, str]]:
-    with open(Path(__file__).with_name(name), encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+def _table(name: str) -> pd.DataFrame:
+    return pd.read_csv(Path(__file__).with_name(name))

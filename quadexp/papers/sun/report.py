@@ -2,7 +2,15 @@
 
 As there, a flight counts with its RMSE, a crashed one with 5 m and 90 degrees. Because this mixes two things, the error
 of the flights that did not crash and the number of those that did stand apart, and so do flights that stayed inside the
-box but are more than 2 m off: they are not flown. Errors "as logged" are those of as_logged.py.
+box but are more than 2 m off: they are not flown.
+
+Errors "as logged" are our reading of the published metric, an RMSE of position, which does not say of which position.
+With poses 10 ms old the printed error is that without delay, which the true position cannot give to a controller
+without prediction: at 12 m/s it is .12 m further. So the position is taken to be the one that the controller was told,
+of age d, recorded after a call of the software at 300 Hz: that is two steps of a simulation at 500 Hz, T, after the
+instant of the reference and the command that are recorded with it:
+
+    e(t) = p(t + T - d) - p_r(t),     T = 2/500 s
 """
 
 from __future__ import annotations
@@ -15,15 +23,21 @@ from typing import Any
 import numpy as np
 
 from quadexp.files.writer import write_text
+from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import COMPLETED
-from quadexp.papers.sun.as_logged import with_logged
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight
 from quadexp.papers.sun.data import CRASHED, INFEASIBLE, Ellipse, Published, ellipses, published
+from quadexp.parts.settings import declared
+from quadexp.physics.state import POSITION
+from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.style import Figure, looks, plain_log, save, styled
 from quadexp.report.table import Table
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it
 OFF = 2.0  # m of RMSE; a flight that is further off is not flown, although it stays inside the box
+RECORDED_AFTER = 2 / 500  # s: the first instant of their simulation not before the end of a period of 1/300 s
 CLOSE = 0.2  # share by which a mean may differ and count as reproduced
 TITLES = {
     "sun_baseline": "baseline",
@@ -86,27 +100,26 @@ class Condition:
         position = np.array([row["rmse"] for row in rows], float)
         heading = np.degrees(np.array([row["heading_rmse"] for row in rows], float))
         logged = np.array([row.get("rmse_logged", float("nan")) for row in rows], float)
-        measured = position, heading, logged
-        worst = *CRASHED, CRASHED[0]
-        counted = [np.where(lost, one, values) for one, values in zip(worst, measured, strict=True)]
-        means = [(float(values.mean()), float(values.std())) for values in counted]
-        flown = ~lost
-        kept = [float(values[flown].mean()) if flown.any() else float("nan") for values in measured]
+        means, kept = [], []  # of all flights, a lost one as it counts there; of those that did not crash
+        for counts, values in zip((*CRASHED, CRASHED[0]), (position, heading, logged), strict=True):
+            counted = np.where(lost, counts, values)
+            means.append((float(counted.mean()), float(counted.std())))
+            kept.append(float(values[~lost].mean()) if not lost.all() else float("nan"))
         could = np.array([_possible(row) for row in rows], bool)
-        rest = position[flown & could]
+        rest = position[~lost & could]
         return cls(
-            len(rows),
-            int(lost.sum()),
-            int((position[flown] > OFF).sum()),
-            means[0],
-            means[1],
-            kept[0],
-            kept[1],
-            means[2],
-            kept[2],
-            int(could.sum()),
-            int((lost & could).sum()),
-            float(rest.mean()) if len(rest) else float("nan"),
+            flights=len(rows),
+            lost=int(lost.sum()),
+            off=int((position[~lost] > OFF).sum()),
+            position=means[0],
+            heading=means[1],
+            survivors=kept[0],
+            survivors_heading=kept[1],
+            logged=means[2],
+            logged_survivors=kept[2],
+            possible=int(could.sum()),
+            possible_lost=int((lost & could).sum()),
+            possible_position=float(rest.mean()) if len(rest) else float("nan"),
         )
 
 
@@ -151,6 +164,27 @@ def reproduced(mean: float, survivors: float, printed: Published) -> str:
     if abs(mean / printed.position - 1) <= CLOSE:
         return "yes"
     return "crashes" if abs(survivors / printed.survivors - 1) <= CLOSE else "no"
+
+
+def logged_rmse(flight: Flight) -> float:
+    """RMSE (m) as logged, of an ellipse's flight and the samples that it has; NaN without samples."""
+    if not len(flight):
+        return float("nan")
+    config = flight.metadata["config"]
+    given = {name: value for name, value in config["trajectory"].items() if name in declared(ReferenceEllipse)}
+    late = config.get("estimator", {}).get("delay", 0.0)
+    t = np.maximum(flight.t + late - RECORDED_AFTER, 0.0)  # of the reference with which this position is recorded
+    error = flight.state[:, POSITION] - ReferenceEllipse(**given).flat_output(t).position[:, 0]
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+
+def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
+    """Rows of a sweep with `rmse_logged` (m), from the flights of its folder; NaN where a flight is not there."""
+    paths = [(row, CellStore(out).path(row["key"])) for row in rows]
+    return [
+        {**row, "rmse_logged": logged_rmse(read_flight(path, check=False)) if path.is_file() else float("nan")}
+        for row, path in paths
+    ]
 
 
 def draw(rows: Sequence[Row], out: str | Path) -> dict[str, str]:
