@@ -137,8 +137,8 @@ def _print(records: list[dict[str, Any]], found: dict[str, list[Any]]) -> None:
 
 
 def _draw(folder: Path, loaded: dict[str, Any], found: dict[str, list[Any]]) -> dict[str, Path]:
-    from quadexp.report.figures import save
-    from quadexp.report.log_figures import consistency_figure
+    from quadexp.report.flight_figures import consistency_figure
+    from quadexp.report.style import save
 
     drawn: dict[str, Path] = {}
     for name, flight in loaded.items():

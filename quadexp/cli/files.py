@@ -45,7 +45,7 @@ def compare_two(
     quadexp compare results/table1 results/table1_again
     """
     from quadexp.report.checked import check_flights, rows_of
-    from quadexp.report.compare import compare, compare_tables
+    from quadexp.report.compare import compare
 
     if out is not None:
         from quadexp.report.draw import check_path
@@ -53,17 +53,18 @@ def compare_two(
         out = check_path(out, force, ("png", "pdf", "svg"))
     report = compare(first, *others)
     if out is not None:
-        from quadexp.report.compare_picture import picture
-        from quadexp.report.draw import save_figure
+        from quadexp.report.draw import comparison_figure
+        from quadexp.report.style import save_figure
 
-        save_figure(picture(report["kind"], [first, *others]), out, force=force)
+        save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
     checked = {str(p): check_flights(*rows_of(p)) for p in (first, *others) if report["kind"] == "results"}
     wrong = [f"{results}: {line}" for results, found in checked.items() for line in found.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")
-    record = {key: value for key, value in report.items() if key != "lines"} | ({"picture": out} if out else {})
+    record = {key: value for key, value in report.items() if key not in ("lines", "tables")}
+    record |= {"picture": out} if out else {}
     record |= {"checked": [f"{results}: {found.text()}" for results, found in checked.items()] + wrong}
-    return Answer(record, lambda: compare_tables(first, *others), [*report["lines"], *([out] if out else [])])
+    return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])
 
 
 @command
@@ -91,33 +92,24 @@ def report(
 
 @command
 def export(
-    flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep, or a results folder.")],
-    to: Annotated[
-        str, typer.Option("--to", metavar="FORMAT", help="csv, tum, mcap, rerun; of results mlflow or wandb.")
-    ],
+    flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, mcap, rerun.")],
     target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
     force: Force = False,
 ) -> Answer:
-    """Write a flight for other programs; mcap and rerun need the extra [viz]. Write results for a tracker, without a
-    network: mlflow and wandb need the extra of their name.
+    """Write a flight for other programs; mcap and rerun need the extra [viz].
 
     \b
     quadexp export runs/a.parquet --to rerun --out a.rrd
     quadexp export runs/a.parquet --to csv --out a.csv
-    quadexp export results/table1 --to mlflow mlruns
     """
     from quadexp.errors import UsageError
     from quadexp.log.exporters import export_flight
 
     if target is not None and out is not None:
         raise UsageError("export: give the place to write to once, as OUT or as --out")
-    if flight.is_dir() or flight.name == "results.parquet":
-        from quadexp.report.exports import export_results
-
-        files = export_results(flight, to, out or target, force=force)
-    else:
-        files = export_flight(flight, to, out or target, force=force)
+    files = export_flight(flight, to, out or target, force=force)
     return Answer({"format": to, "files": files}, _files(files), list(files.values()))
 
 
@@ -135,7 +127,7 @@ def animate(
     end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
     force: Force = False,
 ) -> Answer:
-    """Draw flights over one reference as a moving picture in real time: GIF, WebP, or MP4 by ffmpeg.
+    """Draw flights over one reference as a moving picture in real time: GIF, or MP4 by ffmpeg.
 
     \b
     quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif

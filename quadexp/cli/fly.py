@@ -15,7 +15,7 @@ from quadexp.files.names import file_name
 
 FIGURES = 5  # of a usual sweep
 SAMPLED = 200  # cells that are looked at for what their flights import
-DRAWING = ("quadexp.report.figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
 NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
     "random": ("quadexp.reference.random_polynomial", "quadexp.reference.minimum_snap", "quadexp.reference.time_scale"),
     "file": ("quadexp.reference.from_file",),
@@ -36,8 +36,7 @@ def simulate(overrides: Overrides = None, out: OptionalOut = None, conf: Conf = 
     from quadexp.files.writer import check_output
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import compose
-    from quadexp.report.margin_line import delays_note, world_note
-    from quadexp.report.summary import flight_lines
+    from quadexp.report.summary import delays_note, flight_lines, world_note
 
     if out is not None and out.suffix in FOREIGN:
         parquet = out.with_suffix(".parquet")
@@ -140,7 +139,7 @@ def evaluate(
     from quadexp.experiment.checkpoints import unused_model
     from quadexp.progress import Progress
     from quadexp.report.notes import invalid_text
-    from quadexp.report.statistics_file import statistics_csv
+    from quadexp.report.statistics import statistics_csv
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
     from quadexp.sweeps.plan import too_few_seeds

@@ -27,7 +27,7 @@ def plot(
         str | None, typer.Option("--where", metavar="CONDITION", help="Only these flights, such as 'speed > 6'.")
     ] = None,
     kind: Annotated[
-        str | None, typer.Option("--kind", metavar="KIND", help="lines, heat (a map of --x and --by) or parallel.")
+        str | None, typer.Option("--kind", metavar="KIND", help="lines, or heat (a map of --x and --by).")
     ] = None,
     width: Annotated[
         str | None, typer.Option("--width", metavar="column|page", help="For a paper: 3.5 or 7.16 inches wide.")
@@ -59,8 +59,7 @@ def plot(
     from quadexp.errors import UsageError
     from quadexp.report.checked import check_flights
     from quadexp.report.draw import FIGURES, check_path, records, save_view
-    from quadexp.report.frame import SweepFrame
-    from quadexp.report.query import chosen
+    from quadexp.report.frame import SweepFrame, chosen
     from quadexp.report.view import view
 
     form = format_of(format, json)

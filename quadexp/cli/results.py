@@ -58,8 +58,7 @@ def results(
     """
     from quadexp.errors import UsageError
     from quadexp.log.outcome import RULE
-    from quadexp.report.checked import check_flights
-    from quadexp.report.flown_by import flown_by, flown_by_lines
+    from quadexp.report.checked import check_flights, flown_by, flown_by_lines
     from quadexp.report.tables import csv_of, flights_table, page_of
     from quadexp.sweeps.results import select
 
@@ -83,8 +82,8 @@ def results(
     checked = check_flights(frame.root, [row for row in total if row["wanted"]])
     for line in checked.lines(beside=False):
         say(f"warning: {line}")
-    table = flights_table(frame, names or usual, all_of_them=bool(names))
-    shown = names or [name for name in usual if name in table.names]
+    shown = names or [name for name in usual if any(value is not None for value in frame.column(name))]
+    table = flights_table(frame, shown)
     outcomes = [row["outcome"] for row in total]
     counts = {outcome: outcomes.count(outcome) for outcome in sorted(set(outcomes))}
     unwanted = sum(not row["wanted"] for row in total)
@@ -95,7 +94,7 @@ def results(
     remarks += flown_by_lines(total) if several else []
     chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
     record = {"count": len(total), "checked": checked.text(), "rows": chosen if names else frame.rows}
-    return Answer(record, [table.table], [table.table], remarks=remarks, texts={"csv": lambda: csv_of(frame, shown)})
+    return Answer(record, [table], [table], remarks=remarks, texts={"csv": lambda: csv_of(frame, shown)})
 
 
 def _prune(folder: Path, filters: list[str], remove: bool) -> Answer:

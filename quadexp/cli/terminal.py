@@ -270,12 +270,11 @@ def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
     sys.stdout.write("\n".join(table.rendered(form) for table in tables))
 
 
-def print_table(table: Any) -> None:
-    """Print a Table or an ErrorTable with its notes; stacked where the terminal is too narrow."""
+def print_table(table: Table) -> None:
+    """Print a Table with its notes; stacked where the terminal is too narrow."""
     out = console()
-    rich = table.rich if hasattr(table, "rich") else table.table().rich
-    shown = rich()
+    shown = table.rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
-        shown = rich(stacked=True)
+        shown = table.rich(stacked=True)
     out.print(shown)
     print_lines(table.notes)

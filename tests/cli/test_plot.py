@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quadexp.report.compare_results import results_means
-from quadexp.report.held_out import held_out_rows, held_out_table
+from quadexp.report.compare import compare
+from quadexp.report.summary import held_out_rows, held_out_table
 from tests.cli.command import run
 from tests.report.sweeps import noise, swept
 
@@ -89,7 +89,7 @@ class TestPlot:
         [
             (("--out", "a.jpg"), "a figure is a file .png, .pdf, .svg, .html"),
             (("--x", "controller.node"), "controller.node: no such key; did you mean controller.nodes?"),
-            (("--kind", "pie"), "--kind pie: must be one of lines, heat, parallel"),
+            (("--kind", "pie"), "--kind pie: must be one of lines, heat"),
             (("--where", "speed > 100"), "--where 'speed > 100': no flight fulfils it"),
             (("--kind", "heat", "--x", "seed", "--by", "a,b"), "a: no such key"),
         ],
@@ -149,16 +149,16 @@ class TestCompare:
         code, out, _ = run("compare", "r", "heavy", "lossy", "--out", "c.png")
         assert code == 0 and out.endswith("c.png\n") and Path("c.png").stat().st_size > 10_000
         assert out.splitlines()[0].split() == ["mean", "error", "(mm)", "r", "heavy", "lossy", "flights"]
-        metric, found = results_means([Path("r"), Path("heavy"), Path("lossy")])
+        report = compare("r", "heavy", "lossy")
         tables = [pd.read_parquet(f"{name}/results.parquet") for name in ("r", "heavy", "lossy")]
-        for label, (means, flights) in found.items():
-            own = [t[(t["controller"] + t["variant"].str.replace("controller.", " ") == label)] for t in tables]
-            expected = [t[t["seed"] < 2][metric].mean() for t in own]  # seed 2 is lost in one of them
-            assert means == pytest.approx(expected, rel=1e-12) and flights == 4
-        assert len(found) == 4
+        for label, means in report["metrics"].items():
+            flown = [t[(t["controller"] + t["variant"].str.replace("controller.", " ") == label)] for t in tables]
+            expected = [t[t["seed"] < 2][report["metric"]].mean() for t in flown]  # seed 2 is lost in one of them
+            assert means == pytest.approx(expected, rel=1e-12)
+        assert len(report["metrics"]) == 4 and {row[-1] for row in report["tables"][0].rows} == {"4"}
 
     def test_the_picture_of_results_has_a_line_a_folder_and_a_panel_a_controller(self, results):
-        from quadexp.report.compare_picture import results_figure
+        from quadexp.report.draw import results_figure
 
         figure = results_figure([Path("r"), Path("heavy"), Path("lossy")])
         panels = [panel for panel in figure.axes if panel.axison]
@@ -173,7 +173,7 @@ class TestCompare:
         code, out, _ = run("compare", *flights, "--out", "f.svg", "--format", "csv")
         assert code == 0 and out.startswith("setting,") and Path("f.svg").is_file()
         record = json.loads(run("compare", *flights, "--json")[1])
-        assert len(record["together"]["metrics"]["mean_error"]) == 3
+        assert len(record["metrics"]["mean_error"]) == 3
         many = [str(path) for path in sorted(Path("r/cells").glob("*/*.parquet"))[:9]]
         assert run("compare", *many)[0] == 0
         code, _, err = run("compare", *flights, "--out", "f.html")
@@ -198,41 +198,6 @@ class TestShow:
         found = {row["figure"]: row for row in rows(run("show", flight, "--format", "csv")[1])}
         row = pd.read_parquet("r/results.parquet").set_index("key").loc[flight.stem]
         assert float(found["mean_error"]["value"]) == row["mean_error"] and found["mean_error"]["unit"] == "m"
-
-
-class TestExport:
-    def test_mlflow_reads_back_what_was_flown(self, results):
-        pytest.importorskip("mlflow")
-        code, out, err = run("export", "r", "--to", "mlflow", "runs")
-        assert (code, out) == (0, "runs\n"), err
-        from mlflow.tracking import MlflowClient
-
-        client = MlflowClient(tracking_uri=Path("runs").resolve().as_uri())
-        (experiment,) = client.search_experiments(filter_string="name = 'r'")
-        found = client.search_runs([experiment.experiment_id], max_results=100)
-        table = pd.read_parquet("r/results.parquet").set_index("key")
-        assert len(found) == len(table) == 24
-        for one in found:
-            row = table.loc[one.data.tags["key"]]
-            assert one.data.metrics["mean_error"] == row["mean_error"]
-            assert one.data.params["controller"] == row["controller"] and one.data.params["seed"] == str(row["seed"])
-            assert one.data.params["controller.nodes"] == row["variant"].partition("=")[2]
-            assert one.info.status == "FINISHED"
-
-    @pytest.mark.slow
-    def test_wandb_writes_a_run_a_flight_and_sends_nothing(self, results):
-        pytest.importorskip("wandb")
-        run("results", "r", "seed=1,2", "--prune", "--yes")
-        code, _, err = run("export", "r", "--to", "wandb", "--out", "w")
-        assert code == 0, err
-        assert len(list(Path("w/wandb").glob("offline-run-*/run-*.wandb"))) == 8
-
-    def test_what_goes_wrong_is_one_line(self, results, monkeypatch):
-        code, _, err = run("export", "r", "--to", "csv")
-        assert code == 2 and "--to csv: no such format for results; there are mlflow, wandb" in err
-        monkeypatch.setitem(__import__("sys").modules, "mlflow", None)
-        code, _, err = run("export", "r", "--to", "mlflow", "x")
-        assert code == 2 and "pip install 'quadexp[mlflow]'" in err and not Path("x").exists()
 
 
 class TestHydra:

@@ -15,7 +15,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.report.margin_line import delays_note
+from quadexp.report.summary import delays_note
 from tests.models.residuals import make_residual
 
 INTERPRETED = ["controller=nominal_mpc", "controller.backend=interpreted"]
