@@ -37,6 +37,8 @@ class PredictiveController(InOperations):
         self._prepared: Window | None = None
         self._unprepared = np.ones(1)  # whether the reference is to be looked up
         self.record: StepRecord
+        self._x0: np.ndarray = mpc.functions[0].arguments["x0"]
+        self._reference = mpc.reference
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
     @property
@@ -117,7 +119,7 @@ class PredictiveController(InOperations):
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self.mpc.reference
+        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self._reference
         if self.believed is None:
             look = Operation("window", X_ref[:, :N_STATE], other=U_ref, when=self._unprepared)
             operations, x = [look], state
@@ -140,14 +142,9 @@ class PredictiveController(InOperations):
             operations += delivering
         return Instant(operations, command, lambda _: self.record, plan=self)
 
-    @property
-    def _x0(self) -> np.ndarray:
-        x0: np.ndarray = self.mpc.functions[0].arguments["x0"]
-        return x0
-
     def _plan(self) -> None:
         """The MPC's step from what lies in its arrays; what is out of the ordinary is here, and not in C."""
-        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self.mpc.reference
+        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self._reference
         if self._within_reach(x0, X_ref):
             mpc.prepared = False
         if mpc.prepared:

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, resolve
+from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.mpc.settings import MPCSettings
@@ -63,8 +62,7 @@ class ModelPredictiveController:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
         self.backend, self._form = resolve(backend), _form(settings, disturbed)
-        form = self._form | {"scalar": self.backend == "compiled"}
-        step, *bounded = built(self.backend, step_functions, vehicle, residual, settings.nodes, **form)
+        step, *bounded = _functions(vehicle, residual, settings.nodes, self._form, self.backend)
         self._step = BufferedFunction(step)
         arguments = self._step.arguments
         self._active_set = make_active_set(self._step, *bounded)
@@ -351,7 +349,16 @@ def _form(settings: MPCSettings, disturbed: bool) -> dict[str, Any]:
     return form | {"deviation": settings.input_hold == "deviation", "disturbed": disturbed}
 
 
-def step_functions(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: bool, **form: Any) -> list[ca.Function]:
-    """The control step, and where it is to be compiled its bounded subproblem."""
-    step = step_function(vehicle, residual, nodes, scalar=scalar, **form)
-    return [step, bounded_function(step, nodes)] if scalar else [step]
+_built: dict[tuple[Any, ...], list[ca.Function]] = {}
+
+
+def _functions(
+    vehicle: Vehicle, residual: Residual, nodes: int, form: dict[str, Any], backend: str
+) -> list[ca.Function]:
+    """The control step, and where it is compiled its bounded subproblem; built once per process and structure."""
+    key = (vehicle.fingerprint, residual.function.serialize(), nodes, *form.values(), backend)
+    if key not in _built:
+        compiled = backend == "compiled"
+        step = step_function(vehicle, residual, nodes, scalar=compiled, **form)
+        _built[key] = realise_together([step, bounded_function(step, nodes)], backend) if compiled else [step]
+    return _built[key]
