@@ -30,7 +30,7 @@ from quadexp.report.statistics import Statistic, corrected, overall
 from quadexp.report.summary import RESULTS_FILE, held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES
-from quadexp.report.text import count, number, p_value, relative, shown, speed_text
+from quadexp.report.text import count, number, p_value, plain, relative, shown, speed_text
 
 ABSENT = "-"
 MOST_LINES = 16  # settings shown; --json has all
@@ -102,7 +102,7 @@ def compare(*files: str | Path) -> dict[str, Any]:
         if kind != kinds[0]:
             named = [k if k == "results" else f"a {k}" for k in (kinds[0], kind)]
             raise UsageError(f"cannot compare {named[0]} ({files[0]}) with {named[1]} ({path}): give two of one kind")
-    report = {"kind": kinds[0], "names": names_of(paths)}
+    report: dict[str, Any] = {"kind": kinds[0], "names": names_of(paths)}
     report |= {"a": str(files[0]), "b": str(files[1])} if len(paths) == 2 else {}
     report |= _results(paths) if kinds[0] == "results" else _sides([SIDES[kinds[0]](path) for path in paths], paths)
     if len(paths) > 2:
@@ -146,7 +146,7 @@ def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) 
     """The settings that differ, a row each, at most MOST_LINES."""
 
     def short(value: Any) -> str:
-        text = "null" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+        text = "null" if value is None else plain(value)
         return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
 
     rows = [[key, *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
@@ -245,14 +245,15 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
     labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in cells)))
     completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
-    compared, shared = common({who: {key[::2] for key in completed if key[1] == who} for who in labels})
-    means, lines = {}, []
+    ended = {who: {(at, seed) for at, contestant, seed in completed if contestant == who} for who in labels}
+    compared, shared = common(ended)
+    means, texts = {}, []
     for who, label in labels.items():
         kept = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
         means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
-        lines.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
+        texts.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
     heads = [f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"]
-    report: dict[str, Any] = {"metric": metric, "metrics": means, "tables": [Table(heads, lines, notes=[NOTE])]}
+    report: dict[str, Any] = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
     if len(paths) > 2:
         return report
     a, b = sides
@@ -266,13 +267,13 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
         return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}
     settings = _cell_settings(paths, cells)
     outcomes = Counter(tuple(row["outcome"] for row in pair) for pair in cells.values())
-    ended = ", ".join(f"{n} {x if x == y else f'{x} -> {y}'}" for (x, y), n in outcomes.items())
+    changed = ", ".join(f"{n} {x if x == y else f'{x} -> {y}'}" for (x, y), n in outcomes.items())
     same = sum(
         all(x[n] == y[n] or (x[n] != x[n] and y[n] != y[n]) for n in ("outcome", *EXACT)) for x, y in cells.values()
     )
     common_cells = {key for key in cells if key[1] in compared and key[::2] in shared}
     metrics = _contestants(cells, labels, common_cells, tables[0][1])
-    lines += [*_setting_lines(settings), "", f"outcome  {ended}"]
+    lines += [*_setting_lines(settings), "", f"outcome  {changed}"]
     lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
     report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
     report |= {"configuration": settings or {}, "metrics": metrics}
@@ -302,14 +303,14 @@ def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) 
         except QuadexpError:  # a failed cell has no file
             continue
         differ = differ or {}
-        for key, values in differing(*records).items():
-            for value, side in zip(values, differ.setdefault(key, [{}, {}]), strict=True):
+        for setting, values in differing(*records).items():
+            for value, side in zip(values, differ.setdefault(setting, [{}, {}]), strict=True):
                 side[str(value)] = value
     if differ is None:
         return None
     return {
-        key: [next(iter(side.values())) if len(side) == 1 else " | ".join(sorted(side)) for side in sides]
-        for key, sides in differ.items()
+        setting: [next(iter(side.values())) if len(side) == 1 else " | ".join(sorted(side)) for side in sides]
+        for setting, sides in differ.items()
     }
 
 
@@ -331,10 +332,10 @@ def _contestants(
         flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
         left_out = ", ".join(filter(None, (pooled[-1].left_out, beyond)))
         records.append({"label": label, "cells": len(pairs), "flown": flown, **change(*means), "left_out": left_out})
-    for made, s in zip(records, corrected(pooled), strict=True):
-        made |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
-        made |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
-        made["distinguishable"] = s.significant
+    for line, s in zip(records, corrected(pooled), strict=True):
+        line |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
+        line |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
+        line["distinguishable"] = s.significant
     return records
 
 

@@ -33,7 +33,7 @@ from quadexp.parts.option_files import units
 from quadexp.parts.schema import PARTS, PRESETS, REMEDIES, WORLD
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 from quadexp.report.pairing import setting_pairs
-from quadexp.report.text import shown
+from quadexp.report.text import plain, shown
 
 RESULTS = "results.parquet"
 ALIASES = {"speed": "trajectory.speed"}
@@ -359,7 +359,7 @@ def setting_text(key: str, value: Any) -> str:
     Of a vector the length, of times below a tenth of a second milliseconds."""
     value, unit = _magnitude(key, value), unit_of(key)
     if not is_number(value):
-        return f"{setting_name(key)} {str(value).lower() if isinstance(value, bool) else value}"
+        return f"{setting_name(key)} {plain(value)}"
     factor, unit = (1e3, "ms") if unit == "s" and 0 < value < MILLISECONDS else (1, unit)
     return f"{setting_name(key)} {factor * value:.6g} {unit}".strip()
 

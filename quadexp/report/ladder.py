@@ -7,6 +7,7 @@ those of one plant in several worlds (`plant` is "simplified/only_motor_lag"), f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -87,9 +88,8 @@ def means_figure(means: Means) -> Figure:
         for (place, course, speed), by_label in means.places.items():
             if (s := by_label.get(label)) is not None:
                 at = (course, speed, label, place) if means.first == "world" else (place, course, label, speed)
-                shown = {} if s.failures else {"mean": s.mean, "low": s.low, "high": s.high}
-                counts = {"flights": s.n, "seeds": s.n, "ended": s.flown.ended, "trials": s.flown.trials}
-                places[at] = Point(**shown, **counts, method=s.interval)
+                mean, low, high = (math.nan,) * 3 if s.failures else (s.mean, s.low, s.high)
+                places[at] = Point(mean, low, high, s.n, s.n, *s.flown, method=s.interval)
     worlds, speeds = dict.fromkeys(at[0] for at in means.places), sorted({at[2] for at in means.places})
     x, facet = Axis("world", tuple(worlds), "group"), ("trajectory", "trajectory.speed")
     if means.first == "plant":

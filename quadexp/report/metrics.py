@@ -36,10 +36,8 @@ ROW_COLUMNS = (
     "solve_time_p99", "solve_time_max", "saturated_share", "peak_speed", "duration", "unconverged_count",
     "reference_residual", "outside_data", "outcome", "backend", "cause", "program", "sources", "libraries", "key",
 )  # fmt: skip
-TEXT_COLUMNS = (
-    "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause",
-    "program", "sources", "libraries", "key",
-)  # fmt: skip
+_NUMBERS = (*METRICS, "speed", "seed", "reference_residual", "outside_data")
+TEXT_COLUMNS = tuple(name for name in ROW_COLUMNS if name not in _NUMBERS)
 INTEGER_COLUMNS = ("seed", "unconverged_count")
 
 

@@ -157,13 +157,13 @@ def validation_lines(report: Row) -> list[str]:
         lines.append(f"nominal: the thrust curve {report['nominal']}, as fitted beside drag, without the drag")
     lines += [*_least_lines(rows), "", *_band_lines(report["bands"])]
     for mode, (_, description) in MODES.items():
-        own = [row for row in report["rollouts"] if row["mode"] == mode]
-        if own:
+        rollouts = [row for row in report["rollouts"] if row["mode"] == mode]
+        if rollouts:
             lines += ["", *report["torque"]] if mode == "torque" else []
             if mode != "attitude":
                 description += "; rotor thrusts as measured, thrust scale tracked up to the start"
-            head = f"open loop: {description}; {mean_of(mode)} over {own[0]['starts']} starts"
-            lines += ["", head, *rollout_lines(own)]
+            head = f"open loop: {description}; {mean_of(mode)} over {rollouts[0]['starts']} starts"
+            lines += ["", head, *rollout_lines(rollouts)]
     return lines
 
 
@@ -234,8 +234,8 @@ def rollout_lines(rows: Sequence[Row]) -> list[str]:
     values = {(row["predictor"], row["thrust_tracked"], row["horizon"]): row for row in rows}
     lines = []
     for name, tracked in keys:
-        own = [values.get((name, tracked, horizon)) for horizon in horizons]
-        cells = [f"{error_of(row, quantity):.3f}" if row else "" for quantity in quantities for row in own]
+        at = [values.get((name, tracked, horizon)) for horizon in horizons]
+        cells = [f"{error_of(row, quantity):.3f}" if row else "" for quantity in quantities for row in at]
         lines.append([name + (", tracked" if tracked and several else ""), *cells])
     groups = {1 + i * len(horizons): f"{name} ({QUANTITIES[name][0]})" for i, name in enumerate(quantities)}
     return Table(["", *(f"{h:g} s" for _ in quantities for h in horizons)], lines, groups=groups).lines()

@@ -52,10 +52,10 @@ class Statistic:
     differences, positive if smaller than the baseline.
 
     seeds: cells requested. trials: those that at least one contestant could fly. n: flights in the mean. common:
-    flights in the common mean, 0 if it is not compared. best_p: see `winner.line_p`, corrected for the number of lines,
-    NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low, high].
-    p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed: m/s,
-    NaN for a trajectory without one.
+    flights in the common mean, 0 if it is not compared. best_p: see winner.best_of_lines, corrected for the number of
+    lines, NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low,
+    high]. p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed:
+    m/s, NaN for a trajectory without one.
 
     conditions, units: over all conditions, number of those with pairs, and of their seeds, which are the values.
     own_reduction, own_pairs: over all flights that both completed.
@@ -122,11 +122,6 @@ class Statistic:
         return not self.trajectory
 
     @property
-    def condition(self) -> Condition:
-        speed = None if math.isnan(self.speed) else self.speed
-        return self.plant, self.vehicle, self.trajectory, speed, self.setting
-
-    @property
     def contestant(self) -> Contestant:
         return self.controller, self.model, self.variant
 
@@ -165,12 +160,12 @@ class Statistic:
         if not self.pairs:
             return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
         low, high = self.reduction_low, self.reduction_high
-        word, (low, high) = ("less", (low, high)) if self.reduction >= 0 else ("more", (-high, -low))
+        word, low, high = ("less", low, high) if self.reduction >= 0 else ("more", -high, -low)
         limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
         about = self.chance + (f"; left out: {self.left_out}" if self.left_out else "")
         if self.own_pairs > self.pairs:
-            own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
-            about += f"; over all {self.own_pairs} that both completed: {own:.1f} % {more}"
+            change = f"{abs(self.own_reduction):.1f} % {'less' if self.own_reduction >= 0 else 'more'}"
+            about += f"; over all {self.own_pairs} that both completed: {change}"
         over = count(self.conditions, "condition")
         return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
 
@@ -188,7 +183,7 @@ def compute_statistics(
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
     for condition, among in groups.lines.items():
         plant, vehicle, trajectory, speed, setting = condition
-        where = {"plant": plant, "vehicle": vehicle, "trajectory": trajectory, "setting": setting}
+        where: dict[str, Any] = {"plant": plant, "vehicle": vehicle, "trajectory": trajectory, "setting": setting}
         where |= {"speed": NAN if speed is None else speed}
         for contestant, flown in groups.flights([condition]).items():
             at, rival = (condition, contestant), groups.baseline(contestant)

@@ -41,7 +41,7 @@ from quadexp.report.pairing import (
 )
 from quadexp.report.statistics import BASELINE, CONFIDENCE, KINDS, Statistic, Statistics, compute_statistics, overall
 from quadexp.report.table import Table, csv_text
-from quadexp.report.text import p_value, shown, speed_text, with_interval
+from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
 from quadexp.report.winner import verdicts
 
 MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
@@ -153,15 +153,15 @@ def error_table(
     order: dict[str, int] = {}  # of the courses
     for row, pairs, label, s in zip(bare, settings, labels, [*statistics, *[None] * len(rows)], strict=False):
         *_, speed, setting = condition_of(row)
-        course, told = courses[row["trajectory"], setting], pairs | {"plant": row["plant"]}
-        texts = (column[told[key]] if key in told else "" for key, (_, column) in shown_as.items())
+        course, values_of = courses[row["trajectory"], setting], pairs | {"plant": row["plant"]}
+        texts = (column[values_of[key]] if key in values_of else "" for key, (_, column) in shown_as.items())
         line = (course, speed_text(speed, ""), *texts)
         places.setdefault(line, (order.setdefault(course, len(order)), -1.0 if speed is None else speed))
         flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
         if s is not None or (line, label) not in cells:
             cells[line, label] = cell_text(s) if s else "invalid"
     title, beside = f"{TITLES[metric]} ({SHOWN[metric][1]})", 2 + len(shown_as)
-    counts = ["flown", *[""] * (beside - 1), *(one.text() if one.trials else "-" for one in flown.values())]
+    counts = ["flown", *[""] * (beside - 1), *(count.text() if count.trials else "-" for count in flown.values())]
     lines = [
         [*line, *(cells.get((line, label), "-") for label in flown)]
         for line in sorted(places, key=lambda line: places[line])
@@ -260,10 +260,4 @@ def heading(name: str) -> str:
 
 
 def _flight_text(name: str, value: Any) -> str:
-    if value is None:
-        return ""
-    if not is_number(value):
-        return str(value).lower() if isinstance(value, bool) else str(value)
-    if is_metric(name):
-        return f"{shown(name)[0] * value:.4g}"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{shown(name)[0] * value:.4g}" if is_metric(name) and is_number(value) else plain(value)

@@ -33,7 +33,7 @@ from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_c
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
 from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
-from quadexp.report.text import count, listed
+from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
 
 Kind = Literal["lines", "heat"]
@@ -94,7 +94,7 @@ def points(
         }
         compared, shared = common(ended)
         used |= {place: [i for i in places[place] if flights[i] in shared] for place in compared}
-    made = {}
+    result = {}
     for place, numbers in places.items():
         rows = [frame.rows[i] for i in numbers]
         outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
@@ -113,8 +113,8 @@ def points(
             low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
             limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}
             point = replace(point, **limits, flights=len(used[place]), seeds=len(means))
-        made[place] = point
-    return made
+        result[place] = point
+    return result
 
 
 def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
@@ -405,8 +405,4 @@ def _longest(frame: SweepFrame, keys: Sequence[str]) -> str:
 
 def value_text(key: str, value: Any) -> str:
     """A value of a key: numbers without superfluous digits, a checkpoint by the end of its path."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if is_number(value):
-        return f"{value:.6g}"
-    return str(value).rstrip("/").rpartition("/")[2] if key == "model" else str(value)
+    return str(value).rstrip("/").rpartition("/")[2] if key == "model" else plain(value)
