@@ -142,7 +142,7 @@ def test_in_a_browser(browser, out):  # noqa: F811
         wait(browser, f"{state}.startsWith('1 of 4')")
         fly(watch, row("gp_mpc", error=0.02), row("linear_drag_mpc", speed=4.0, error=0.1))
         wait(browser, f"{state}.startsWith('3 of 4')")
-        assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+        wait(browser, "document.documentElement.scrollWidth <= 390")
         fly(watch, row("gp_mpc", speed=4.0, error=0.01))
     wait(browser, f"{state} === '4 of 4 flights, finished'")
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
