@@ -42,7 +42,7 @@ def test_the_drag_is_what_the_unseen_flight_has_beyond_its_thrust(folder):
     assert rows["linear drag", False]["rms_x"] == pytest.approx(0.02, rel=0.15)  # the accelerometer's noise
     assert rows["linear drag", False]["rms_z"] == pytest.approx(0.04 * 10.2, rel=0.1)  # 0.97 of a curve fitted at 1.01
     assert rows["linear drag", True]["rms"] < 0.5 * rows["linear drag", False]["rms"]
-    assert {path.name for path in (folder / "v").iterdir()} >= {"validation.json", "residuals.svg", "rollouts.png"}
+    assert {path.name for path in (folder / "v").iterdir()} >= {"validation.json", "speed.svg", "rollouts.png"}
 
 
 def test_shares_are_of_nominal_treated_alike(folder):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.report.test_html_browser import browser, show, wait  # noqa: F401
+from tests.report.test_browser import browser, show, wait  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 LOADED = re.compile(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"?https?://(?!squidfunk)[^\" >]+")
@@ -90,7 +90,9 @@ def test_in_a_browser_a_page_opened_from_a_file_has_its_scheme_its_search_and_no
         pytest.skip("no site is built: make docs")
     for width in (390, 768, 1280):
         for page in ("index.html", "docs/questions.html", "docs/leaderboard.html", "docs/site/gallery.html"):
-            show(browser, site / page, width=width, replay=False, color_scheme=scheme)
+            show(browser, site / page, width)
+            features = [{"name": "prefers-color-scheme", "value": scheme}]
+            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
             browser.execute_script("localStorage.clear()")
             browser.get((site / page).as_uri())
             assert browser.execute_script("return document.documentElement.scrollWidth") <= width

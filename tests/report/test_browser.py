@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import time
@@ -81,8 +82,13 @@ def opened(browser, pages):
 
 
 def wait(browser, condition, seconds=180.0):
+    from selenium.common.exceptions import WebDriverException
+
     until = time.monotonic() + seconds
-    while not browser.execute_script(f"return Boolean({condition})"):
+    while True:
+        with contextlib.suppress(WebDriverException):  # the page is loading itself anew
+            if browser.execute_script(f"return Boolean({condition})"):
+                return
         assert time.monotonic() < until, f"waited in vain for {condition}"
         time.sleep(0.02)
 
