@@ -33,7 +33,7 @@ FLOORS = (
     ("sweeps",),
     ("tune",),
     ("bench",),
-    ("api",),
+    ("requests", "frames", "api", "loop"),
     ("cli",),
     ("__main__",),
 )

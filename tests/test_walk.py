@@ -43,7 +43,7 @@ SETTINGS = (
 LANDMARKS = {
     "configuration": (
         "parts.override.plain_override",
-        "parts.option_files.option",
+        "parts.options.option",
         "parts.settings.made",
         "world.integrator.advance",
     ),

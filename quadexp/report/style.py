@@ -25,7 +25,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from quadexp.messages import clean
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 
 HUES: dict[str, tuple[str, str]] = {  # hue -> colour on light and on dark ground
     "ink": ("#000000", "#ffffff"),

@@ -37,7 +37,7 @@ from quadexp.experiment.checkpoints import MODEL_FILE
 from quadexp.experiment.inputs import use_copies
 from quadexp.files.cache import cache_folder
 from quadexp.files.writer import written
-from quadexp.parts.plugins import own_folders
+from quadexp.parts.part import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, Task, Workers
 from quadexp.sweeps.engine_settings import CERTIFICATES, DaskConfig, JobsConfig

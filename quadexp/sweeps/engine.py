@@ -30,7 +30,7 @@ from pebble.pool.process import TaskManager
 
 from quadexp.errors import ModuleError, QuadexpError, UsageError, WriteError, stops_all
 from quadexp.experiment.checkpoints import ModelFile
-from quadexp.parts.plugins import import_from, own_folders
+from quadexp.parts.part import import_from, own_folders
 from quadexp.parts.schema import Config
 from quadexp.provenance import identity, package_folder
 from quadexp.sweeps.server import PATH, PRELOAD, start_server, undisturbed, without_main

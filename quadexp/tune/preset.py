@@ -18,7 +18,7 @@ from quadexp.files.names import file_name
 from quadexp.files.writer import write_text
 from quadexp.messages import printable
 from quadexp.parts.compose import Composer
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import REMEDIES, Config
 from quadexp.parts.settings import record
 

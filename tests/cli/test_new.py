@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from quadexp.cli.new import TEMPLATES
+from quadexp.cli.extend import TEMPLATES
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
 from tests.cli.command import run
@@ -106,8 +106,8 @@ def test_two_parts_share_a_folder(here):
 
 
 def test_an_installation_without_examples_says_so(monkeypatch, tmp_path):
-    monkeypatch.setattr("quadexp.cli.new.__file__", str(tmp_path / "quadexp" / "cli" / "new.py"))
-    from quadexp.cli.new import examples_folder
+    monkeypatch.setattr("quadexp.cli.extend.__file__", str(tmp_path / "quadexp" / "cli" / "extend.py"))
+    from quadexp.cli.extend import examples_folder
 
     with pytest.raises(UsageError, match="the installation is incomplete"):
         examples_folder()

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from quadexp.cli.fly import _flight_name, _results_name
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.files.names import NAMED, file_name, is_name
 from quadexp.log.cell_store import CellStore
@@ -20,6 +19,7 @@ from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.parts.compose import compose, expand
 from quadexp.reference.hover import Hover
+from quadexp.requests import _flight_name, _results_name
 from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import run_sweep

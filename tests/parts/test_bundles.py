@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from quadexp.parts.compose import compose, expand, session
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import WORLD, world_parts
 from quadexp.parts.settings import record
 from tests.parts.test_compose import hydra_composes

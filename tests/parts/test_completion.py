@@ -5,19 +5,18 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import asdict
-from types import SimpleNamespace
 
 import pytest
 
-from quadexp.parts.completion import complete, keys
 from quadexp.parts.compose import session
-from quadexp.parts.option_files import groups
+from quadexp.parts.listing import candidates, key_words
+from quadexp.parts.options import groups
 from quadexp.parts.schema import PARTS
 
 
 def typed(*words, conf=None):
     *before, incomplete = words
-    return complete(SimpleNamespace(params={"overrides": list(before), "conf": conf}), incomplete)
+    return candidates(before, incomplete, conf)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +63,7 @@ def test_every_key_offered_can_be_set_with_some_option():
             for option in composer.options(group):
                 extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
                 found |= set(flat(asdict(composer.compose([f"{group}={option}", *extra]))))
-    assert set(keys()) <= found
+    assert set(key_words()) <= found
     assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "gp", "drag", "experiment"}
 
 
@@ -77,7 +76,7 @@ def flat(node, prefix=""):
 
 def test_hydra_is_not_imported():
     code = (
-        "import sys; from types import SimpleNamespace; from quadexp.parts.completion import complete;"
-        "complete(SimpleNamespace(params={}), 'contr'); print('hydra' in sys.modules, 'numpy' in sys.modules)"
+        "import sys; from quadexp.parts.listing import candidates;"
+        "candidates([], 'contr'); print('hydra' in sys.modules, 'numpy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split() == ["False"] * 2

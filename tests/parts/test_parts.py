@@ -12,7 +12,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_trajectory, source_hashes
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.parts.compose import compose, expand
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.part import Part
 from quadexp.parts.schema import PARTS, REMEDIES, WORLD
 

@@ -169,7 +169,7 @@ def test_an_installed_package_brings_options(tmp_path):
         TRAJECTORY.format(target="my_lab.paths.make", options="{}")
     )
     code = (
-        "from quadexp.parts.compose import compose\nfrom quadexp.parts.option_files import groups\n"
+        "from quadexp.parts.compose import compose\nfrom quadexp.parts.options import groups\n"
         "config = compose(['vehicle=racer'])\nassert config.vehicle.mass == 0.7\n"
         "assert 'racer' in groups()['vehicle']\n"
         "from quadexp.experiment.build import build_trajectory\n"

@@ -16,7 +16,7 @@ import quadexp
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.option_files import ABSENT, OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.schema import PARTS, Config
 from quadexp.parts.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
@@ -114,7 +114,7 @@ def stated(content: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 def holds_anyway(group: str, option: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """What an option would be without what its own file states, and that."""
     files = OptionFiles()
-    content = dict(files.read(group, option)[1]) if files.find(f"{group}/{option}") else dict(ABSENT[group][2])
+    content = dict(files.read(group, option)[1])
     target, values = content.pop(TARGET, None), {}
     for default in content.pop("defaults", []):
         if default != "_self_":

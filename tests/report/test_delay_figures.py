@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.experiment.evaluate import fly_one

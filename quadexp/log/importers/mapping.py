@@ -41,7 +41,7 @@ from quadexp.log.units import (
     unit_factor,
 )
 from quadexp.messages import suggestion
-from quadexp.parts.plain_data import read_data
+from quadexp.parts.options import read_data
 
 
 class Quantity(NamedTuple):
