@@ -32,7 +32,6 @@ def results(
     limit: Annotated[int | None, Ask("Show at most this many rows.", flag="--limit -n", least=1)] = None,
     failures: Annotated[bool, Ask("Show only flights that were not completed, with the cause.")] = False,
     html: Annotated[Path | None, Ask("Write a sortable table as a page that opens offline.", "FILE")] = None,
-    opened: Annotated[bool, Ask("Open that page in the browser.", flag="--open")] = False,
     prune: Annotated[bool, Ask("Remove cells (see above).")] = False,
     yes: Annotated[bool, Ask("Really remove them.", flag="--yes -y")] = False,
     verify: Annotated[bool, Ask("Read every file and list those that were changed since they were written.")] = False,
@@ -52,7 +51,7 @@ def results(
     \b
     quadexp results results/table1 --where "controller == gp_mpc and speed > 6" --sort mean_error --limit 10
     quadexp results results/table1 --columns controller,controller.nodes,seed,mean_error --format csv
-    quadexp results results/table1 --html table.html --open
+    quadexp results results/table1 --html table.html
     quadexp results results/table1 controller=gp_mpc trajectory.speed=8 --json
     quadexp results results/table1 --failures
     quadexp results results/table1 sources=78f30eeaa2be
@@ -78,9 +77,10 @@ def results(
     several = len(flown_by(total)) > 1
     names = [name.strip() for name in columns.split(",") if name.strip()] if columns else []
     usual = (*(FAILED_COLUMNS if failures else COLUMNS), *(("sources",) if several else ()))
-    if html or opened:
+    if html is not None:
         page = page_of(frame, names or [*usual, "key"], folder.name)
-        return _page(page, html or Path(f"{folder.name}.html"), force, opened)
+        write_text(check_output(html, force=force), page, force=force)
+        return Answer({"path": html}, [{"path": html}], [html])
     checked = check_flights(frame.root, [row for row in total if row["wanted"]])
     for line in checked.lines(beside=False):
         say(f"warning: {line}")
@@ -107,16 +107,6 @@ def _prune(folder: Path, filters: Sequence[str], remove: bool) -> Answer:
     state = "removed" if done.removed else "would be removed (--yes removes them)"
     rows = [{"key": key, "removed": done.removed} for key in done.keys]
     return Answer(record, rows, [f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}"])
-
-
-def _page(page: str, path: Path, force: bool, opened: bool) -> Answer:
-    write_text(check_output(path, force=force), page, force=force)
-    if opened:
-        import webbrowser
-
-        if not webbrowser.open(path.resolve().as_uri()):
-            say("note: no browser was found; open the file by hand")
-    return Answer({"path": path}, [{"path": path}], [path])
 
 
 def _verify(folder: Path) -> Answer:

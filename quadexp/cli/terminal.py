@@ -15,13 +15,13 @@ import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 from click.exceptions import Abort, Exit
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.messages import CleanStream, clean, printable, raw
+from quadexp.messages import CleanStream, printable, raw
 from quadexp.progress import Waiting
 
 if TYPE_CHECKING:
@@ -203,37 +203,6 @@ def _finite(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def console() -> Any:
-    """A rich console on standard output, 200 columns wide without a terminal; it writes out control characters."""
-    from rich.console import Console
-
-    made = Console(file=raw(sys.stdout), highlight=False)
-    if not made.is_terminal:
-        made = Console(file=raw(sys.stdout), width=200, highlight=False)
-    made.push_render_hook(cast(Any, _CleanHook()))
-    return made
-
-
-class _CleanHook:
-    """Writes out control characters of every text before rich adds its colours."""
-
-    def process_renderables(self, renderables: list[Any]) -> list[Any]:
-        return [_Clean(one) for one in renderables]
-
-
-class _Clean:
-    """A rich renderable whose text has its control characters written out."""
-
-    def __init__(self, renderable: Any) -> None:
-        self.renderable = renderable
-
-    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
-        from rich.segment import Segment
-
-        for piece in console.render(self.renderable, options):
-            yield piece if piece.control else Segment(clean(piece.text), piece.style)
-
-
 def format_of(form: str | None, json: bool) -> str:
     """What --format and --json ask for: text, json, csv, markdown or latex; UsageError for anything else."""
     if form is not None and form not in FORMATS:
@@ -252,7 +221,10 @@ def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
 
 def print_table(table: Any) -> None:
     """Print a Table or an ErrorTable with its notes; stacked where the terminal is too narrow."""
-    out = console()
+    from rich.console import Console
+
+    stream = raw(sys.stdout)  # tables write out control characters themselves
+    out = Console(file=stream, width=None if stream.isatty() else 200, highlight=False)
     rich = table.rich if hasattr(table, "rich") else table.table().rich
     shown = rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:

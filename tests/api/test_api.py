@@ -377,8 +377,3 @@ class TestHtml:
         results["controller"] = "<script>alert(1)</script>\x1b[2J"
         shown = results._repr_html_()
         assert "<script>" not in shown and "\x1b" not in shown and "&lt;script&gt;" in shown
-
-    def test_no_module_of_the_api_prints(self):
-        for path in (ROOT / "quadexp" / "api").glob("*.py"):
-            importlib.import_module(f"quadexp.api.{path.stem}" if path.stem != "__init__" else "quadexp.api")
-            assert "print(" not in path.read_text()

@@ -88,8 +88,3 @@ class TestStatistics:
         assert code == 0 and "[50 % interval:" in out and "RMSE (mm)" in out and "than perfect_mpc" in out
         assert sorted(Path("r/cells").rglob("*.parquet")) == cells
         assert "than perfect_mpc" in run("show", "r")[1]
-
-    def test_a_misspelt_baseline(self, here):
-        code, _, err = run("evaluate", *SWEEP, "evaluate.baseline=nominl_mpc", "--out", "x")
-        assert code == 2 and "evaluate.baseline=nominl_mpc: no such controller; did you mean nominal_mpc?" in err
-        assert not Path("x").exists()

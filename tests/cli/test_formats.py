@@ -105,8 +105,3 @@ def test_a_form_that_there_is_not_is_refused_before_anything_is_done(name, folde
     code, out, err = run(*CALLS[name], "--format", "xml")
     assert (code, out) == (2, "") and "--format xml: must be one of text, json, csv, markdown, latex" in err
     assert run(*CALLS[name], "--format", "csv", "--json")[0] == 2 and sorted(folder.rglob("*")) == before
-
-
-def test_the_format_of_a_log_is_another_option(here):
-    code, _, err = run("import", "a.ulg", "--format", "ulog")
-    assert code == 2 and "that of the log is --log-format" in err and err.count("\n") == 1

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from quadexp.cli.extend import TEMPLATES
-from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
 from tests.cli.command import run
 
@@ -103,11 +102,3 @@ def test_two_parts_share_a_folder(here):
     )  # fmt: skip
     assert code == 0, errors
     assert "'my parts/test_more.py'" in run("new", "vehicle", "more", "--to", "my parts")[1]
-
-
-def test_an_installation_without_examples_says_so(monkeypatch, tmp_path):
-    monkeypatch.setattr("quadexp.cli.extend.__file__", str(tmp_path / "quadexp" / "cli" / "extend.py"))
-    from quadexp.cli.extend import examples_folder
-
-    with pytest.raises(UsageError, match="the installation is incomplete"):
-        examples_folder()

@@ -81,15 +81,6 @@ def test_a_model_for_a_controller_that_takes_none_is_said(made):
     assert code == 0 and "note: nominal_mpc and perfect_mpc take no model" in err
 
 
-def test_a_sweep_over_controllers_gives_the_model_to_those_that_take_one(made, tmp_path):
-    backends = ("controller.backend=interpreted", "plant.backend=interpreted")
-    assert run("collect", "collect.duration=3", *backends, "--out", str(tmp_path / "d.parquet"))[0] == 0
-    assert run("fit-drag", tmp_path / "d.parquet", "drag.holdout=0", "--out", str(tmp_path / "drag"))[0] == 0
-    words = ("evaluate", "--sweep", *FLOWN, f"model={tmp_path / 'drag'}", "--no-figures", "--out", "with_drag")
-    code, _, err = run(*words, "controller=nominal_mpc,linear_drag_mpc")
-    assert code == 0 and "model" not in err
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

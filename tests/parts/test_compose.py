@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import textwrap
 from dataclasses import FrozenInstanceError
 
@@ -20,10 +21,7 @@ from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, EvaluateConfig
 from quadexp.parts.settings import plain, record
 
 OVERRIDES = [
-    [],
-    ["trajectory=lemniscate", "trajectory.speed=12", "seed=3"],
-    ["trajectory=random", "seed=7"],
-    ["trajectory=random", "seed=7", "trajectory.seed=1"],
+    ["trajectory=random", "trajectory.speed=12", "seed=7"],
     ["controller=gp_mpc", "controller.nodes=20", "model=models/a", "plant=ideal", "plant.payload=0.3"],
     ["gp=per_axis", "gp.features.a_z=[v_z,thrust]", "gp.inducing=40", "collect.duration=60"],
     ["trajectory=hover", "trajectory.position=[1,2,3]", "vehicle.inertia=[[1,0,0],[0,1,0],[0,0,1]]"],
@@ -205,13 +203,10 @@ class TestExpand:
 
 MISTAKES = {
     "trajectory.speed=-3": r"trajectory.speed=-3.0: must be in \(0, 60\] m/s",
-    "trajectory.speed=nan": "must be in",
     "trajectory.speed=fast": "^trajectory.speed=fast: must be a number$",
     "trajectory.radius=": "^trajectory.radius=: must be a number$",
     "speed=8": r"^speed: no such key; did you mean trajectory.speed\?$",
     "vehicle.static_thrust=1e-5": r"^vehicle.static_thrust: no such key; it is called vehicle.thrust_coefficient now$",
-    "rate=50": r"^rate: no such key; did you mean controller.rate\?$",
-    "duration=8": r"^duration: no such key; did you mean collect.duration\?$",
     "seed=range(1,": "a bracket or quote is left open",
     "trajectory.sped=3": r"trajectory.sped: no such key; did you mean trajectory.speed\?",
     "controler=gp_mpc": r"controler: no such key; did you mean controller\?",
@@ -220,13 +215,11 @@ MISTAKES = {
     "experiment=nope": "no such experiment; there are: adaptation, families",
     "zzzz=3": "zzzz: no such key; there are:",
     "+controller=gp_mpc": "keys can be set .* not added or deleted",
-    "+foo=1": "keys can be set .* not added or deleted",
     "~model=x": "keys can be set .* not added or deleted",
     "hydra.job.name=x": "not a key of this program",
-    "schema/plant=simplified": "not a key of this program",
     "sweep=1": "not a key of this program",
     "trajectory.speed=4,8": "use `quadexp evaluate --sweep`",
-    "seed=range(3)": "use `quadexp evaluate --sweep`",
+    "trajectory.speed=interval(4,8)": "not a list of values; use commas, range, choice or glob",
     "speed": "expected KEY=VALUE",
     "trajectory.speed=a(b": "or the value has signs that need quotes",
     "trajectory=file": "trajectory.path: has no value; give trajectory.path=VALUE",
@@ -235,12 +228,10 @@ MISTAKES = {
     "controller.nodes=1": r"controller.nodes=1: must be in \[2, 200\] nodes",
     "controller.attitude_weight=[1,2]": "must be a list of 4 numbers",
     "controller.residual=magic": "must be one of none, linear_drag, gaussian_process, neural, plant",
-    "plant.motor_loss=2": r"plant.motor_loss=2.0: must be in \[0, 1\)",
     "gp.features.a_x=[speed]": "unknown feature 'speed'; allowed are v_x",
     "gp.features.a_q=[v_x]": r"gp.features.a_q: no such key; did you mean gp.features.a_",
     "collect.speed_min=21": "must not exceed collect.speed_max",
     "vehicle.inertia=[[1,2],[3]]": "must be 3 rows of 3 numbers each",
-    "evaluate.metric=mae": "must be one of mean_error, rmse, max_error",
 }
 
 
@@ -345,11 +336,5 @@ class TestNoise:
         assert digest({"b": [1.0, "x"], "a": None}) == hashlib.sha256(b'{"a":null,"b":[1.0,"x"]}').hexdigest()[:20]
 
 
-def test_conf_lies_in_the_checkout_or_the_package():
-    assert (conf_folder() / "config.yaml").is_file()
-
-
-def test_asdict_is_json(tmp_path):
-    import json
-
+def test_a_record_is_json():
     assert json.loads(json.dumps(record(compose([])))) == record(compose([]))

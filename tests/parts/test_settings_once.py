@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import importlib
 import pkgutil
-import re
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -151,23 +149,3 @@ def test_python_and_the_command_line_refuse_alike(key, value):
     with pytest.raises(UsageError) as line:
         compose([f"controller.{key}={str(value).replace(' ', '')}"])
     assert str(python.value) == str(line.value)
-
-
-def test_hydra_and_omegaconf_are_used_by_their_public_names():
-    private = []
-    for file in sorted(PACKAGE.rglob("*.py")):
-        text = file.read_text(encoding="utf-8")
-        if "hydra" not in text and "omegaconf" not in text:
-            continue
-        tree = ast.parse(text)
-        modules = [(n.module or "", [a.name for a in n.names]) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
-        modules += [(a.name, []) for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
-        ours = [(module, names) for module, names in modules if module.split(".")[0] in ("hydra", "omegaconf")]
-        for module, names in ours:
-            if any(part.startswith("_") for part in [*module.split("."), *names]):
-                private.append(f"{file.name}: import of {module}")
-        for n in ast.walk(tree) if ours else ():
-            mine = isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name) and n.value.id in ("self", "cls")
-            if isinstance(n, ast.Attribute) and re.match(r"_[^_]", n.attr) and not mine:
-                private.append(f"{file.name}:{n.lineno}: {ast.unparse(n)}")
-    assert not private
