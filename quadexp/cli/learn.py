@@ -115,7 +115,9 @@ def check(
     stops = {"blocking", "warning"} if strict else {"blocking"}
     checked = requests.check(flights, vehicle, conf)
     drawn = _draw(figures, checked) if figures is not None else {}
-    records, lines, blocked = [], [], 0
+    records: list[dict[str, Any]] = []
+    lines: list[Any] = []
+    blocked = 0
     for flight in checked:
         stopped = not stops.isdisjoint(flight.severities)
         blocked += stopped
@@ -128,18 +130,15 @@ def check(
         cells = [[getattr(finding, name) for name in names] for finding in flight.findings]
         lines += [Table(names, cells, title, left=frozenset(range(6)))] if cells else [title, "  nothing found"]
         lines += [f"  {drawn[flight.path]}", ""] if flight.path in drawn else [""]
-    clean, warned, stopping = (
-        sum(test(flight.severities) for flight in checked)
-        for test in (lambda have: have <= {"info"}, lambda have: "warning" in have, lambda have: "blocking" in have)
-    )
+    clean = sum(flight.severities <= {"info"} for flight in checked)
+    warned, stopping = (sum(name in flight.severities for flight in checked) for name in ("warning", "blocking"))
     count = "1 flight" if len(checked) == 1 else f"{len(checked)} flights"
     lines.append(f"{count}: {clean} clean, {warned} with warnings, {stopping} blocked")
     by = " (--strict)" if strict else ""
     failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"] if blocked else []
-    rows = [
-        [flight.path, *(getattr(finding, name) for name in names)] for flight in checked for finding in flight.findings
-    ]
-    table = Table(("flight", *names), rows, left=frozenset(range(7)))
+    findings = [(flight.path, finding) for flight in checked for finding in flight.findings]
+    cells = [[path, *(getattr(finding, name) for name in names)] for path, finding in findings]
+    table = Table(("flight", *names), cells, left=frozenset(range(7)))
     return Answer({"flights": records, "blocked": blocked, "strict": strict}, [table], lines, failed=failed)
 
 

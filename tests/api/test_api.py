@@ -179,11 +179,6 @@ class TestLearning:
         with pytest.raises(qx.DataError, match="flown by vehicle torrente"):
             qx.fit_drag(data, "vehicle=crazyflie")
 
-    def test_flights_at_hand(self):
-        flown = [qx.simulate(*QUICK, seed=seed) for seed in (0, 1)]
-        data = qx.collect(flights=flown)
-        assert len(data) == sum(len(flight) - 1 for flight in flown) and data["flight"].nunique() == 2
-
 
 class TestSweep:
     def test_it_is_the_command_to_the_last_bit(self, here):
@@ -223,13 +218,6 @@ class TestSweep:
         assert copy.deepcopy(results).flight(0).outcome == "ok"
         with pytest.raises(qx.UsageError, match="metric 'speed': there are rmse, mean_error, max_error"):
             results.table("speed")
-
-    def test_it_goes_on_where_it_stopped(self, here):
-        first = qx.sweep(*QUICK, seed=[0, 1], out="r")
-        before = {path: path.stat().st_mtime_ns for path in Path("r/cells").rglob("*.parquet")}
-        more = qx.sweep(*QUICK, seed=[0, 1, 2], out="r")
-        assert all(path.stat().st_mtime_ns == time for path, time in before.items())
-        assert list(more["key"][:2]) == list(first["key"]) and len(more) == 3
 
     def test_what_cannot_be_flown_is_a_row(self):
         results = qx.sweep("trajectory=circle", *INTERPRETED, speed=[2, 59], radius=1)

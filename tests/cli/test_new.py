@@ -52,21 +52,14 @@ def test_their_tests_pass_and_they_fly(here):
     [
         ("rotor", "mine", "new: 'rotor' is none of vehicle, trajectory, plant, residual, controller"),
         ("plant", "my-plant", "'my-plant' is no name for a module"),
-        ("plant", "2nd", "'2nd' is no name"),
-        ("plant", "", "'' is no name"),
         ("plant", "../up", "'../up' is no name"),
-        ("plant", "größe", "'größe' is no name"),
         ("plant", "class", "'class' is no name"),
         ("plant", "match", "'match' is no name"),
-        ("plant", "_mine", "'_mine' is no name"),
         ("vehicle", "null", "'null' means something else"),
         ("trajectory", "circle", "there is trajectory=circle already"),
         ("residual", "gp", "there is controller=gp_mpc already"),
         ("controller", "random", "there is a Python module random already"),
-        ("controller", "numpy", "there is a Python module numpy already"),
-        ("controller", "quadexp", "there is a Python module quadexp already"),
         ("residual", "theta", "'theta' has a meaning in the code"),
-        ("residual", "ca", "'ca' has a meaning in the code"),
     ],
 )
 def test_a_name_that_cannot_be_is_one_line(part, name, message, here):

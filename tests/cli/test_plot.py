@@ -118,12 +118,6 @@ class TestResults:
         assert [int(row["seed"]) for row in rows(out)] == kept["seed"].tolist()
         assert {row["controller.nodes"] for row in rows(out)} == {"5"}
 
-    def test_several_keys_to_sort_by(self, results):
-        out = run("results", "r", "--sort", "seed,-controller.nodes,speed", "--columns", "seed,controller.nodes,speed",
-                  "--format", "csv")[1]  # fmt: skip
-        found = [(int(r["seed"]), -int(r["controller.nodes"]), float(r["speed"])) for r in rows(out)]
-        assert found == sorted(found) and len(found) == 24
-
     def test_a_page_that_sorts(self, results):
         code, out, _ = run("results", "r", "--html", "t.html")
         assert (code, out) == (0, "t.html\n") and Path("t.html").read_text().count("<tr>") == 25

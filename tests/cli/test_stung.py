@@ -119,7 +119,15 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
     ("words", "message"),
     [
         (["evaluate", "--sweep", "seed=range(0)"], "seed=range(0): an empty range leaves nothing to fly"),
-        (["evaluate", "--sweep", "seed=range(4,4,2)"], "an empty range leaves nothing to fly"),
+        (["evaluate", "--sweep", "experiment=nope"], "no such experiment"),
+        (["simulate", "wind.speed=4"], "wind=none has no settings"),
+        (["simulate", "remedy=wind"], "did you mean remedies?"),
+        (["simulate", "--out", "x.csv"], "write x.parquet, then quadexp export x.parquet"),
+        (["report", "results/none"], "results/none: no such file"),
+        (["simulate", "--seed", "3"], "a setting is given without dashes: seed=VALUE"),
+        (["simulat"], "No such command"),
+        (["simulate", "--ot", "x"], "No such option '--ot'"),
+        (["fit-gp"], "Missing argument"),
         (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
         (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),
@@ -128,5 +136,6 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
 )
 def test_a_wrong_request_is_one_line_and_exit_code_2(here, words, message):
     Path("nothing.csv").touch() if "pdf" in words else None
-    code, out, err = run(*words)
-    assert code == 2 and out == "" and err.startswith("error: ") and err.count("\n") == 1 and message in err
+    done = run_main(*words)
+    assert done.returncode == 2 and done.stdout == "" and message in done.stderr, done.stderr
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1

@@ -70,14 +70,6 @@ def test_what_is_written_lies_in_the_output_folder(name):
         assert lies_in(folder / f"{name}.yaml", folder)
 
 
-def test_a_sweep_writes_nothing_outside_its_folder(tmp_path):
-    out = tmp_path / "deep" / "deeper" / "results"
-    words = (*FLY[1:], "trajectory.name='../../../x'", "--out", out)
-    assert run("evaluate", "--sweep", *words).returncode == 0
-    outside = [path for path in tmp_path.rglob("*") if path.is_file() and out not in path.parents]
-    assert outside == [] and len(list((out / "figures").glob("path_*.svg"))) == 1
-
-
 @pytest.mark.parametrize("name", [name for name in HOSTILE if not is_name(name)])
 def test_a_name_is_one_printable_line(name, tmp_path):
     """Wherever it is read: from the configuration, a flight, a table of results, a checkpoint."""

@@ -3,47 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import pkgutil
-from pathlib import Path
 from typing import Any, get_origin
 
 import pytest
 
-import quadexp
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.schema import PARTS, Config
-from quadexp.parts.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
+from quadexp.parts.settings import REQUIRED, Setting, declared, inside, lists, plain
 
-PACKAGE = Path(quadexp.__file__).parent
-CONFIGURED = {"physics", "air", "reference", "models", "world", "control"}  # rooms of what a configuration describes
 # What a part that is the object itself is given besides its keys.
 OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
-# Dataclasses that share three or more names with a node and configure nothing: why.
-NOT_SETTINGS = {
-    "SpeedProfile": "a function of three numbers, made by the path that has them",
-    "BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options",
-}
-
-
-def dataclasses_of_the_package() -> list[type]:
-    found = []
-    for module in pkgutil.walk_packages(quadexp.__path__, "quadexp."):
-        if module.name.endswith("__main__"):
-            continue
-        try:
-            members = vars(importlib.import_module(module.name)).values()
-        except ImportError:  # an extra that is not installed
-            continue
-        found += [m for m in members if isinstance(m, type) and m.__module__ == module.name]
-    return [one for one in found if dataclasses.is_dataclass(one)]
-
-
-ALL = dataclasses_of_the_package()
 
 
 def nodes() -> dict[str, type]:
@@ -59,31 +32,6 @@ def nodes() -> dict[str, type]:
 
 
 NODES = nodes()
-
-
-def test_the_search_finds_settings_and_what_they_configure():
-    names = {one.__name__ for one in ALL}
-    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPSettings", "MPC", *NOT_SETTINGS} <= names
-    assert len(NODES) > 25
-
-
-@pytest.mark.parametrize("one", [one for one in ALL if issubclass(one, Settings)], ids=lambda one: one.__name__)
-def test_a_name_is_declared_by_one_class_of_a_hierarchy(one):
-    for name in {f.name for f in dataclasses.fields(one)}:
-        places = [base.__name__ for base in one.__mro__ if name in base.__dict__.get("__annotations__", {})]
-        assert len(places) == 1, f"{one.__name__}.{name} is declared by {' and by '.join(places)}"
-
-
-def test_nothing_declares_the_settings_of_a_node_again():
-    again = {}
-    for one in (one for one in ALL if one.__module__.split(".")[1] in CONFIGURED):
-        if issubclass(one, Settings) or one.__name__ in NOT_SETTINGS:
-            continue
-        own = {f.name for f in dataclasses.fields(one)}
-        shared = max((own & declared(node).keys() for node in NODES.values()), key=len)
-        if len(shared) >= 3:
-            again[one.__name__] = sorted(shared)
-    assert not again, "inherit the settings instead"
 
 
 @pytest.mark.parametrize("name", NODES)
