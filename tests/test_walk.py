@@ -59,7 +59,7 @@ LANDMARKS = {
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),
 }
-CONFIGURING = 11  # modules from the words of the command line to the first period
+CONFIGURING = 10  # modules from the words of the command line to the first period
 MOST = 21  # one of them the integrator that all plants share
 
 

@@ -36,7 +36,7 @@ class Grouped(click.Group):
         """Called by click."""
         for heading, commands in GROUPS.items():
             with formatter.section(heading):
-                formatter.write_dl([(str(one.name), one.get_short_help_str(200)) for one in commands])
+                formatter.write_dl([(str(each.name), each.get_short_help_str(200)) for each in commands])
 
 
 def _debug(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
@@ -70,8 +70,8 @@ def app() -> None:
     """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation."""
 
 
-for one in (command for commands in GROUPS.values() for command in commands):
-    app.add_command(one)
+for command in (command for commands in GROUPS.values() for command in commands):
+    app.add_command(command)
 
 
 def main() -> None:

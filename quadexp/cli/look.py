@@ -239,11 +239,11 @@ def compare(
 
         save_figure(picture(report["kind"], [first, *others]), out, force=force)
     checked = {str(p): check_flights(*rows_of(p)) for p in (first, *others) if report["kind"] == "results"}
-    wrong = [f"{results}: {line}" for results, found in checked.items() for line in found.lines(beside=False)]
+    wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")
     record = {key: value for key, value in report.items() if key != "lines"} | ({"picture": out} if out else {})
-    record |= {"checked": [f"{results}: {found.text()}" for results, found in checked.items()] + wrong}
+    record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
     return Answer(
         record, lambda: comparison.compare_tables(first, *others), [*report["lines"], *([out] if out else [])]
     )
@@ -265,11 +265,11 @@ def report(
     """
     from quadexp.report.page import make_report
 
-    made = make_report(results, out, figures=figures, baseline=baseline, force=force)
-    checked = made["checked"]
-    said = [*made["answer"], made["note"], f"{checked['text']}.", *checked["lines"]]
-    files = _files({"page": made["path"], **made["figures"]})
-    return Answer(made, files, [*said, *made["figures"].values(), made["path"]])
+    page = make_report(results, out, figures=figures, baseline=baseline, force=force)
+    checked = page["checked"]
+    said = [*page["answer"], page["note"], f"{checked['text']}.", *checked["lines"]]
+    files = _files({"page": page["path"], **page["figures"]})
+    return Answer(page, files, [*said, *page["figures"].values(), page["path"]])
 
 
 @command
@@ -314,5 +314,7 @@ def animate(
     """
     from quadexp.report.animation import animate as draw
 
-    made = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
-    return Answer(made, [single_values(made)], [f"{made['frames']} frames, {made['duration']:.1f} s", made["path"]])
+    movie = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
+    return Answer(
+        movie, [single_values(movie)], [f"{movie['frames']} frames, {movie['duration']:.1f} s", movie["path"]]
+    )

@@ -168,8 +168,8 @@ def _set_in_part(key: str, grids: Sequence[Mapping[str, set[str]]]) -> bool:
     columns = who if key.startswith("controller.") else COLUMN_KEYS - {"seed", "experiment"}
     with_key, without = ([grid for grid in grids if (key in grid) == wanted] for wanted in (True, False))
     return any(
-        all(one[column] & other[column] for column in columns & one.keys() & other.keys())
-        for one in with_key
+        all(grid[column] & other[column] for column in columns & grid.keys() & other.keys())
+        for grid in with_key
         for other in without
     )
 

@@ -39,7 +39,7 @@ def test_their_tests_pass_and_they_fly(here):
     done = subprocess.run([sys.executable, "-m", "pytest", *tests, "-q"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     for part, flown in flights.items():
-        quick = ["trajectory=circle", "trajectory.speed=2"] if part != "trajectory" else []
+        quick = ["trajectory=hover", "trajectory.duration=0.5"] if part != "trajectory" else ["trajectory.turns=0.5"]
         code, _, errors = run(*flown[1:], *quick)
         assert code == 0, errors
         record = read_metadata(flown[-1], "flight")
