@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("QUADEXP_OPTIMISE", "-O1")  # compiling is half of the tests' work, each function for a few steps
 os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-tests-{os.getuid()}")
 
 from quadexp.compile.compiler import compiler
