@@ -255,7 +255,11 @@ class TestLearning:
 @pytest.mark.parametrize(
     ("change", "words", "message"),
     [
-        (lambda columns: columns.pop("w_x"), ("fit-gp", "gp.features.a_x=[v_x,w_x]"), "column 'w_x' is missing"),
+        (
+            lambda columns: columns.pop("w_x"),
+            ("fit-gp", "gp.holdout=0", "gp.features.a_x=[v_x,w_x]"),
+            "column 'w_x' is missing",
+        ),
         (lambda columns: columns.update({k: v[:0] for k, v in columns.items()}), ("fit-gp",), "has no rows"),
         (lambda columns: columns["a_y"].__setitem__(7, np.nan), ("fit-drag",), "column 'a_y' is nan at row 7"),
     ],

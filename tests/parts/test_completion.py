@@ -36,10 +36,6 @@ def test_candidates(words, expected, prefix):
     assert all(word.startswith(prefix) for word in offered)
 
 
-def test_nothing_is_offered_for_what_is_nothing():
-    assert typed("nothing_like_it") == []
-
-
 def test_an_empty_word_offers_groups_and_plain_keys():
     offered = typed("")
     assert {"vehicle=", "controller=", "model=", "seed="} <= set(offered)
