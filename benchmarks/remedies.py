@@ -32,8 +32,8 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.observers.disturbance import DisturbanceObserver, with_disturbance_observer
-from quadexp.control.observers.wind import WindObserver, with_wind_observer
+from quadexp.control.observers.disturbance import DisturbanceObserver
+from quadexp.control.observers.wind import WindObserver
 from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.experiment.rollout import SampledReference
 from quadexp.models.terms import adapting_terms
@@ -70,30 +70,22 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
             AdaptKeys(),
             backend="compiled",
         ),
-        f"{CASE}, observer=disturbance": with_disturbance_observer(mpc(), disturbance),
-        f"{CASE}, observer=disturbance, dead time predicted": with_disturbance_observer(
-            mpc(dead_time=0.02), disturbance
-        ),
-        f"{CASE}, observer=disturbance, delay=strapdown": Strapdown(
-            with_disturbance_observer(mpc(), disturbance), 0.02
-        ),
-        f"{CASE}, observer=disturbance, delay=prediction": Prediction(
-            with_disturbance_observer(mpc(), disturbance), 0.02, 0.0, 0.0
-        ),
-        f"{CASE}, observer=wind without targets": with_wind_observer(mpc(), still),
-        f"{CASE}, observer=wind": with_wind_observer(mpc(), wind),
-        f"{CASE}, observer=wind without targets, dead time predicted": with_wind_observer(mpc(dead_time=0.02), still),
-        f"{CASE}, observer=wind, dead time predicted": with_wind_observer(mpc(dead_time=0.02), wind),
+        f"{CASE}, observer=disturbance": disturbance.around(mpc()),
+        f"{CASE}, observer=disturbance, dead time predicted": disturbance.around(mpc(dead_time=0.02)),
+        f"{CASE}, observer=disturbance, delay=strapdown": Strapdown(disturbance.around(mpc()), 0.02),
+        f"{CASE}, observer=disturbance, delay=prediction": Prediction(disturbance.around(mpc()), 0.02, 0.0, 0.0),
+        f"{CASE}, observer=wind without targets": still.around(mpc()),
+        f"{CASE}, observer=wind": wind.around(mpc()),
+        f"{CASE}, observer=wind without targets, dead time predicted": still.around(mpc(dead_time=0.02)),
+        f"{CASE}, observer=wind, dead time predicted": wind.around(mpc(dead_time=0.02)),
         f"{CASE}, delay=strapdown (20 ms)": Strapdown(mpc(disturbed=False), 0.02),
         f"{CASE}, delay=prediction (20 ms)": Prediction(mpc(disturbed=False), 0.02, 0.0, 0.0),
         f"{CASE}, motor=lead": mpc(disturbed=False, motor_lead=0.03),
         f"{CASE}, motor=states": mpc(disturbed=False, motor_lag=0.03),
-        f"{CASE}, observer=wind without targets, delay=strapdown": Strapdown(with_wind_observer(mpc(), still), 0.02),
-        f"{CASE}, observer=wind without targets, delay=prediction": Prediction(
-            with_wind_observer(mpc(), still), 0.02, 0.0, 0.0
-        ),
-        f"{CASE}, observer=wind, delay=strapdown": Strapdown(with_wind_observer(mpc(), wind), 0.02),
-        f"{CASE}, observer=wind, delay=prediction": Prediction(with_wind_observer(mpc(), wind), 0.02, 0.0, 0.0),
+        f"{CASE}, observer=wind without targets, delay=strapdown": Strapdown(still.around(mpc()), 0.02),
+        f"{CASE}, observer=wind without targets, delay=prediction": Prediction(still.around(mpc()), 0.02, 0.0, 0.0),
+        f"{CASE}, observer=wind, delay=strapdown": Strapdown(wind.around(mpc()), 0.02),
+        f"{CASE}, observer=wind, delay=prediction": Prediction(wind.around(mpc()), 0.02, 0.0, 0.0),
     }
 
 

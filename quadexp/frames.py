@@ -114,12 +114,14 @@ class Flight(Frame):
 
     def plot(self, *columns: str) -> Any:
         """A matplotlib figure: the named columns over time, or path, position error and thrusts."""
-        from quadexp.report.log_figures import over_time, overview
+        from quadexp.report.flight_figures import flights_figure, over_time
 
         missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
         if missing:
             raise UsageError(f"the flight has no column {missing[0]!r} to draw")
-        return over_time(self, columns) if columns else overview(self)
+        if columns:
+            return over_time(self.arrays(), columns, self.attrs.get("units", {}))
+        return flights_figure({str(self.record.get("controller") or "flown"): self.arrays()})
 
 
 class Dataset(Frame):
@@ -147,14 +149,14 @@ class Results(Frame):
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows as the library's own functions take them."""
-        from quadexp.report.result_rows import from_columns
+        from quadexp.report.metrics import from_columns
 
         if not self._is_whole():
             raise UsageError("tables and figures need all columns of results, and a row at least")
         return from_columns(self.columns_as_arrays())
 
     def _is_whole(self) -> bool:
-        from quadexp.report.result_rows import ROW_COLUMNS
+        from quadexp.report.metrics import ROW_COLUMNS
 
         return len(self) > 0 and set(ROW_COLUMNS) <= set(self)
 
@@ -178,7 +180,7 @@ class Results(Frame):
         x: str | None = None,
         by: str | Sequence[str] | None = None,
         facet: str | Sequence[str] | None = None,
-        kind: Literal["lines", "heat", "parallel"] | None = None,
+        kind: Literal["lines", "heat"] | None = None,
     ) -> Any:
         """A matplotlib figure with any keys as axes, as `quadexp plot`: results.plot(x="controller.nodes").
 
@@ -275,7 +277,7 @@ class Leaderboard(Frame):
         """Name of a family of tasks -> the table of its ranks, best first."""
         from quadexp.bench.board import board_table, families_of
         from quadexp.bench.protocol import read_protocol
-        from quadexp.report.result_rows import from_columns
+        from quadexp.report.metrics import from_columns
 
         protocol = read_protocol()
         options: Any = {"metric": protocol.metric, "baseline": protocol.baseline}

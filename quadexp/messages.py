@@ -10,7 +10,6 @@ its format, and each gives one line, one cell or one word, whatever the text was
     csv_line        a row of CSV, with no formula
     html, script    text and values of attributes in HTML and SVG; JSON within <script>
     yaml            a value of YAML
-    tracker_name    a name for MLflow and Weights & Biases, and tracker_text, a value
     shlex.quote     a word of a command
 
 Figures take text as it is: mathematics is asked for by name (report/style.py). Standard output and the error stream are
@@ -101,16 +100,6 @@ def script(value: Any) -> str:
 def yaml(value: Any) -> str:
     """A value as YAML on one line, which is read back as it was: JSON, with what is not printed written out."""
     return _stored(json.dumps(value, ensure_ascii=False))
-
-
-def tracker_text(text: object) -> str:
-    """A value of a setting or tag for an experiment tracker, which takes so many letters."""
-    return _stored(text)[:500]
-
-
-def tracker_name(text: object) -> str:
-    """A name for an experiment tracker: no separator of paths and addresses."""
-    return re.sub(r"[/\\#?%:]", "_", _stored(text))[:128]
 
 
 class CleanStream:

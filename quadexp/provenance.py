@@ -36,7 +36,7 @@ DECIDING = (
     "compile", "control", "models", "physics", "reference", "world", "experiment/build.py", "experiment/checkpoints.py",
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
     "experiment/identity.py", "experiment/kept.py", "experiment/loop_margins.py", "experiment/outside.py",
-    "experiment/rollout.py", "experiment/stability.py","log/outcome.py", "report/metrics.py",
+    "experiment/rollout.py", "log/outcome.py", "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")
 SHORT = 12  # hex digits of a hash that people read

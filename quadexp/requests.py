@@ -29,7 +29,7 @@ Progress = Callable[[float, float], None]
 Overrides = Sequence[str]
 FIGURES = 5  # of a usual sweep
 SAMPLED = 200  # cells that are looked at for what their flights import
-DRAWING = ("quadexp.report.figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
 NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
     "random": ("quadexp.reference.random_polynomial", "quadexp.reference.minimum_snap", "quadexp.reference.time_scale"),
     "file": ("quadexp.reference.from_file",),
@@ -89,7 +89,7 @@ def simulate(
     from quadexp.experiment.evaluate import fly_one
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import compose
-    from quadexp.report.margin_line import delays_note, world_note
+    from quadexp.report.summary import delays_note, world_note
 
     if out is not None and out.suffix in FOREIGN:
         parquet = out.with_suffix(".parquet")
@@ -420,11 +420,7 @@ def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
 
 # --------------------------------------------------------------------------------------------------------------- look
 def export(source: Path, to: str, out: Path | None = None, *, force: bool = False) -> dict[str, Path]:
-    """Write a flight, or a folder of results, for other programs; name -> file."""
-    if source.is_dir() or source.name == RESULTS:
-        from quadexp.report.exports import export_results
-
-        return dict(export_results(source, to, out, force=force))
+    """Write a flight for other programs; name -> file."""
     from quadexp.log.exporters import export_flight
 
     return dict(export_flight(source, to, out, force=force))

@@ -103,7 +103,7 @@ def test_what_changes_which_hash(tmp_path):
     here = provenance.sources(), provenance.package_hash()
     assert hashes(tmp_path) == here
     for name, decides in (
-        ("report/figures.py", False),
+        ("report/style.py", False),
         ("cli/fly.py", False),
         ("sweeps/cluster.py", False),
         ("report/metrics.py", True),

@@ -15,11 +15,10 @@ from quadexp.errors import UsageError
 from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
+from quadexp.report.checked import flown_by_lines
 from quadexp.report.document import Block, PageTable, Section, document
-from quadexp.report.flown_by import flown_by_lines
 from quadexp.report.inference import least_seeds
-from quadexp.report.metrics import SHOWN
-from quadexp.report.result_rows import from_columns, to_columns
+from quadexp.report.metrics import SHOWN, from_columns, to_columns
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
 

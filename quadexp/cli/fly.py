@@ -78,7 +78,7 @@ def evaluate(
     }
 
     def csv() -> str:
-        from quadexp.report.statistics_file import statistics_csv
+        from quadexp.report.statistics import statistics_csv
 
         return statistics_csv(result.statistics.of(metric))
 

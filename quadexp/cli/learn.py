@@ -143,8 +143,8 @@ def check(
 
 
 def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:
-    from quadexp.report.figures import save
-    from quadexp.report.log_figures import consistency_figure
+    from quadexp.report.flight_figures import consistency_figure
+    from quadexp.report.style import save
 
     drawn: dict[str, Path] = {}
     for flight in checked:

@@ -59,8 +59,7 @@ def results(
     quadexp results results/table1 --verify
     """
     from quadexp import requests
-    from quadexp.report.checked import check_flights
-    from quadexp.report.flown_by import flown_by, flown_by_lines
+    from quadexp.report.checked import check_flights, flown_by, flown_by_lines
     from quadexp.report.tables import csv_of, flights_table, page_of
 
     if verify:
@@ -84,8 +83,8 @@ def results(
     checked = check_flights(frame.root, [row for row in total if row["wanted"]])
     for line in checked.lines(beside=False):
         say(f"warning: {line}")
-    table = flights_table(frame, names or usual, all_of_them=bool(names))
-    shown = names or [name for name in usual if name in table.names]
+    shown = names or [name for name in usual if any(value is not None for value in frame.column(name))]
+    table = flights_table(frame, shown)
     outcomes = [row["outcome"] for row in total]
     counts = {outcome: outcomes.count(outcome) for outcome in sorted(set(outcomes))}
     unwanted = sum(not row["wanted"] for row in total)
@@ -96,7 +95,7 @@ def results(
     remarks += flown_by_lines(total) if several else []
     chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
     record = {"count": len(total), "checked": checked.text(), "rows": chosen if names else frame.rows}
-    return Answer(record, [table.table], [table.table], remarks=remarks, texts={"csv": lambda: csv_of(frame, shown)})
+    return Answer(record, [table], [table], remarks=remarks, texts={"csv": lambda: csv_of(frame, shown)})
 
 
 def _prune(folder: Path, filters: Sequence[str], remove: bool) -> Answer:
@@ -139,9 +138,7 @@ def plot(
     by: Annotated[tuple[str, ...], Ask("A line for each value; repeatable.", "KEY")] = (),
     facet: Annotated[tuple[str, ...], Ask("A panel for each value; repeatable.", "KEY")] = (),
     where: Annotated[str | None, Ask("Only these flights, such as 'speed > 6'.", "CONDITION")] = None,
-    kind: Annotated[
-        Literal["lines", "heat", "parallel"] | None, Ask("lines, heat (a map of --x and --by) or parallel.", "KIND")
-    ] = None,
+    kind: Annotated[Literal["lines", "heat"] | None, Ask("lines, or heat (a map of --x and --by).", "KIND")] = None,
     width: Annotated[Literal["column", "page"] | None, Ask("For a paper: 3.5 or 7.16 inches wide.")] = None,
     label: Annotated[
         tuple[str, ...], Ask("A text of your own for a key, a value or --y; repeatable.", "KEY=TEXT")
@@ -166,8 +163,7 @@ def plot(
 
     from quadexp.report.checked import check_flights
     from quadexp.report.draw import check_path, records, save_view
-    from quadexp.report.frame import SweepFrame
-    from quadexp.report.query import chosen
+    from quadexp.report.frame import SweepFrame, chosen
     from quadexp.report.view import view
 
     names = dict(text.partition("=")[::2] for text in label)
@@ -225,28 +221,27 @@ def compare(
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
-    from quadexp.report import compare as comparison
     from quadexp.report.checked import check_flights, rows_of
+    from quadexp.report.compare import compare as compared
 
     if out is not None:
         from quadexp.report.draw import check_path
 
         out = check_path(out, force, ("png", "pdf", "svg"))
-    report = comparison.compare(first, *others)
+    report = compared(first, *others)
     if out is not None:
-        from quadexp.report.compare_picture import picture
-        from quadexp.report.draw import save_figure
+        from quadexp.report.draw import comparison_figure
+        from quadexp.report.style import save_figure
 
-        save_figure(picture(report["kind"], [first, *others]), out, force=force)
+        save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
     checked = {str(p): check_flights(*rows_of(p)) for p in (first, *others) if report["kind"] == "results"}
     wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")
-    record = {key: value for key, value in report.items() if key != "lines"} | ({"picture": out} if out else {})
+    record = {key: value for key, value in report.items() if key not in ("lines", "tables")}
+    record |= {"picture": out} if out else {}
     record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
-    return Answer(
-        record, lambda: comparison.compare_tables(first, *others), [*report["lines"], *([out] if out else [])]
-    )
+    return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])
 
 
 @command
@@ -274,18 +269,16 @@ def report(
 
 @command
 def export(
-    flight: Annotated[Path, Ask("A flight of `quadexp simulate` or of a sweep, or a results folder.")],
-    to: Annotated[str, Ask("csv, tum, mcap, rerun; of results mlflow or wandb.", "FORMAT", "--to")],
+    flight: Annotated[Path, Ask("A flight of `quadexp simulate` or of a sweep.")],
+    to: Annotated[str, Ask("csv, tum, mcap, rerun.", "FORMAT", "--to")],
     out: OptionalOut = None,
     force: Force = False,
 ) -> Answer:
-    """Write a flight for other programs; mcap and rerun need the extra [viz]. Write results for a tracker, without a
-    network: mlflow and wandb need the extra of their name.
+    """Write a flight for other programs; mcap and rerun need the extra [viz].
 
     \b
     quadexp export runs/a.parquet --to rerun --out a.rrd
     quadexp export runs/a.parquet --to csv --out a.csv
-    quadexp export results/table1 --to mlflow --out mlruns
     """
     from quadexp import requests
 
@@ -307,7 +300,7 @@ def animate(
     end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
     force: Force = False,
 ) -> Answer:
-    """Draw flights over one reference as a moving picture in real time: GIF, WebP, or MP4 by ffmpeg.
+    """Draw flights over one reference as a moving picture in real time: GIF, or MP4 by ffmpeg.
 
     \b
     quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif

@@ -228,6 +228,6 @@ def print_table(table: Any) -> None:
     rich = table.rich if hasattr(table, "rich") else table.table().rich
     shown = rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
-        shown = rich(stacked=True)
+        shown = table.rich(stacked=True)
     out.print(shown)
     print_lines(table.notes)

@@ -43,6 +43,36 @@ class Window(NamedTuple):
     drift: float = 0.0
 
 
+N_BELIEF = 11  # numbers, in the order of Belief
+
+
+class Belief(NamedTuple):
+    """What an observer believes of the world around the vehicle, beside the controller's model.
+
+        m v' = s T R e_z + c F_air(v - w, ..) + m g + F,    J w' = .. + c tau_air + tau
+
+    force: F, (3,), world (N). torque: tau, (3,), body (N m). wind: w, velocity of the air (3,), world (m/s).
+    thrust_scale: s, what a rotor delivers of a commanded newton; air_scale: c, what the air does of what the model
+    says; 1 is as the model. A controller that can use it has a method `believe(belief)`, called before each `step`.
+    """
+
+    force: np.ndarray
+    torque: np.ndarray
+    wind: np.ndarray
+    thrust_scale: float = 1.0
+    air_scale: float = 1.0
+
+
+def no_belief() -> Belief:
+    """The world is as the model: still air, nothing beyond it."""
+    return Belief(np.zeros(3), np.zeros(3), np.zeros(3))
+
+
+def belief_of(numbers: np.ndarray) -> Belief:
+    """The belief of N_BELIEF numbers; its vectors are views of them."""
+    return Belief(numbers[0:3], numbers[3:6], numbers[6:9], float(numbers[9]), float(numbers[10]))
+
+
 class Controller(Protocol):
     """Tracks a reference: `forget` before the reference is made, `reset` once, then `step` every control period.
 

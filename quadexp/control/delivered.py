@@ -2,22 +2,29 @@
 
 Where rotor speeds W are measured and the vehicle's thrust coefficient is stated, it is c_t W^2. Otherwise it follows
 from the commands: one that was sent at t_j acts over [t_j + d, t_j + d + T], d the dead time and T the control period,
-and the thrust follows it with a first-order lag (physics.motor).
+and the thrust follows it with a first-order lag (physics.motor). So it is linear in the commands, and its mean over a
+span [a, b] is
+
+    sum_j u_j (S(s_j) - S(s_{j+1})) / (b - a),    s_j = t_j + d,    S(s) = G(b - s) - G(a - s)
+    G(x) = x - lag (1 - exp(-x / lag)) for x > 0, else 0            integral of the step response
+
+The oldest command that is kept counts as having been sent for ever: S(s_0) = b - a.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Measurement
-from quadexp.control.instant import Operation, call, copy, move
+from quadexp.control.built import built
+from quadexp.control.instant import Operation, Told, call, copy, move
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
@@ -73,26 +80,24 @@ def commands_function(
     """`delivered_by_commands` as a function of commands, thrust and sent: commands_next, thrust_next, mean.
 
     backend: resolved. shared: see BufferedFunction."""
-    function = BufferedFunction(_commands_function(rotors, delays.pending, backend), shared)
+    function = BufferedFunction(built(backend, _commands_function, rotors, delays.pending), shared)
     function.arguments["numbers"][...] = delays.numbers
     return function
 
 
-@cache
-def _commands_function(rotors: int, pending: int, backend: str) -> ca.Function:
+def _commands_function(rotors: int, pending: int) -> ca.Function:
     shapes = {"commands": (rotors, pending), "thrust": (rotors, 1), "sent": (rotors, 1), "numbers": (6, 1)}
     a = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
     names = ["commands_next", "thrust_next", "mean"]
-    function = ca.Function("delivered", [*a.values()], [*delivered_by_commands(*a.values())], [*a], names)
-    return realise(function, backend)
+    return ca.Function("delivered", [*a.values()], [*delivered_by_commands(*a.values())], [*a], names)
 
 
 class DeliveredThrust:
-    """Call `reset`, then at every control instant `now` and `record`, in this order, also where speeds are measured.
+    """Its operations stand `before` and `after` the controller's, at every control instant; `reset` begins a flight.
 
     dead_time, lag: what is known of the commands' delay and of the rotors' time constant (s).
-    thrust: by the commands, at the control instant, (n,) (N). mean: the same over the last control period; where rotor
-    speeds are measured, and lag is not 0, of the measured thrusts at its two ends.
+    thrust: at the control instant, just before the new command, (n,) (N). mean: over the last control period; where
+    rotor speeds are measured, and lag is not 0, of the measured thrusts at its two ends.
     """
 
     def __init__(
@@ -107,51 +112,97 @@ class DeliveredThrust:
         self._coefficient, self._lag = vehicle.thrust_coefficient, lag
         self._on = commands_function(vehicle.n_rotors, Delays(control_period, dead_time, lag), backend)
         given, self._next = self._on.arguments, self._on.results
-        self._commands, self.thrust, self._sent = given["commands"], given["thrust"], given["sent"]
-        self.mean = self._next["mean"]
-        self._measured, self._before = np.zeros((2, vehicle.n_rotors))
-        self._turning = False  # whether `_before` was measured
+        self._commands, self._by_commands, self._sent = given["commands"], given["thrust"], given["sent"]
+        self.mean, self.thrust = self._next["mean"], self._by_commands
+        if self._coefficient is not None:
+            self.thrust, self._before = np.zeros((2, vehicle.n_rotors))
+            self._turned, self._both = np.zeros((2, 1))  # whether `before` was measured, and thrust is too
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
-        self._commands[...] = self.thrust[...] = self.mean[...] = thrust
-        self._turning = False
+        self._commands[...] = self._by_commands[...] = self.mean[...] = thrust
+        if self._coefficient is not None:
+            self._turned[...] = 0.0
 
-    def now(self, measurement: Measurement) -> np.ndarray:
-        """Thrusts at the control instant, just before the new command, (n,) (N)."""
-        if measurement.rotor_speed is None or self._coefficient is None:
-            self._turning = False
-            return self.thrust
-        self._measured[...] = self._coefficient * measurement.rotor_speed**2
-        both = self._lag and self._turning
-        self.mean[...] = (self._before + self._measured) / 2 if both else self._measured
-        self._before[...], self._turning = self._measured, True
-        return self._measured
-
-    def record(self, command: np.ndarray) -> None:
-        """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
-        self._sent[...] = command
-        self._on()
-        self.thrust[...] = self._next["thrust_next"]
-        self._commands[...] = self._next["commands_next"]
-
-    def before(self, speed: np.ndarray | None) -> tuple[list[Operation], np.ndarray]:
-        """`now` for C, and the array that has the thrusts then. speed: where rotor speeds are found; None: they are not
-        measured."""
-        if speed is None or self._coefficient is None:
-            return [], self.thrust
-        now = [Operation("square", self._measured, speed, factor=self._coefficient)]
+    def before(self, told: Told) -> list[Operation]:
+        """Leaves `thrust` and `mean`."""
+        if self._coefficient is None:
+            return []
+        square = Operation("square", self.thrust, told.speed, factor=self._coefficient, when=told.turning)
+        now = [copy(self.thrust, self._by_commands), square, copy(self.mean, self.thrust, told.turning)]
         if self._lag:
-            now.append(Operation("mean", self.mean, self._before, self._measured))
-        else:
-            now.append(copy(self.mean, self._measured))
-        return [*now, move(self._before, self._measured)], self._measured
+            now += [copy(self._both, self._turned), copy(self._both, told.turning, self._turned)]
+            now.append(Operation("mix", self.mean, self._before, self.thrust, factor=0.5, when=self._both))
+        return [*now, move(self._before, self.thrust, told.turning), move(self._turned, told.turning)]
 
     def after(self, command: np.ndarray) -> list[Operation]:
-        """`record` for C, of the command that is found there."""
-        results = [copy(self.thrust, self._next["thrust_next"]), copy(self._commands, self._next["commands_next"])]
-        return [copy(self._sent, command), call(self._on), *results]
+        """Goes on by one control period under the command that is found there, (n,) (N)."""
+        thrust, commands = self._next["thrust_next"], self._next["commands_next"]
+        return [
+            copy(self._sent, command),
+            call(self._on),
+            copy(self._by_commands, thrust),
+            copy(self._commands, commands),
+        ]
 
-    def ready(self, speed: np.ndarray | None) -> bool:
-        """Whether these operations hold: what they need of the period before was measured."""
-        return self._turning or speed is None or self._coefficient is None
+
+SETTLED = 6.0  # time constants, after which nothing of a lag is left
+INSTANT = 1e-9  # s, a span that counts as an instant
+NO_LAG = 1e-18  # s
+
+
+class SentCommands:
+    """The last commands, (m, n) (N), the oldest first; `reset` begins a flight.
+
+    reach: how far back spans may begin (s), dead time and lags included.
+    """
+
+    def __init__(self, rotors: int, period: float, reach: float) -> None:
+        self._period = period
+        self.values = np.zeros((math.ceil(reach / period - 1e-9) + 1, rotors))
+        flat = self.values.reshape(-1)
+        self._older, self._newer, self._newest = flat[:-rotors], flat[rotors:], flat[-rotors:]
+
+    def reset(self, thrust: np.ndarray) -> None:
+        """Begin a flight: this command, (n,) (N), has been sent for a long time."""
+        self.values[...] = thrust
+
+    def after(self, command: np.ndarray) -> list[Operation]:
+        """Adds the command that is found there, (n,) (N), and goes on by one control period."""
+        return [copy(self._older, self._newer), copy(self._newest, command)]
+
+    def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:
+        """Weights (s, m) on the commands of the mean thrusts over spans (s, 2) (s): beginning and end, 0 is now, before
+        the command of now is sent. A span of no length has the thrust at its time."""
+        function = _weights(len(self.values), self._period)
+        spans = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
+        return np.array(function(spans[:, 0], spans[:, 1], dead_time, lag)).T[:, ::-1].copy()
+
+
+def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: Any) -> Any:
+    """Weights (m,) on m = count commands, a control period (s) apart, the newest first, of the mean thrust over a span
+    (begin, end) (s); symbols."""
+    acts = dead_time - period * ca.DM(np.arange(1.0, count + 1))  # s_j
+    tau = ca.fmax(lag, NO_LAG)
+
+    def integral(x: Any) -> Any:
+        """Of the step response over x (s) since the step."""
+        x = ca.fmax(x, 0)
+        return x + tau * ca.expm1(-x / tau)
+
+    passed = (integral(span[1] - acts) - integral(span[0] - acts)) / (span[1] - span[0])
+    passed = ca.vertcat(passed[:-1], 1)
+    return passed - ca.vertcat(0, passed[:-1])
+
+
+@lru_cache(maxsize=32)
+def _weights(count: int, period: float) -> Callable[..., np.ndarray]:
+    """Of many spans at once, (m, k): begin, end (k,), dead time, lag."""
+    begin, end, dead_time, lag = (ca.SX.sym(name) for name in ("begin", "end", "dead_time", "lag"))
+    weights = command_weights(count, period, (begin, end), dead_time, lag)
+    one = ca.Function("weights", [begin, end, dead_time, lag], [weights])
+
+    def each(begins: np.ndarray, ends: np.ndarray, dead: float, tau: float) -> np.ndarray:
+        return np.array(one(begins[None], ends[None], dead, tau))
+
+    return each

@@ -1,43 +1,53 @@
-"""A control instant as operations on fixed arrays, in order: what C does of it, without Python (experiment/flight.c).
+"""A control instant as operations on fixed arrays, in order: the one text of what a controller does.
 
-A controller that can be flown so has a method `instant(told)`; what is around it asks the one inside, and adds its own
-operations before and behind. An operation reads and writes the very arrays that the Python loop works on, so that the
-one may take over from the other at any instant. Up to the plan, or the law's command, nothing is lost that a later
-operation may refuse: what is to be remembered is moved by `Move`, which is taken back where the instant is left to
-Python. Behind it nothing refuses.
+A controller of this program, and everything around it, says by `instant(told)` what it does; what is around a
+controller asks the one inside, and adds its own operations before and behind. The same list on the same arrays is run
+by `run`, in Python, and by experiment/flight.c, so that either may take over from the other at any instant. What cannot
+be said in operations, such as a user's own controller, is an operation of the kind `python`.
+
+Where an instant is out of the ordinary, C leaves it to Python from its beginning. So up to the plan, or the law's
+command, nothing may be lost that a later operation can refuse: what is to be remembered is moved by `move`, which C
+takes back. Behind it nothing refuses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.control.base import Controller, Measurement, Window, belief_of
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.physics.state import N_STATE
 
 KINDS = (
-    "call", "copy", "move", "row", "window", "square", "divide", "mean", "mix", "finite", "below", "near", "plan",
+    "call", "copy", "move", "window", "square", "divide", "mix", "add", "finite", "below", "near", "plan", "python",
 )  # fmt: skip
+YES = np.ones(1)
 
 
 class Operation(NamedTuple):
-    """to, source, other: arrays; numbers as many as `to` has. factor: a number. function: that is called. every: at
-    which instants, one of so many.
+    """to, source, other: arrays; numbers as many as `to` has. factor: a number. function: that is called. act: what
+    Python does. every: at which instants, one of so many. when: (1,), only where it is not 0; None: always.
 
     call    function, on its arguments and results
     copy    to = source
     move    the same, for what is remembered from instant to instant
-    row     to = source[k], k the instant
     window  states of the reference over the horizon to `to`, inputs to `other`
     square  to = factor source^2
     divide  to = source / other[0]
-    mean    to = (source + other) / 2
     mix     to = factor source + (1 - factor) other
-    finite  Python's instant where a number of source is not
-    below   the same where source[0] > factor
-    near    the same where positions at the beginning of source and other are further apart than factor
-    plan    the MPC's step on its own arrays
+    add     to = source + other
+    finite  left to Python where a number of source is not
+    below   the same, and `act`, where source[0] > factor
+    near    left to Python where positions at the beginning of source and other are further apart than factor
+    plan    the MPC's step on its own arrays; in Python `act`
+    python  `act`, left to Python
     """
 
     kind: str
@@ -46,44 +56,156 @@ class Operation(NamedTuple):
     other: np.ndarray | None = None
     factor: float = 0.0
     function: BufferedFunction | None = None
+    act: Callable[[], Any] | None = None
     every: int = 1
+    when: np.ndarray | None = None
 
 
-class Told(NamedTuple):
-    """Where a controller finds what it is told: state (13,), specific force (3,), rotor speeds (n,), None where they
-    are not measured. Of the reference at the instants: position (k, 5, 3), yaw (k, 3)."""
+def call(function: BufferedFunction, when: np.ndarray | None = None) -> Operation:
+    return Operation("call", function=function, when=when)
 
-    state: np.ndarray
-    force: np.ndarray
-    speed: np.ndarray | None
-    position: np.ndarray
-    yaw: np.ndarray
+
+def copy(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
+    return Operation("copy", to, source, when=when)
+
+
+def move(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
+    return Operation("move", to, source, when=when)
+
+
+def python(act: Callable[[], Any], when: np.ndarray | None = None) -> Operation:
+    return Operation("python", act=act, when=when)
+
+
+class Told:
+    """Where a controller finds what it is told at an instant.
+
+    state: (13,). force: specific force, (3,). speed: of the rotors, (n,). read, turning: (1,), whether these two are
+    measured now; otherwise they are as they were. path: (5, 3), yaw: (4,), of the reference now: Window.position;
+    Window.yaw with drift behind it. t: s. window: of the reference. Both for operations in Python alone.
+    """
+
+    def __init__(self, rotors: int) -> None:
+        self.state, self.force, self.speed = np.zeros(N_STATE), np.zeros(3), np.zeros(rotors)
+        self.read, self.turning = np.zeros(1), np.zeros(1)
+        self.path, self.yaw = np.zeros((5, 3)), np.zeros(4)
+        self.t = 0.0
+        self.window: Window
+
+    def tell(self, measurement: Measurement, window: Window) -> None:
+        """Write what is known at a control instant."""
+        self.t, state, force, speed = measurement
+        self.state[...] = state
+        self.read[0], self.turning[0] = force is not None, speed is not None
+        if force is not None:
+            self.force[...] = force
+        if speed is not None:
+            self.speed[...] = speed
+        self.look(window)
+
+    def look(self, window: Window) -> None:
+        """Write what is known of the reference."""
+        self.window = window
+        self.path[...], self.yaw[:3], self.yaw[3] = window.position, window.yaw, window.drift
 
 
 class Instant(NamedTuple):
-    """operations: in their order. command: where they leave it, (n,). held: number of rotors at a limit, of a law.
-    logged: what `Controller.log` gives, in its order. mpc: that makes the plan. ready: whether all this holds at the
-    next instant. resumed: told the instant at which Python goes on, and the record of the last step."""
+    """operations: in their order. command: where they leave it, (n,). record: of the step, by the seconds that it took.
+    state: the array that has the state as this controller is told. held: number of rotors at a limit, of a law.
+    logged: what `Controller.log` gives, in its order. plan: the PredictiveController that makes it."""
 
     operations: list[Operation]
     command: np.ndarray
+    record: Callable[[float], StepRecord]
     held: np.ndarray | None = None
     logged: tuple[np.ndarray, ...] = ()
-    mpc: Any = None
-    ready: tuple[Callable[[], bool], ...] = ()
-    resumed: tuple[Callable[[int, Any], None], ...] = ()
+    plan: Any = None
 
 
-def call(function: BufferedFunction) -> Operation:
-    return Operation("call", function=function)
+def law_record(law: BufferedFunction) -> Callable[[float], StepRecord]:
+    """The record of a law in closed form; FAILED where its command is not finite."""
+    thrust, held = law.results["command"], law.results["held"]
+
+    def record(took: float) -> StepRecord:
+        status = Status.RICCATI if math.isfinite(sum(thrust.tolist())) else Status.FAILED
+        return StepRecord(took, status, 0, int(held.item(0)), 0.0)
+
+    return record
 
 
-def copy(to: np.ndarray, source: np.ndarray) -> Operation:
-    return Operation("copy", to, source)
+def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None:
+    """The operations of control instant k, as flight.c runs them; window: of the reference, a Window."""
+    operation: Any
+    for operation in operations:
+        kind, to, source, other, factor, function, act, every, when = operation
+        if k % every or (when is not None and not when[0]):
+            continue
+        if kind == "copy" or kind == "move":
+            to[...] = source
+        elif kind == "call":
+            function()
+        elif kind == "plan" or kind == "python":
+            act()
+        elif kind == "window":
+            to[...], other[...] = window.state, window.input
+        elif kind == "square":
+            to[...] = factor * (source * source)
+        elif kind == "divide":
+            np.divide(source, other[0], out=to)
+        elif kind == "mix":
+            to[...] = factor * source + (1 - factor) * other
+        elif kind == "add":
+            np.add(source, other, out=to)
+        elif kind == "below" and source[0] > factor:
+            act()
 
 
-def move(to: np.ndarray, source: np.ndarray) -> Operation:
-    return Operation("move", to, source)
+class Running:
+    """The operations of a controller, and the arrays that it is told by. k: instants since the flight began."""
+
+    def __init__(self, controller: Any) -> None:
+        self.told, self.k = Told(controller.vehicle.n_rotors), 0
+        self.instant: Instant = controller.instant(self.told, self.told.state)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        began = time.perf_counter()
+        self.told.tell(measurement, window)
+        operations, command, record, *_ = self.instant
+        run(operations, self.k, window)
+        self.k += 1
+        return command.copy(), record(time.perf_counter() - began)
+
+
+class InOperations:
+    """A controller that says by `instant(told, state)` what it does: Controller.step for all of this program.
+
+    told: see Told. state: the array that has the state for it, which need not be told.state.
+    """
+
+    vehicle: Any
+    _running: Running | None = None
+
+    @property
+    def running(self) -> Running:
+        """Its operations, made when they are first asked for in a flight."""
+        if self._running is None:
+            self._running = Running(self)
+        return self._running
+
+    def recompose(self) -> None:
+        """Make the operations anew, where they have become others."""
+        k = self.running.k
+        self._running = None
+        self.running.k = k
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        self._running = None
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        return self.running.step(measurement, window)
 
 
 def in_operations(controller: Any) -> bool:
@@ -95,7 +217,27 @@ def in_operations(controller: Any) -> bool:
     return issubclass(knows, steps)
 
 
-def instant_of(controller: Any, told: Told) -> Instant | None:
-    """The instant of a controller; None where Python has to fly it."""
-    made: Instant | None = controller.instant(told) if in_operations(controller) else None
+def instant_of(controller: Any, told: Told, state: np.ndarray) -> Instant:
+    """The instant of a controller; one operation in Python where it does not say what it does."""
+    made: Instant = controller.instant(told, state) if in_operations(controller) else _stepped(controller, told, state)
     return made
+
+
+def _stepped(controller: Controller, told: Told, state: np.ndarray) -> Instant:
+    """A controller whose step is Python, as one operation."""
+    command, records = np.zeros(controller.vehicle.n_rotors), list[StepRecord]()
+
+    def step() -> None:
+        force = told.force.copy() if told.read[0] else None
+        speed = told.speed.copy() if told.turning[0] else None
+        command[...], record = controller.step(Measurement(told.t, state.copy(), force, speed), told.window)
+        records[:] = [record]
+
+    return Instant([python(step)], command, lambda took: records[0])
+
+
+def believing(controller: Any, belief: np.ndarray) -> list[Operation]:
+    """What tells a controller of the belief that is found there, (11,), before its own operations."""
+    if in_operations(controller):
+        return [copy(controller.believed_numbers, belief)]
+    return [python(lambda: controller.believe(belief_of(belief)))]

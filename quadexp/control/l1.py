@@ -28,13 +28,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.belief import Belief
-from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, move
-from quadexp.control.laws.desaturation import prioritised
-from quadexp.control.mpc.mpc import StepRecord
-from quadexp.control.mpc.online_mpc import AdaptingController
-from quadexp.control.mpc.rls_mpc import IdentifyingController
+from quadexp.control.allocation import prioritised
+from quadexp.control.base import Controller, Window, no_belief
+from quadexp.control.instant import YES, Instant, Operation, Told, believing, call, copy, instant_of, move
+from quadexp.control.mpc.online_mpc import AdaptingController, IdentifyingController
 from quadexp.control.observers.observer import air_of, known_delay, parameters_of
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
@@ -86,7 +83,6 @@ class L1Controller(WrappedController):
 
     def __init__(self, inner: Controller, keys: L1Keys, lag: float = 0.0, dead_time: float = 0.0) -> None:
         super().__init__(inner)
-        self._told: Any = inner  # has `believe` where keys.unmatched asks for it
         self.keys, vehicle, period, air = keys, self.vehicle, self.control_period, air_of(inner)
         known = None if air.is_zero else air
         functions = l1_functions(vehicle, keys, period, known, lag, compiled=resolve(self.backend) == "compiled")
@@ -96,93 +92,43 @@ class L1Controller(WrappedController):
         steps = math.ceil(dead_time / period - 1e-9)
         self._old = steps - dead_time / period  # share of a period in which the older of two commands acts
         self._sent = np.zeros((steps + 1, vehicle.n_rotors))  # commands, the latest last
-        self._begun = False
+        self._begun = np.zeros(1)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
-        self.inner.reset(x, window)
+        super().reset(x, window)
         start = thrust_at_start(window, self.vehicle)
         self._sent[...] = start
         own = [array for name, array in self._estimate.arguments.items() if name != "theta"]
         for array in (*own, *self._estimate.results.values()):
             array[...] = 0.0
         self._estimate.results["rotors_next"][...] = start
-        self._begun = False
+        self._begun[0] = 0.0
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step."""
-        given, found = self._estimate.arguments, self._estimate.results
-        given["x"][...] = measurement.state
-        if self._begun:
-            given["memory"][...], given["rotors"][...] = found["memory_next"], found["rotors_next"]
-            given["acting"][...] = self._acting()
-            self._estimate()
-        given["x_last"][...] = measurement.state
-        self._begun = True
-        if self.keys.unmatched:
-            zero = np.zeros(3)
-            self._told.believe(Belief(found["lateral"], zero, zero))
-        command, record = self.inner.step(measurement, window)
-        add = self._add.arguments
-        add["base"][...], add["filtered"][...] = command, found["memory_next"][FILTERED]
-        self._add()
-        u = self._add.results["u"].copy()
-        self._sent[:-1] = self._sent[1:]
-        self._sent[-1] = u
-        return u, record
-
-    def instant(self, told: Told) -> Instant | None:
-        """See control.instant; not where the controller is told of a force."""
-        inner = None if self.keys.unmatched else instant_of(self.inner, told)
-        if inner is None:
-            return None
-        given, found, add = self._estimate.arguments, self._estimate.results, self._add.arguments
-        operations = [copy(given["x"], told.state), move(given["memory"], found["memory_next"])]
-        operations.append(move(given["rotors"], found["rotors_next"]))
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        belief = np.hstack([*no_belief()])
+        believe = believing(self.inner, belief) if self.keys.unmatched else []
+        inner = instant_of(self.inner, told, state)
+        given, found, add, begun = self._estimate.arguments, self._estimate.results, self._add.arguments, self._begun
+        operations = [copy(given["x"], state), move(given["memory"], found["memory_next"], begun)]
+        operations.append(move(given["rotors"], found["rotors_next"], begun))
         if len(self._sent) == 1:
             operations.append(copy(given["acting"], self._sent[0]))
         else:
             operations.append(Operation("mix", given["acting"], self._sent[1], self._sent[0], factor=self._old))
-        kept = [move(array, array) for array in found.values()]  # what the call leaves is remembered too
-        operations += [*kept, call(self._estimate), move(given["x_last"], told.state), *inner.operations]
-        operations += [copy(add["base"], inner.command), copy(add["filtered"], found["memory_next"][FILTERED])]
+        operations += [move(array, array) for array in found.values()]  # what the call leaves is remembered too
+        operations += [call(self._estimate, begun), move(given["x_last"], state), move(begun, YES)]
+        operations += [copy(belief[:3], found["lateral"]), *believe, *inner.operations]
+        operations.append(copy(add["base"], inner.command))
+        operations.append(copy(add["filtered"], found["memory_next"][FILTERED]))
         u, flat = self._add.results["u"], self._sent.reshape(-1)
         operations += [call(self._add), copy(flat[: -len(u)], flat[len(u) :]), copy(self._sent[-1], u)]
-        ready = (*inner.ready, lambda: self._begun)
-        logged = (*inner.logged, found["body"])
-        return inner._replace(operations=operations, command=u, logged=logged, ready=ready)
-
-    def _acting(self) -> np.ndarray:
-        """Mean command that acted over the last period, (n,) (N)."""
-        if len(self._sent) == 1:
-            return self._sent[0]
-        return self._old * self._sent[1] + (1 - self._old) * self._sent[0]
+        return inner._replace(operations=operations, command=u, logged=(*inner.logged, found["body"]))
 
     def log(self) -> dict[str, float]:
         """See Controller.log; the estimated force along body axes (N) and torque (N m), before the low pass."""
         return self.inner.log() | dict(zip(LOGGED, self._estimate.results["body"].tolist(), strict=True))
-
-
-def l1(controller: Any, config: Any) -> L1Controller:
-    """L1 around a controller.
-
-    Raises UsageError around an observer, around a controller that learns its model in flight, and where the controller
-    cannot be told what `unmatched` asks for.
-    """
-    if isinstance(controller, WrappedController):
-        raise UsageError(
-            "adaptive=l1: an observer estimates the same disturbance, and both would compensate it: choose"
-            " observer=none or adaptive=none"
-        )
-    if isinstance(controller, (IdentifyingController, AdaptingController)):
-        raise UsageError(
-            "adaptive=l1: this controller explains the same error by what it learns in flight, from commands without"
-            " what L1 adds. Take one of them"
-        )
-    if config.unmatched and not hasattr(controller, "believe"):
-        raise UsageError("adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false")
-    lag = known_delay(config.motor_lag, controller, "known_lag")
-    return L1Controller(controller, part(L1Keys, config), lag, known_delay(config.dead_time, controller, "dead_time"))
 
 
 def l1_functions(
@@ -264,5 +210,21 @@ class L1(L1Keys, Remedy):
     believes = True
 
     def around(self, controller: Any) -> L1Controller:
-        """See Remedy."""
-        return l1(controller, self)
+        """See Remedy. UsageError around an observer, around a controller that learns its model in flight, and where the
+        controller cannot be told what `unmatched` asks for."""
+        if isinstance(controller, WrappedController):
+            raise UsageError(
+                "adaptive=l1: an observer estimates the same disturbance, and both would compensate it: choose"
+                " observer=none or adaptive=none"
+            )
+        if isinstance(controller, (IdentifyingController, AdaptingController)):
+            raise UsageError(
+                "adaptive=l1: this controller explains the same error by what it learns in flight, from commands"
+                " without what L1 adds. Take one of them"
+            )
+        if self.unmatched and not hasattr(controller, "believe"):
+            raise UsageError(
+                "adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false"
+            )
+        lag = known_delay(self.motor_lag, controller, "known_lag")
+        return L1Controller(controller, part(L1Keys, self), lag, known_delay(self.dead_time, controller, "dead_time"))

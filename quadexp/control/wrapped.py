@@ -11,14 +11,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.base import Controller, Window
+from quadexp.control.instant import InOperations
 from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
 
-class WrappedController:
-    """A Controller (see control.base) that passes everything on to `inner`.
+class WrappedController(InOperations):
+    """A Controller (see control.base) that passes everything on to `inner`, and says by `instant` what it does.
 
     in_margins: whether the linear loop of the MPC inside still is the whole loop, once the age `delay` (s) is taken
     away from what the world is late by, see experiment.loop_margins.
@@ -44,11 +44,8 @@ class WrappedController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
+        super().reset(x, window)
         self.inner.reset(x, window)
-
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step."""
-        return self.inner.step(measurement, window)
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""

@@ -9,6 +9,7 @@ if it had made all of them. The noise is drawn beforehand, a block of periods at
 from __future__ import annotations
 
 import ctypes
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,9 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, CFunction, strict_library
 from quadexp.control.base import Controller
-from quadexp.control.instant import KINDS, Instant, Operation, Told, in_operations, instant_of
+from quadexp.control.instant import KINDS, Instant, Operation, in_operations
 from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.mpc import MAX_TURN, StepRecord
+from quadexp.control.mpc.mpc import MAX_TURN, ModelPredictiveController, StepRecord
 from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.physics.state import N_STATE
 from quadexp.world.accelerometer import Accelerometer
@@ -31,48 +32,22 @@ from quadexp.world.world import World
 SOURCE = Path(__file__).with_name("flight.c")
 INSIDE = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 LARGEST = 1e100  # of a number in a reference
+PLAIN = {"integer": ctypes.c_longlong, "double": ctypes.c_double, "function": CFunction}  # types of fields
 LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
 
 
-class _Operation(ctypes.Structure):
-    """`operation` of flight.c."""
+def _structure(name: str) -> type[ctypes.Structure]:
+    """A structure of flight.c, field by field as its source declares it."""
+    declared = re.sub(r"/\*.*?\*/", "", SOURCE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    body = next(body for body, named in re.findall(r"typedef struct {([^}]*)} (\w+);", declared) if named == name)
+    fields: list[tuple[str, Any]] = []
+    for kind, names in re.findall(r"^ *(?:const )?(\w+) ([^;(]*);", body, flags=re.MULTILINE):
+        for field in re.split(r",\s*", names):
+            fields.append((re.split(r"[* ]", field)[-1], ctypes.c_void_p if "*" in field else PLAIN[kind]))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
 
-    _fields_ = [
-        *((name, ctypes.c_longlong) for name in ("kind", "every", "count")),
-        ("factor", ctypes.c_double),
-        *((name, ctypes.c_void_p) for name in ("to", "kept", "other", "source", "function")),
-    ]
 
-
-class _Flight(ctypes.Structure):
-    """`flight` of flight.c."""
-
-    _fields_ = [
-        (name, kind)
-        for kind, names in (
-            (CFunction, "step lean bounded plant"),
-            (ctypes.c_longlong, "samples nodes inputs inner_size logged_size extra_size noise_size noise_argument"),
-            (ctypes.c_longlong, "draws_argument draws_at doubt_size operations_size"),
-            (ctypes.c_double, "near tolerance max_turn period"),
-            (ctypes.c_void_p, "operations states thrusts along where"),
-            (ctypes.c_longlong, "reference_rows"),
-            (ctypes.c_void_p, "x0 X_ref X U checks X_new U_new X_lin U_lin"),
-            (ctypes.c_void_p, "guess bounded_checks bounded_X bounded_U side"),
-            (
-                ctypes.c_void_p,
-                "plant_x plant_inner plant_u plant_time x_next inner_next specific_force doubt measured noise",
-            ),
-            (ctypes.c_longlong, "first_drawn end_drawn"),
-            (ctypes.c_void_p, "bias sensed x told reading inner speed rotors command held"),
-            (ctypes.c_double, "time next_change"),
-            (ctypes.c_longlong, "met commanded"),
-            (ctypes.c_double, "status sweeps active kkt converged"),
-            (ctypes.c_void_p, "logged extra extra_sizes"),
-            (ctypes.c_longlong, "extra_arrays"),
-            (ctypes.c_void_p, "log_state log_input log_reading log_inner log_record log_estimate log_extra"),
-        )
-        for name in names.split()
-    ]
+OPERATION, FLIGHT = _structure("operation"), _structure("flight")
 
 
 @cache
@@ -110,7 +85,7 @@ class CompiledFlight:
 
     plant, controller: that `covers` accepts. along: the reference's states at the control instants, (k, 13).
     reference: states (g, 13) and inputs (g, n) on a grid, and which of its rows make each horizon, (k, N + 1).
-    path: position (k, 5, 3) and yaw (k, 3) of the reference. log: arrays to fill, (k, ..) each, by name: state, input,
+    path: of the reference, see SampledReference.path. log: arrays to fill, (k, ..) each, by name: state, input,
     reading, inner, record, estimate, extra. logged: which of the plant's inner states are logged; None: all, or none.
     noise: what `plant.begin` returned. lost_distance: m. sensor, sensed: an Accelerometer, None for an exact one, and
     the noise of its readings, (k + 1, 3).
@@ -132,21 +107,20 @@ class CompiledFlight:
     ) -> None:
         period, self._plant = plant.prepared(controller.control_period), plant
         self._drawn, self._world = noise, isinstance(plant, World)
-        self._x, self._reading, self._inner = np.empty(N_STATE), np.empty(3), np.empty(len(plant.inner))
-        self._told = np.empty(N_STATE) if self._world else self._x
-        self._rotors = _rotors(plant)
-        self._speed = np.empty(len(self._rotors)) if self._rotors is not None else None
+        self._x, self._inner = np.empty(N_STATE), np.empty(len(plant.inner))
+        rotors = np.array(plant.rotor_places, np.int64) if hasattr(plant, "rotor_speed") else None
         if logged is None:
             logged = np.arange(log["inner"].shape[1])
-        told = Told(self._told, self._reading, self._speed, *map(np.ascontiguousarray, path))
-        self.instant = instant = _checked(instant_of(controller, told), log["extra"].shape[1])
-        if instant is None:
+        self._running, self._told = controller.running, controller.running.told
+        self.instant = instant = self._running.instant
+        self.flies = _in_c(instant, log["extra"].shape[1])
+        if not self.flies:
             return
         states, thrusts, where = (np.ascontiguousarray(array) for array in reference)
         arrays = {"states": states, "thrusts": thrusts, "along": np.ascontiguousarray(along), "where": where}
         planned: dict[str, Any] = {}
-        if instant.mpc is not None:
-            step, bounded = instant.mpc.functions
+        if instant.plan is not None:
+            step, bounded = instant.plan.mpc.functions
             self._lean = step.lean(LEAN)
             planned = {
                 "step": step.for_c,
@@ -166,9 +140,12 @@ class CompiledFlight:
         if sensor is not None:
             assert sensed is not None
             arrays |= {"bias": np.array(sensor.bias, float), "sensed": np.array(sensor.noise_std) * sensed}
-        if self._speed is not None and self._rotors is not None:
-            arrays |= {"speed": self._speed, "rotors": self._rotors}
-        arrays |= {"x": self._x, "told": self._told, "reading": self._reading, "inner": self._inner}
+        if rotors is not None:
+            arrays |= {"rotors": rotors}
+        arrays |= {"paths": np.ascontiguousarray(path[0]), "yaws": np.ascontiguousarray(path[1])}
+        told, self._turning = self._told, rotors is not None
+        arrays |= {"x": self._x, "told": told.state, "reading": told.force, "inner": self._inner}
+        arrays |= {"speed": told.speed, "path": told.path, "yaw": told.yaw}
         arrays |= {"command": instant.command} | ({} if instant.held is None else {"held": instant.held})
         arrays["logged"] = np.ascontiguousarray(logged, np.int64)
         arrays["extra"] = np.array([array.ctypes.data for array in instant.logged], np.uintp)
@@ -177,10 +154,10 @@ class CompiledFlight:
         self._arrays = arrays  # which must live as long as their addresses
         self._kept = [np.empty_like(o.to) if o.kind == "move" else None for o in instant.operations]
         made = [_operation(o, kept) for o, kept in zip(instant.operations, self._kept, strict=True)]
-        self._operations = (_Operation * len(made))(*made)
+        self._operations = (OPERATION * len(made))(*made)
         names = list(period.arguments)
         finite = max(np.abs(states).max(), np.abs(thrusts).max()) < LARGEST
-        self._flight = _Flight(
+        self._flight = FLIGHT(
             **planned,
             plant=period.for_c,
             samples=len(along),
@@ -209,14 +186,15 @@ class CompiledFlight:
 
         Returns the instant at which Python is needed, whether its control step has been made, state and reading then.
         """
-        if self.instant is None or not all(ready() for ready in self.instant.ready):
+        plan = self.instant.plan
+        if not self.flies or (plan is not None and plan.mpc.cold):
             return k, False, x, reading
-        flight, plant, drawn = self._flight, self._plant, self._drawn
-        self._x[:], self._reading[:], self._inner[:] = x, reading, plant.inner
-        if self._world:
-            self._told[:] = plant.measured
-        if self._speed is not None:
-            self._speed[:] = plant.rotor_speed
+        flight, plant, drawn, told = self._flight, self._plant, self._drawn, self._told
+        self._x[:], told.force[:], self._inner[:] = x, reading, plant.inner
+        told.state[:] = plant.measured if self._world else x
+        told.read[0], told.turning[0] = 1.0, self._turning
+        if self._turning:
+            told.speed[:] = plant.rotor_speed
         flight.time, flight.next_change = plant.time, plant.next_change
         flight.commanded = False
         records = self._arrays["log_record"]
@@ -229,43 +207,39 @@ class CompiledFlight:
             drawn.draw()
         drawn.taken, plant.time, plant.inner = k, flight.time, self._inner.copy()
         if self._world:
-            plant.measured = self._told.copy()
+            plant.measured = told.state.copy()
         at = k + flight.commanded
         took, status, sweeps, active, kkt, converged = records[at - 1].tolist()
-        record = StepRecord(took, Status(int(status)), int(sweeps), int(active), kkt, bool(converged))
-        for resumed in self.instant.resumed:
-            resumed(at, record)
-        return k, bool(flight.commanded), self._x.copy(), self._reading.copy()
+        self._running.k = at
+        if plan is not None:
+            plan.record = StepRecord(took, Status(int(status)), int(sweeps), int(active), kkt, bool(converged))
+        return k, bool(flight.commanded), self._x.copy(), told.force.copy()
 
 
-def _rotors(plant: Any) -> np.ndarray | None:
-    """Which inner states are the rotors' speeds; None where they are not measured."""
-    if not hasattr(plant, "rotor_speed"):
-        return None
-    return np.array(plant.rotor_places, np.int64)
+def _in_c(instant: Instant, columns: int) -> bool:
+    """Whether an instant leaves every column, and C can do it: nothing is always Python's, all that it calls is
+    compiled, and its arrays lie as C reads them."""
+    functions: list[Any] = [o.function for o in instant.operations if o.function is not None]
+    if instant.plan is not None:
+        mpc = instant.plan.mpc
+        if type(mpc) is not ModelPredictiveController or mpc.reference[0].shape[1] != N_STATE:
+            return False
+        functions += mpc.functions
+    arrays = [array for o in instant.operations for array in (o.to, o.source, o.other, o.when) if array is not None]
+    return (
+        sum(array.size for array in instant.logged) == columns
+        and not any(o.kind == "python" and o.when is None for o in instant.operations)
+        and all(isinstance(f, BufferedFunction) and f.for_c is not None for f in functions)
+        and all(array.flags.c_contiguous and array.dtype == float for array in arrays)
+    )
 
 
-def _checked(instant: Instant | None, columns: int) -> Instant | None:
-    """The instant, where all that it calls is compiled and it leaves every column."""
-    if instant is None or sum(array.size for array in instant.logged) != columns:
-        return None
-    functions = [o.function for o in instant.operations if o.function is not None]
-    functions += [] if instant.mpc is None else [*instant.mpc.functions]
-    compiled = all(isinstance(f, BufferedFunction) and f.for_c is not None for f in functions)
-    return instant if compiled else None
-
-
-def _operation(o: Operation, kept: np.ndarray | None) -> _Operation:
-    """As C has it. Raises ValueError for arrays that C cannot read as they lie."""
-    arrays = {"to": o.to, "source": o.source, "other": o.other, "kept": kept}
-    for array in arrays.values():
-        if array is not None and not (array.flags.c_contiguous and array.dtype == float):
-            raise ValueError(f"{o.kind}: arrays of an operation must be contiguous floats")
+def _operation(o: Operation, kept: np.ndarray | None) -> ctypes.Structure:
+    """As C has it."""
+    arrays = {"to": o.to, "source": o.source, "other": o.other, "when": o.when, "kept": kept}
     counted = o.to if o.to is not None else o.source
-    if o.kind in ("copy", "move") and o.to is not None and o.source is not None and o.to.size != o.source.size:
-        raise ValueError(f"{o.kind}: {o.source.size} numbers to {o.to.size}")
     places = {name: array.ctypes.data for name, array in arrays.items() if array is not None and array.size}
     if o.function is not None:
-        places["function"] = ctypes.addressof(o.function.for_c)  # type: ignore[arg-type]  # `_checked` saw to it
+        places["function"] = ctypes.addressof(o.function.for_c)  # type: ignore[arg-type]  # `_in_c` saw to it
     count = 0 if counted is None else counted.size
-    return _Operation(kind=KINDS.index(o.kind), every=o.every, count=count, factor=o.factor, **places)
+    return OPERATION(kind=KINDS.index(o.kind), every=o.every, count=count, factor=o.factor, **places)

@@ -22,9 +22,8 @@ from quadexp.experiment.build import (
 )
 from quadexp.experiment.checkpoints import ModelFile, find_model
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
-from quadexp.experiment.loop_margins import loop_margins
+from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.experiment.outside import outside_data
-from quadexp.experiment.stability import instability
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name

@@ -100,13 +100,11 @@ def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, A
 
 
 def _draw(fit: Fit, folder: Path) -> dict[str, str]:
-    from quadexp.report.figures import save
-    from quadexp.report.model_figures import calibration_figure, fit_figure
+    from quadexp.report.model_figures import fit_figure
+    from quadexp.report.style import save
 
-    made = {"fit": fit_figure(fit.held_out_model, fit.train if fit.test is None else fit.test)}
-    if fit.test is not None:
-        made["calibration"] = calibration_figure(fit.held_out_model, fit.test)
-    return {name: str(save(figure, folder / name, inside=folder.parent)) for name, figure in made.items()}
+    figure = fit_figure(fit.held_out_model, fit.train if fit.test is None else fit.test)
+    return {"fit": str(save(figure, folder / "fit", inside=folder.parent))}
 
 
 def _split_lines(report: Mapping[str, Any]) -> list[str]:

@@ -9,8 +9,8 @@
 #include <string.h>
 #include <time.h>
 
-enum { STATES = 13, ATTITUDE = 3, RECORD = 6 };
-enum { CALL, COPY, MOVE, ROW, WINDOW, SQUARE, DIVIDE, MEAN, MIX, FINITE, BELOW, NEAR, PLAN }; /* KINDS of instant.py */
+enum { STATES = 13, ATTITUDE = 3, RECORD = 6, PATH = 15, YAW = 4 };
+enum { CALL, COPY, MOVE, WINDOW, SQUARE, DIVIDE, MIX, ADD, FINITE, BELOW, NEAR, PLAN, PYTHON }; /* KINDS of instant.py */
 
 static const double HUGE_NUMBER = 1e100; /* beyond which sums may not be finite */
 static const double LARGEST = 1e8;       /* of a reading; readings.py decides about what is beyond */
@@ -31,7 +31,7 @@ typedef struct { /* see instant.py; kept: of a MOVE, what was there before */
     integer kind, every, count;
     double factor;
     double *to, *kept, *other;
-    const double *source;
+    const double *source, *when;
     const function *function;
 } operation;
 
@@ -41,8 +41,9 @@ typedef struct {
         draws_at, doubt_size, operations_size;
     double near, tolerance, max_turn, period;
     const operation *operations;
-    /* reference: its states and inputs, the rows of each horizon (samples, reference_rows), the states at instants */
-    const double *states, *thrusts, *along;
+    /* reference: its states and inputs, the rows of each horizon (samples, reference_rows); at the instants the states,
+       path and yaw */
+    const double *states, *thrusts, *along, *paths, *yaws;
     const integer *where;
     integer reference_rows; /* of a horizon: N + 1, or more where the reference is sampled within the nodes too */
     /* step: what it reads and leaves */
@@ -59,7 +60,7 @@ typedef struct {
     /* accelerometer, all null where it is exact: its bias, and the noise of its readings at the instants */
     const double *bias, *sensed;
     /* now; command, held: what the operations leave; held: null with a plan */
-    double *x, *told, *reading, *inner, *speed; /* told: the state as the controller has it; x itself but in a world */
+    double *x, *told, *reading, *inner, *speed, *path, *yaw; /* all but x and inner as the controller is told */
     const integer *rotors;                      /* inner states that are rotor speeds; null where there are none */
     const double *command, *held;
     double time, next_change;
@@ -167,20 +168,22 @@ static int operate(flight *f, const operation *o, integer k) {
     case CALL: return !run(o->function);
     case MOVE: copy(o->kept, o->to, n); /* fall through */
     case COPY: copy(o->to, o->source, n); return 1;
-    case ROW: copy(o->to, o->source + k * n, n); return 1;
     case WINDOW: look_ahead(f, k, o->to, o->other); return 1;
     case SQUARE: for (integer i = 0; i < n; i++) o->to[i] = o->factor * (o->source[i] * o->source[i]); return 1;
     case DIVIDE: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] / o->other[0]; return 1;
-    case MEAN: for (integer i = 0; i < n; i++) o->to[i] = (o->source[i] + o->other[i]) / 2; return 1;
+    case ADD: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] + o->other[i]; return 1;
     case MIX:
         for (integer i = 0; i < n; i++) o->to[i] = o->factor * o->source[i] + (1 - o->factor) * o->other[i];
         return 1;
     case FINITE: return ordinary(o->source, n, HUGE_NUMBER);
     case BELOW: return o->source[0] <= o->factor;
     case NEAR: return distance(o->source, o->other) <= o->factor;
-    default: return plan(f);
+    case PLAN: return plan(f);
+    default: return 0;
     }
 }
+
+static int due(const operation *o, integer k) { return !(k % o->every) && (!o->when || *o->when != 0); }
 
 static int control(flight *f, integer k) {
     const double *x = f->told, *wanted = f->along + STATES * k;
@@ -190,11 +193,13 @@ static int control(flight *f, integer k) {
     if (f->rotors && !ordinary(f->speed, f->inputs, LARGEST)) return 0;
 
     const double began = seconds();
+    copy(f->path, f->paths + PATH * k, PATH);
+    copy(f->yaw, f->yaws + YAW * k, YAW);
     for (integer i = 0; i < f->operations_size; i++) {
-        if (k % f->operations[i].every || operate(f, f->operations + i, k)) continue;
+        if (!due(f->operations + i, k) || operate(f, f->operations + i, k)) continue;
         while (i-- > 0) {
             const operation *o = f->operations + i;
-            if (o->kind == MOVE && !(k % o->every)) copy(o->to, o->kept, o->count);
+            if (o->kind == MOVE && due(o, k)) copy(o->to, o->kept, o->count);
         }
         return 0;
     }
@@ -226,7 +231,7 @@ static int advance(flight *f, integer k) {
     for (integer i = 0; i < f->doubt_size; i++)
         if (f->doubt[i] != 0) return 0;
     copy(f->x, f->x_next, STATES);
-    if (f->measured) copy(f->told, f->measured, STATES);
+    copy(f->told, f->measured ? f->measured : f->x, STATES);
     copy(f->inner, f->inner_next, f->inner_size);
     copy(f->reading, f->specific_force, 3);
     if (f->bias)

@@ -55,8 +55,8 @@ def identify_delays(
 
 def _draw(search: Search, found: Delays, flight: Flight, path: Path) -> None:
     """Write the figure of a search, as SVG and PNG; what draws is slow to import."""
-    from quadexp.report.figures import save
-    from quadexp.report.log_figures import Profile, delay_figure
+    from quadexp.report.flight_figures import Profile, delay_figure
+    from quadexp.report.style import save
 
     profiles = [Profile(*one) for one in candidates_of(search, found)]
     save(delay_figure(profiles, flight.columns, true_delays(flight)), path)

@@ -125,10 +125,10 @@ def write_identification(
     save_model(out, result.model, report=report, force=force)
     if not figures:
         return {}
-    from quadexp.report.figures import save
     from quadexp.report.model_figures import identification_figures
+    from quadexp.report.style import save
 
-    figures_by_name = identification_figures(*result).items()
+    figures_by_name = identification_figures(result.model, result.samples).items()
     return {name: str(save(figure, out / "figures" / name, inside=out)) for name, figure in figures_by_name}
 
 

@@ -132,8 +132,8 @@ class SampledReference:
         return np.clip(thrust, self._vehicle.thrust_min, self._vehicle.thrust_max) if in_motion(state) else None
 
     def path(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position with its derivatives (k, 5, 3) and heading with its own (k, 3) at the control instants."""
-        return self._position, self._yaw
+        """Position with its derivatives (k, 5, 3), and heading with its own and the drift, (k, 4), at the instants."""
+        return self._position, np.column_stack([self._yaw, self._drift])
 
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""
@@ -233,7 +233,7 @@ def fly(
                 log.state_reference[:], log.input_reference[:] = along = reference.along()
                 arrays = (reference.horizons(), along[0], reference.path(), log.arrays())
                 compiled = CompiledFlight(plant, controller, *arrays, inner.places, noise, inside, sensor, sensed)
-                in_c = compiled.instant is not None
+                in_c = compiled.flies
             if record.status == Status.FAILED:
                 outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
                 break

@@ -247,10 +247,10 @@ def _write(report: dict[str, Any], found: Sequence[Residuals], out: Path, figure
     files = {"report": str(out / REPORT_FILE)}
     write_text(out / REPORT_FILE, json.dumps(record, indent=1, default=str) + "\n", force=force)
     if figures:
-        from quadexp.report.figures import save
         from quadexp.report.model_figures import validation_figures
+        from quadexp.report.style import save
 
-        files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report, found).items()}
+        files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report).items()}
     if not record["rows"]:
         raise DataError("validate: no rows")
     return files

@@ -1,7 +1,7 @@
 """A moving picture of flights over one reference, in real time: the path, the vehicles to scale, the error over time.
 
 The whole path shows where the vehicles are; a window that moves with the reference shows how far they are from it, with
-every vehicle drawn to scale from above. Where there is wind, an arrow in its corner points where the air goes.
+every vehicle drawn to scale from above.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.progress import Progress
 from quadexp.report.metrics import position_error
-from quadexp.report.page.replay import SOME_ROTORS
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
 
-FORMATS = (".gif", ".webp", ".mp4")
+FORMATS = (".gif", ".mp4")
 DPI = 100
 SIZE = (7.2, 3.9)  # inches
 TRAIL = 1.5  # s of path behind a vehicle
-COLOURS = 64  # of a GIF or WebP
+COLOURS = 64  # of a GIF
 HOLD = 1.2  # s that the last frame stays
 MOST_FRAMES = 3000
+SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]  # m, unless recorded
 SAME = 1e-6  # m; references that differ by more are not the same
 ALIKE = 1e-3  # m; the same of flights at different rates, whose references are compared between samples
 
@@ -55,14 +55,14 @@ def animate(
 ) -> dict[str, Any]:
     """Write the flights as an animation; returns path, frames and duration (s).
 
-    out: GIF, WebP or MP4 by its suffix. rate: frames a second. begin, end: s of the flights that are shown; None: to
+    out: GIF or MP4 by its suffix. rate: frames a second. begin, end: s of the flights that are shown; None: to
     the end. Raises UsageError where the flights do not follow one reference, or nothing is left to show.
     """
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
         raise UsageError(f"--out {out}: must end in {', '.join(FORMATS)}")
     if suffix == ".mp4" and shutil.which("ffmpeg") is None:
-        raise UsageError(f"--out {out}: needs ffmpeg on the PATH; without it, give .gif or .webp")
+        raise UsageError(f"--out {out}: needs ffmpeg on the PATH; without it, give .gif")
     if not 1 <= rate <= 50:
         raise UsageError(f"--rate {rate:g}: must be in [1, 50] frames per second")
     flights = [read_flight(path, whole=True) for path in paths]
@@ -81,7 +81,7 @@ def animate(
         if suffix == ".mp4":
             _write_mp4(frames, rate, file)
         else:
-            _write_images(frames, picture.frame(times[len(times) // 2]), times, suffix, file)
+            _write_gif(frames, picture.frame(times[len(times) // 2]), times, file)
     return {"path": out, "frames": len(times), "duration": len(times) / rate}
 
 
@@ -91,17 +91,13 @@ def _counted(picture: _Picture, times: np.ndarray, progress: Progress) -> Iterat
         progress(k + 1, len(times))
 
 
-def _write_images(
-    frames: Iterator[Image.Image], typical: Image.Image, times: np.ndarray, suffix: str, file: BinaryIO
-) -> None:
-    """GIF or WebP; all frames have the colours of the typical one."""
+def _write_gif(frames: Iterator[Image.Image], typical: Image.Image, times: np.ndarray, file: BinaryIO) -> None:
+    """All frames have the colours of the typical one."""
     colours = typical.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     indexed = (frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames)
-    unit = 10 if suffix == ".gif" else 1  # ms, of the durations that a file can hold
-    shown = unit * np.diff(np.round(1000 * (times - times[0]) / unit)).astype(int)  # rounded, without drifting from t
-    durations = [*shown.tolist(), round(1000 * HOLD)]
-    options = {"save_all": True, "append_images": indexed, "duration": durations, "loop": 0}
-    next(indexed).save(file, suffix[1:].upper(), **options)
+    shown = 10 * np.diff(np.round(100 * (times - times[0]))).astype(int)  # ms, in the file's unit, without drifting
+    options = {"save_all": True, "append_images": indexed, "duration": [*shown.tolist(), round(1000 * HOLD)], "loop": 0}
+    next(indexed).save(file, "GIF", **options)
 
 
 def _write_mp4(frames: Iterator[Image.Image], rate: float, file: BinaryIO) -> None:
@@ -154,12 +150,10 @@ class _Flown:
     vehicle: Any
     body: Any
     line: Any
-    wind: Any = None
 
     @property
-    def air(self) -> Any:
-        """The wind, (k, 3) (m/s); None where it is not known."""
-        return self.flight.wind
+    def moving(self) -> tuple[Any, ...]:
+        return self.trail, self.vehicle, self.line, self.body
 
     def sample(self, t: float) -> int:
         """The last sample that is not after a time (s), or the first one."""
@@ -175,8 +169,6 @@ class _Flown:
         self.vehicle.set_marker("x" if ended else "o")
         self.line.set_data(flight["t"][now], 1e3 * np.maximum(self.error[now], 1e-9))
         self.body.set_segments([] if ended else _body(flight, k, self.rotors))
-        if self.wind is not None:
-            self.wind.set_UVC(*self.air[k, :2])
 
 
 class _Picture:
@@ -185,9 +177,9 @@ class _Picture:
     @styled
     def __init__(self, labels: Sequence[str], flights: Sequence[Flight], begin: float, end: float) -> None:
         longest = max(flights, key=lambda flight: len(flight["t"]))
-        self._figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
-        parts: Any = self._figure.subfigures(1, 2, width_ratios=(1.15, 1))
-        left, right = parts
+        figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+        halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
+        left, right = halves
         path, course = left.subplots(2, 1, height_ratios=(2.2, 1))
         near = right.subplots()
         path.plot(longest["ref_p_x"], longest["ref_p_y"], color="#AAAAAA", linewidth=0.8)
@@ -203,15 +195,13 @@ class _Picture:
             (vehicle,) = path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
             (line,) = course.plot([], [], color=colour, label=f"{label}: {of_all}")
             body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
-            self._flown.append(_Flown(flight, error, _rotors(flight), trail, vehicle, body, line))
+            self._flown.append(_Flown(flight, error, rotors_of(flight), trail, vehicle, body, line))
         shown = [flown.error[flown.sample(begin) : flown.sample(end) + 1].max() for flown in self._flown]
         size = max(float(np.linalg.norm(flown.rotors, axis=1).max()) for flown in self._flown)
         reach = 1.05 * float(max(shown)) + 1.6 * size
         near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
         near.set_aspect("equal")
         near.plot(0, 0, marker="+", markersize=12, color="#777777")
-        self._add_winds(near, reach)
-        self._strength = near.text(0.02, 0.02, "", transform=near.transAxes, fontsize=8, color="#777777")
         self._clock = near.set_title("to scale", fontsize=9)
         smallest = [np.percentile(error, 5) for f in self._flown if len(error := f.error[f.error > 0])]
         low = max(min(smallest, default=0.0), 1e-6)
@@ -220,26 +210,14 @@ class _Picture:
         course.set(xlabel="time (s)", ylabel="error (mm)")
         plain_log(course.yaxis)
         right.legend(*course.get_legend_handles_labels(), loc="outside lower center", fontsize=8)
-        self._figure.draw_without_rendering()
-        self._figure.set_layout_engine("none")  # one layout for all frames
-        moving = [(flown.trail, flown.vehicle, flown.line, flown.body, flown.wind) for flown in self._flown]
-        self._moving = [artist for artists in moving for artist in artists if artist is not None]
-        self._moving += [self._clock, self._strength]
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # one layout for all frames
+        self._moving = [self._clock, *(artist for flown in self._flown for artist in flown.moving)]
         for artist in self._moving:
             artist.set_animated(True)
-        self._canvas = _canvas(self._figure)
-        self._canvas.draw()
-        self._ground = self._canvas.copy_from_bbox(self._figure.bbox)
-
-    def _add_winds(self, near: Any, reach: float) -> None:
-        """Arrows of the winds, all around one point; the strongest is a quarter of the window long."""
-        blown = [flown for flown in self._flown if flown.air is not None and flown.air.any()]
-        strongest = max((float(np.linalg.norm(flown.air, axis=1).max()) for flown in blown), default=1.0)
-        drawn = {"angles": "xy", "scale_units": "xy", "scale": 2 * strongest / reach, "pivot": "mid", "width": 0.012}
-        for flown in blown:
-            colour = flown.line.get_color()
-            flown.wind = near.quiver(-0.7 * reach, 0.7 * reach, 0, 0, color=colour, **drawn)
-        self._windy = blown[:1]
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.draw()
+        self._canvas, self._ground = canvas, canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, t: float) -> Image.Image:
         """The picture at a time (s)."""
@@ -247,15 +225,9 @@ class _Picture:
         self._clock.set_text(f"to scale, from above, t = {t:.1f} s")
         for flown in self._flown:
             flown.show(t)
-        for flown in self._windy:
-            self._strength.set_text(f"wind {np.linalg.norm(flown.air[flown.sample(t)]):.1f} m/s")
         for artist in self._moving:
             artist.axes.draw_artist(artist)
         return Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
-
-
-def _canvas(figure: Figure) -> Any:
-    return FigureCanvasAgg(figure)
 
 
 def _title(flight: Flight) -> str:
@@ -265,7 +237,7 @@ def _title(flight: Flight) -> str:
     return f"{name} at {speed_text(speed)}" if speed else str(name)
 
 
-def _rotors(flight: Flight) -> np.ndarray:
+def rotors_of(flight: Flight) -> np.ndarray:
     """Rotor positions in the body frame, (n, 3) (m)."""
     config = flight.metadata.get("config", {}).get("vehicle") or {}
     return np.array(config.get("rotor_position") or SOME_ROTORS, float)

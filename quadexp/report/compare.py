@@ -1,48 +1,55 @@
-"""What differs between flights, results or checkpoints: in configuration, in outcome, in figures.
+"""What differs between flights, results or checkpoints: in configuration, in outcome, in numbers.
 
-Every other one is compared with the first, b with a: difference = b - a, relative = 100 (b - a) / a (%). Several are
-also put side by side, a column each. Results have a way of their own: compare_results.py.
+Of two, b is compared with a: difference = b - a, relative = 100 (b - a) / a (%). Several are put side by side.
+
+Flights of results are paired by condition, contestant and seed. Errors are over the flights that all contestants
+completed in all of them (pairing.py): b is compared with a as a contestant is with a baseline in statistics.py, by a
+mean ratio over the seeds with its interval and a paired permutation test; b is "not distinguishable" if that is not
+significant, and "n seeds cannot tell" where it could not be.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import UsageError
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, read_metadata
-from quadexp.report.compare_results import (
-    change,
-    compare_results,
-    differing,
-    record_of,
-    results_beside,
-    setting_lines,
-    setting_table,
-)  # fmt: skip
+from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.report.frame import flat
-from quadexp.report.held_out import held_out_rows
-from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
+from quadexp.report.metrics import METRICS, SHOWN, from_columns
+from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.statistics import Statistic, corrected, overall
+from quadexp.report.summary import RESULTS_FILE, held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
-from quadexp.report.text import number, relative, shown, speed_text
+from quadexp.report.tables import TITLES
+from quadexp.report.text import count, number, p_value, plain, relative, shown, speed_text
 
-MOST_ACROSS = 6  # columns of several side by side; with more paths each is a row
-MOST_DETAILED = 4  # others that are compared with the first one by one, in the lines
+ABSENT = "-"
+MOST_LINES = 16  # settings shown; --json has all
+MOST_LETTERS = 36  # of a value
+MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
 FIGURES = (
     "mean_error", "rmse", "max_error", "attitude_rmse", "saturated_share", "peak_speed", "duration",
     "solve_time_median", "solve_time_p99",
 )  # fmt: skip
+EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
+NOTE = "means over the flights that all of them completed in every one of these results"
+
+Key = tuple[Any, ...]  # condition, contestant, seed
 
 
 class Side(NamedTuple):
-    """A flight or a checkpoint. about: it in a line. settings: what decides it. numbers: its figures by name. flight:
-    None of a checkpoint."""
+    """A flight or a checkpoint. about: it in a line. settings: what decides it. numbers: by name. flight: None of a
+    checkpoint."""
 
     about: str
     settings: Mapping[str, Any]
@@ -66,67 +73,41 @@ def _checkpoint(path: Path) -> Side:
     summary = summarise(path)
     names = ("kind", "vehicle", "dataset", "settings", "versions")
     features = {name: {"features": output["features"]} for name, output in summary["outputs"].items()}
-    folder = path.parent if path.name == MODEL_FILE else path
     numbers = {
         f"held-out RMSE of {row['output']} by {row['predictor']} ({row['unit']})": row["rmse"]
-        for row in held_out_rows(folder)
+        for row in held_out_rows(path)
         if row["predictor"] != "zero"
     }
     numbers |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
-    for output, one in summary["outputs"].items():
-        numbers[f"{output} signal"], numbers[f"{output} noise"] = one["signal_std"], one["noise_std"]
-        scales = zip(one["features"], one["lengthscale"], strict=True)
-        numbers |= {f"{output} length of {feature}": scale for feature, scale in scales}
+    for name, output in summary["outputs"].items():
+        numbers |= {f"{name} signal": output["signal_std"], f"{name} noise": output["noise_std"]}
+        scales = zip(output["features"], output["lengthscale"], strict=True)
+        numbers |= {f"{name} length of {feature}": scale for feature, scale in scales}
     return Side(summary["kind"], {**{name: summary[name] for name in names}, "outputs": features}, numbers)
 
 
 SIDES = {"flight": _flight, "checkpoint": _checkpoint}
 
 
-def compare(first: str | Path, *others: str | Path) -> dict[str, Any]:
-    """What differs; `lines` is for people, the rest for programs (SI units).
+def compare(*files: str | Path) -> dict[str, Any]:
+    """What differs; `lines` and `tables` are for people, the rest for programs (SI units).
 
-    With several others: {"kind", "together": all side by side, "comparisons": one per other, "lines"}.
     Raises UsageError if something is not there, not of the same kind, or of a kind that cannot be compared.
     """
-    paths = [Path(path) for path in (first, *others)]
+    paths = [Path(path) for path in files]
     kinds = [kind_of(path) for path in paths]
     for path, kind in zip(paths, kinds, strict=True):
         if kind not in ("results", *SIDES):
             raise UsageError(f"{path}: holds {kind}; flights, results and checkpoints can be compared")
         if kind != kinds[0]:
             named = [k if k == "results" else f"a {k}" for k in (kinds[0], kind)]
-            raise UsageError(f"cannot compare {named[0]} ({first}) with {named[1]} ({path}): give two of one kind")
-    comparisons: list[dict[str, Any]] = []
-    for other in paths[1:]:
-        two = compare_results(paths[0], other) if kinds[0] == "results" else _two(kinds[0], paths[0], other)
-        comparisons.append({"kind": kinds[0], "a": str(first), "b": str(other), **two})
-    if len(comparisons) == 1:
-        return comparisons[0]
-    together = beside(kinds[0], paths)
-    texts = [table.lines() for table in together.pop("tables")]
-    each = [comparison.pop("lines") for comparison in comparisons]
-    lines = [line for text in texts + each * (len(each) <= MOST_DETAILED) for line in ("", *text)][1:]
-    return {"kind": kinds[0], "together": together, "comparisons": comparisons, "lines": lines}
-
-
-def compare_tables(first: str | Path, *others: str | Path) -> list[Table]:
-    """All side by side, as tables; raises as `compare`, which comes before."""
-    paths = [Path(path) for path in (first, *others)]
-    return list(beside(kind_of(paths[0]), paths)["tables"])
-
-
-def kind_of(path: Path) -> str:
-    """ "flight", "results", "checkpoint", or another kind that the file records."""
-    if not path.exists():
-        raise UsageError(f"{path}: no such file or folder")
-    if path.name == MODEL_FILE or (path / MODEL_FILE).is_file():
-        return "checkpoint"
-    if path.is_dir():
-        if not (path / RESULTS_FILE).is_file():
-            raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
-        return "results"
-    return read_metadata(path)["kind"]
+            raise UsageError(f"cannot compare {named[0]} ({files[0]}) with {named[1]} ({path}): give two of one kind")
+    report: dict[str, Any] = {"kind": kinds[0], "names": names_of(paths)}
+    report |= {"a": str(files[0]), "b": str(files[1])} if len(paths) == 2 else {}
+    report |= _results(paths) if kinds[0] == "results" else _sides([SIDES[kinds[0]](path) for path in paths], paths)
+    if len(paths) > 2:
+        report["lines"] = [line for table in report["tables"] for line in ("", *table.lines())][1:]
+    return report
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
@@ -135,60 +116,91 @@ def names_of(paths: Sequence[Path]) -> list[str]:
     return short if len(set(short)) == len(short) else list(map(str, paths))
 
 
-def beside(kind: str, paths: Sequence[Path]) -> dict[str, Any]:
-    """`names`, `configuration` and `metrics` (name -> a value for each path), and `tables` of both."""
-    names = names_of(paths)
-    if kind == "results":
-        return results_beside(paths, names)
-    sides = [SIDES[kind](path) for path in paths]
-    outcomes = [{"outcome": side.flight.metadata["row"]["outcome"]} if side.flight else {} for side in sides]
-    settings = differing(*(flat(side.settings) | outcome for side, outcome in zip(sides, outcomes, strict=True)))
-    metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
-    rows = [_printed(name, values) for name, values in metrics.items()]
-    tables = [setting_table(settings, names)] if settings else []
-    tables = [*map(_narrow, [*tables, Table(["figure", *names], rows)])]
-    return {"names": names, "configuration": settings, "metrics": metrics, "tables": tables}
+# --------------------------------------------------------------------------------------------------- settings, numbers
+def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a flight: its configuration, the content of its checkpoint, and the versions that flew it."""
+    git = (metadata.get("provenance") or {}).get("git") or {}
+    versions = {"sources": metadata.get("sources") or "", "commit": (git.get("commit") or "")[:10]}
+    return {
+        **(metadata.get("config") or {}),
+        "model_sha256": (metadata.get("model_sha256") or "")[:12],
+        "versions": (metadata.get("versions") or {}) | versions,
+        "backend": metadata.get("backend", ""),
+    }
 
 
-def _printed(name: str, values: Sequence[float]) -> list[str]:
-    """Name and values of a figure in its unit."""
+def differing(*records: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Dotted key -> its value in each, for those that differ; "-" for a missing key."""
+    sides = list(map(flat, records))
+    values = {key: [side.get(key, ABSENT) for side in sides] for side in sides for key in side}
+    return {key: several for key, several in values.items() if any(value != several[0] for value in several)}
+
+
+def change(a: float, b: float) -> dict[str, float]:
+    """a, b, difference b - a, relative (%), NaN if not defined."""
+    ratio = 100 * (b - a) / a if a else (0.0 if a == b else math.nan)
+    return {"a": a, "b": b, "difference": b - a, "relative": ratio}
+
+
+def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) -> Table:
+    """The settings that differ, a row each, at most MOST_LINES."""
+
+    def short(value: Any) -> str:
+        text = "null" if value is None else plain(value)
+        return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
+
+    rows = [[key, *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
+    notes = [f"and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
+    return Table(["setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
+
+
+def _setting_lines(settings: Mapping[str, Sequence[Any]] | None) -> list[str]:
+    """The settings that differ between a and b, a line each; None where they are not known."""
+    if settings is None:
+        return ["configuration  not compared: the cells are not beside both tables"]
+    if not settings:
+        return ["configuration  the same"]
+    text = count(len(settings), "setting") + (" differ" if len(settings) > 1 else " differs")
+    return [f"configuration  {text}", *(f"  {line}" for line in _setting_table(settings, "ab").lines())]
+
+
+def _number_row(name: str, values: Sequence[float]) -> list[str]:
+    """Name and values of a number in its unit."""
     factor, unit = shown(name)
     return [f"{name} ({unit})" if unit else name, *(number(factor * value) for value in values)]
 
 
-def _narrow(table: Table) -> Table:
-    """The table turned, a row a path, where there are many paths."""
-    if len(table.columns) <= 1 + MOST_ACROSS:
-        return table
-    heads = ["", *(row[0] for row in table.rows)]
-    rows = list(zip(*[table.columns[1:], *(row[1:] for row in table.rows)], strict=True))
-    left = frozenset({0}) if table.columns[0] == "figure" else frozenset(range(len(heads)))
-    return Table(heads, rows, left=left, notes=table.notes)
-
-
-def _two(kind: str, first: Path, other: Path) -> dict[str, Any]:
-    """b with a: settings, figures, and of flights the outcome and the distance between the paths."""
-    a, b = SIDES[kind](first), SIDES[kind](other)
-    settings = differing(a.settings, b.settings)
-    metrics = {name: change(a.numbers[name], b.numbers[name]) for name in a.numbers if name in b.numbers}
-    lines = [f"a  {first}: {a.about}", f"b  {other}: {b.about}", "", *setting_lines(settings), ""]
+# ------------------------------------------------------------------------------------------------ flights, checkpoints
+def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
+    """Settings and numbers beside each other; of two flights also the outcome and the distance between the paths."""
+    settings, names = differing(*(side.settings for side in sides)), names_of(paths)
+    metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
+    tables = [_setting_table(settings, names)] if settings else []
+    tables.append(Table(["figure", *names], [_number_row(name, values) for name, values in metrics.items()]))
+    report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": tables}
+    flights = [side.flight for side in sides if side.flight is not None]
+    if flights:
+        report["outcome"] = [flight.metadata["row"]["outcome"] for flight in flights]
+    if len(sides) > 2:
+        return report
+    a, b = sides
+    changes = {name: change(*values) for name, values in metrics.items() if name in a.numbers and name in b.numbers}
+    only = {"a": [n for n in a.numbers if n not in b.numbers], "b": [n for n in b.numbers if n not in a.numbers]}
+    lines = [f"a  {paths[0]}: {a.about}", f"b  {paths[1]}: {b.about}", "", *_setting_lines(settings), ""]
     rows = [
-        [*_printed(name, [one["a"], one["b"], one["difference"]]), relative(one["relative"])]
-        for name, one in metrics.items()
+        [*_number_row(name, [values["a"], values["b"], values["difference"]]), relative(values["relative"])]
+        for name, values in changes.items()
     ]
-    figures = Table(["", "a", "b", "b - a", "relative"], rows).lines()
-    made = {"configuration": settings, "metrics": metrics}
-    if a.flight is None or b.flight is None:
-        only = {"a": [n for n in a.numbers if n not in b.numbers], "b": [n for n in b.numbers if n not in a.numbers]}
-        missing = [f"only in {side}: {', '.join(names)}" for side, names in only.items() if names]
-        return {**made, "only": only, "lines": [*lines, *figures, *missing]}
-    records = [flight.metadata for flight in (a.flight, b.flight)]
-    outcome = [record["row"]["outcome"] for record in records]
-    causes = [f" ({record['cause']})" if record.get("cause") else "" for record in records]
-    ended = dict.fromkeys(map("".join, zip(outcome, causes, strict=True)))
-    paths = _paths(a.flight, b.flight)
-    lines += [f"outcome  {' -> '.join(ended)}", "", *figures, "", f"samples  {paths['text']}"]
-    return {**made, "outcome": outcome, "paths": paths, "lines": lines}
+    if flights:
+        causes = [f" ({cause})" if (cause := flight.metadata.get("cause")) else "" for flight in flights]
+        ended = dict.fromkeys(map("".join, zip(report["outcome"], causes, strict=True)))
+        lines += [f"outcome  {' -> '.join(ended)}", ""]
+    lines += Table(["", "a", "b", "b - a", "relative"], rows).lines()
+    lines += [f"only in {side}: {', '.join(missing)}" for side, missing in only.items() if missing]
+    if flights:
+        report["paths"] = _paths(*flights)
+        lines += ["", f"samples  {report['paths']['text']}"]
+    return report | {"metrics": changes, "only": only, "lines": lines}
 
 
 def _paths(a: Flight, b: Flight) -> dict[str, Any]:
@@ -198,14 +210,149 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
     if same and all(np.array_equal(a[name], b[name], equal_nan=a[name].dtype.kind == "f") for name in names):
         text = f"all {len(a)} are the same to the last bit, solve times apart"
         return {"common": len(a), "identical": True, "text": text}
-    times = [flight.t for flight in (a, b)]
-    end = min((float(t[-1]) for t in times if len(t)), default=0.0) if all(map(len, times)) else -math.inf
-    t = min((t[t <= end + 1e-9] for t in times), key=len)
+    end = min(float(flight.t[-1]) if len(flight) else -math.inf for flight in (a, b))
+    t = min((flight.t[flight.t <= end + 1e-9] for flight in (a, b)), key=len)
     if not len(t):
         return {"common": 0, "identical": False, "text": "one of them has none: the paths are not compared"}
-    paths = [np.column_stack([np.interp(t, f.t, f[f"p_{i}"]) for i in "xyz"]) for f in (a, b)]
+    paths = [np.column_stack([np.interp(t, flight.t, flight[f"p_{i}"]) for i in "xyz"]) for flight in (a, b)]
     apart = np.linalg.norm(paths[0] - paths[1], axis=1)
     at = int(np.argmax(apart))
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
     text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {t[at]:.2f} s ({len(t)} common samples{length})"
     return {"common": len(t), "identical": False, "distance": float(apart[at]), "t": float(t[at]), "text": text}
+
+
+# ------------------------------------------------------------------------------------------------------------- results
+def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
+    """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
+    contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
+    models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
+    several = {who[1:] for who, n in models.items() if n > 1}
+    sides: list[dict[Key, Row]] = [{} for _ in tables]
+    for rows, side in zip(tables, sides, strict=True):
+        for row in rows:
+            controller, model, variant = contestant_of(row)
+            contestant = controller, model if (controller, variant) in several else "", variant
+            side[condition_of(row), contestant, row["seed"]] = row
+    return sides
+
+
+def _results(paths: Sequence[Path]) -> dict[str, Any]:
+    """Results folders; see the module. The metric is the first one's."""
+    tables = [read_table(path / RESULTS_FILE, "results") for path in paths]
+    metric = tables[0][1].get("metric", "mean_error")
+    sides = matched(*(from_columns(columns) for columns, _ in tables))
+    cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
+    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in cells)))
+    completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
+    ended = {who: {(at, seed) for at, contestant, seed in completed if contestant == who} for who in labels}
+    compared, shared = common(ended)
+    means, texts = {}, []
+    for who, label in labels.items():
+        kept = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
+        means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
+        texts.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
+    heads = [f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"]
+    report: dict[str, Any] = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
+    if len(paths) > 2:
+        return report
+    a, b = sides
+    only = {"a": _missing(a, b), "b": _missing(b, a)}
+    lines = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)] + [""]
+    for name, missing in only.items():
+        if missing:
+            lines.append(f"only in {name}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
+    report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
+    if not cells:
+        return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}
+    settings = _cell_settings(paths, cells)
+    outcomes = Counter(tuple(row["outcome"] for row in pair) for pair in cells.values())
+    changed = ", ".join(f"{n} {x if x == y else f'{x} -> {y}'}" for (x, y), n in outcomes.items())
+    same = sum(
+        all(x[n] == y[n] or (x[n] != x[n] and y[n] != y[n]) for n in ("outcome", *EXACT)) for x, y in cells.values()
+    )
+    common_cells = {key for key in cells if key[1] in compared and key[::2] in shared}
+    metrics = _contestants(cells, labels, common_cells, tables[0][1])
+    lines += [*_setting_lines(settings), "", f"outcome  {changed}"]
+    lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
+    report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
+    report |= {"configuration": settings or {}, "metrics": metrics}
+    return report | {"lines": [*lines, *_metric_lines(metrics, metric)]}
+
+
+def _mean(rows: Sequence[Row], metric: str) -> float:
+    return sum(row[metric] for row in rows) / len(rows) if rows else math.nan
+
+
+def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:
+    """Label -> number of own cells that are not in the other table."""
+    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in mine)))
+    return dict(Counter(labels[key[1]] for key in mine if key not in its))
+
+
+def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) -> dict[str, list[Any]] | None:
+    """Settings that differ between the cells of a pair, one pair per condition and contestant; None without cells."""
+    first: dict[Key, tuple[Row, ...]] = {}
+    for key, pair in cells.items():
+        first.setdefault(key[:2], pair)
+    differ: dict[str, list[dict[str, Any]]] | None = None  # key -> of each side: text -> value
+    for pair in list(first.values())[:MOST_CONFIGURATIONS]:
+        try:
+            files = (CellStore(root).path(row["key"]) for root, row in zip(roots, pair, strict=True))
+            records = [record_of(read_metadata(file, "flight")) for file in files]
+        except QuadexpError:  # a failed cell has no file
+            continue
+        differ = differ or {}
+        for setting, values in differing(*records).items():
+            for value, side in zip(values, differ.setdefault(setting, [{}, {}]), strict=True):
+                side[str(value)] = value
+    if differ is None:
+        return None
+    return {
+        setting: [next(iter(side.values())) if len(side) == 1 else " | ".join(sorted(side)) for side in sides]
+        for setting, sides in differ.items()
+    }
+
+
+def _contestants(
+    cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], shared: Set[Key], record: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """For each contestant: completed flights, means of a and b over the shared flights, and b against a."""
+    metric, confidence = record.get("metric", "mean_error"), record.get("confidence", 0.95)
+    pooled: list[Statistic] = []
+    records: list[dict[str, Any]] = []
+    for contestant, label in labels.items():
+        pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
+        kept = {key: pair for key, pair in pairs.items() if key in shared or not all(map(is_flown, pair))}
+        sides = [(at[4], side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
+        rows = [dict(row, controller=side, model="", variant=setting) for setting, side, row in sides]
+        pooled += overall(rows, metric=metric, baseline="a", confidence=confidence)
+        beyond = f"{len(pairs) - len(kept)} not completed by all" if len(kept) < len(pairs) else ""
+        means = (_mean([pair[i] for key, pair in pairs.items() if key in shared], metric) for i in (0, 1))
+        flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
+        left_out = ", ".join(filter(None, (pooled[-1].left_out, beyond)))
+        records.append({"label": label, "cells": len(pairs), "flown": flown, **change(*means), "left_out": left_out})
+    for line, s in zip(records, corrected(pooled), strict=True):
+        line |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
+        line |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
+        line["distinguishable"] = s.significant
+    return records
+
+
+def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
+    factor, unit = SHOWN[metric]
+    heading = [f"{TITLES[metric]} ({unit})", "flown a", "flown b", "pairs", "seeds", "a", "b", "b - a", "ratio"]
+    rows, left_out = [], []
+    for record in metrics:
+        ratio, low, high = (record[name] for name in ("ratio", "ratio_low", "ratio_high"))
+        text = relative(ratio) + ("" if ratio == 0 or math.isnan(low) else f" [{low:+.3g}, {high:+.3g}]")
+        verdict = "not distinguishable" if record["testable"] else f"{count(record['seeds'], 'seed')} cannot tell"
+        verdict = ("smaller" if ratio < 0 else "larger") if record["distinguishable"] else verdict
+        verdict = {"-": "-", "same": "the same"}.get(text, verdict)
+        flown = [f"{k} of {n}" for k, n in record["flown"].values()]
+        numbers = [number(factor * record[name]) for name in ("a", "b", "difference")]
+        p = p_value(record["p_holm"] if record["testable"] else math.nan)
+        rows.append([record["label"], *flown, str(record["pairs"]), str(record["seeds"]), *numbers, text, p, verdict])
+        if record["left_out"]:
+            left_out.append(f"  {record['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', record['left_out'])}")
+    return Table([*heading, "p (Holm)", "b is"], rows, notes=left_out).lines()

@@ -1,13 +1,12 @@
-"""One page of sections that opens without a network, in light and dark, on a phone and in print: the report of a sweep,
-a sweep while it runs, a leaderboard, a table that sorts and filters. What a section holds is a record; one template
-shows them all.
+"""One page of sections that opens without a network, on a phone and in print: the report of a sweep, a sweep while it
+runs, a leaderboard, a table that sorts and filters. What a section holds is a record; one template shows them all.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -15,17 +14,6 @@ from quadexp.messages import clean
 from quadexp.report.table import Table
 from quadexp.report.text import typeset
 
-THEME = {  # CSS variable -> (light, dark)
-    "ground": ("#fbfbf9", "#0f1216"),
-    "panel": ("#ffffff", "#161a20"),
-    "ink": ("#17191d", "#e9ebee"),
-    "muted": ("#5a616c", "#9ba4b0"),
-    "rule": ("#e3e3de", "#2a3038"),
-    "accent": ("#0b63a5", "#62b5f5"),
-    "wash": ("#eef4f9", "#15222e"),
-    "alarm": ("#b3261e", "#ff8a7d"),
-    "shade": ("#c9ccd1", "#3d4652"),  # where a table continues beyond the edge
-}
 _NUMBER = re.compile(r"(\*\*)?(-?[\d.e+-]+)(?:\*\*)?(?: (\[[^\]]*\]))?(\*)?(?: \((.*)\))?")
 WIDE = 8  # columns; with more, a table is printed across the sheet
 
@@ -33,13 +21,14 @@ WIDE = 8  # columns; with more, a table is printed across the sheet
 @dataclass(frozen=True)
 class Cell:
     """mark: label of the contestant whose marker stands before the text. small: lines below it. lost: what went wrong.
-    best: in bold."""
+    best: in bold. replay: number of a flight in the replay."""
 
     text: str = ""
     small: Sequence[str] = ()
     lost: str = ""
     best: bool = False
     mark: str = ""
+    replay: int | None = None
 
 
 def cell_of(text: str) -> Cell:
@@ -75,22 +64,17 @@ class PageTable:
 
 @dataclass(frozen=True)
 class Block:
-    """What stands together in a section, or on one of its tabs. key: labels of contestants. figures: HTML of this
-    program. lines: label -> sentence. facts: (term, text). cards: of flights. folded: only its title is seen at first.
-    progress: (flights that are there, of all, the same in words)."""
+    """What stands together in a section, or on one of its tabs. figures: HTML of `style.figure_html`. facts: (term,
+    text). folded: only its title is seen at first. progress: (flights that are there, of all, the same in words)."""
 
     title: str = ""
     tab: str = ""
     lead: str = ""
-    key: Sequence[str] = ()
     figures: Sequence[str] = ()
-    lines: Mapping[str, str] = field(default_factory=dict)
     tables: Sequence[PageTable] = ()
     facts: Sequence[tuple[str, str]] = ()
     code: Sequence[str] = ()
-    cards: Sequence[Mapping[str, Any]] = ()
     notes: Sequence[str] = ()
-    downloads: Sequence[tuple[str, str]] = ()
     progress: tuple[int, int, str] | None = None
     replay: bool = False
     folded: bool = False
@@ -107,32 +91,25 @@ class Section:
     blocks: Sequence[Block]
 
 
-def document(
-    title: str, sections: Sequence[Section], *, theme: Mapping[str, tuple[str, str]] = THEME, **more: Any
-) -> str:
-    """The page. theme: CSS variables. more: of the report, see templates/page.html.j2. All texts are escaped."""
+def document(title: str, sections: Sequence[Section], **more: Any) -> str:
+    """The page. more: of the report, see templates/page.html.j2. All texts are escaped."""
     from jinja2 import Environment
     from markupsafe import Markup
 
     environment = Environment(autoescape=True, finalize=_shown, trim_blocks=True, lstrip_blocks=True)
     environment.filters["typeset"] = typeset
-    light, dark = ("".join(f"--{name}:{pair[i]};" for name, pair in theme.items()) for i in (0, 1))
-    sorts = any(table.sorts for section in sections for block in section.blocks for table in block.tables)
+    acts = any(block.tab or any(table.sorts for table in block.tables) for part in sections for block in part.blocks)
     return environment.from_string(template_text("page.html.j2")).render(
         title=title,
         sections=sections,
-        light=light,
-        dark=dark,
         style=Markup(template_text("style.css")),
-        script=template_text("page.js") if sorts or more.get("looks") else "",
+        script=template_text("page.js") if acts else "",
         **more,
     )
 
 
-def sortable_page(title: str, table: Table, *, above: str = "", notes: Sequence[str] = ()) -> str:
-    """A table whose lines are sorted by a click on a heading, and filtered by a text. above: markup of a figure, made
-    by this program."""
-    figures = [f'<figure class="plate">{above}</figure>'] if above else []
+def sortable_page(title: str, table: Table, *, figures: Sequence[str] = (), notes: Sequence[str] = ()) -> str:
+    """A table whose lines are sorted by a click on a heading, and filtered by a text. figures: above it."""
     block = Block(figures=figures, notes=notes, tables=[PageTable.of(table, "rows", sorts=True)])
     return document(title, [Section("rows", "", title, "", [block])])
 

@@ -1,12 +1,10 @@
-"""The one drawer: a view as lines, as a heat map or as parallel coordinates, with the mean of a metric over any keys.
+"""The one drawer: a view as lines or as a heat map, with the mean of a metric over any keys.
 
 lines      a panel for every value of `facet`, a line for every value of `by`, bars for the interval. Values of a key
            that is no number stand side by side. Where flights were lost stands "k/n"; where none completed, a cross at
            the upper edge
 heat       one key along x, one along y, the mean as a colour and as a number. What was not asked for is blank, what is
            invalid crossed out; without a completed flight it says how many were lost
-parallel   an axis a key, a line a combination, its colour the error, which is the last axis. Combinations without a
-           completed flight are dashed and grey, and end below it
 
 A file is PNG, PDF or SVG, or one HTML page with the numbers, which opens offline. With `View.width` it is for a paper:
 as wide as a column or page of the IEEE with letters that fit it, and its notes are left to the caption.
@@ -14,7 +12,6 @@ as wide as a column or page of the IEEE with letters that fit it, and its notes 
 
 from __future__ import annotations
 
-import io
 import math
 import re
 import textwrap
@@ -26,20 +23,35 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output, write_text, written
+from quadexp.files.writer import check_output, write_text
+from quadexp.log.store import read_flight, read_table
+from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
-from quadexp.report.figures import ERROR_COLOURS
-from quadexp.report.points import SUCCESS, Place, Point
-from quadexp.report.style import PLAIN, STYLE, Figure, Look, entries, looks, plain_log, styled
+from quadexp.report.frame import SweepFrame
+from quadexp.report.metrics import ROW_COLUMNS, from_columns
+from quadexp.report.style import (
+    ERROR_COLOURS,
+    PLAIN,
+    STYLE,
+    Figure,
+    Look,
+    entries,
+    error_bar,
+    figure_html,
+    looks,
+    plain_log,
+    save_figure,
+)
+from quadexp.report.summary import RESULTS_FILE
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
-from quadexp.report.view import Axis, View, value_text
+from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text, view
 
+SOURCE = "results"  # key of the folder that a flight of several results comes from
 SUFFIXES = ("png", "pdf", "svg", "html")
 ON_PAPER: Any = {"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2}
 LEAST_PANEL = 2.2  # inches, of the width of a panel on paper
@@ -49,9 +61,8 @@ APART = 0.065  # share of a panel between two labels of ticks
 SPREAD = 0.6  # of the room of a group, taken by its places side by side
 MOST_LETTERS = 400  # cells of a map that have their number written into them
 EMPTY = "#F2F2F2"
-MOST_TICKS = 12
+DARK = 0.34  # of the scale of colours, from where white has more contrast than black
 LONGEST_TICK = 20  # letters, beside a map
-MOST_COMBINATIONS = 400  # of parallel coordinates: with more, a line cannot be told from its neighbours
 
 
 def figure_of(view: View) -> Figure:
@@ -81,7 +92,10 @@ def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, *
     across, width = _across(view, size[0], most)
     down = math.ceil(len(panels) / across)
     each = min(size[1], 0.8 * width / across) if view.width else size[1]
-    above = _above(view, without, width)
+    gone = [view.title(view.facet, facet) for facet in without]
+    dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
+    lines = filter(None, (view.heading, *(() if view.width else (view.caption, *view.notes)), *dropped))
+    above = [row for line in lines for row in textwrap.wrap(line, int(15 * width))]
     figure = Figure(figsize=(width, each * down + 0.4 + room + 0.17 * len(above)), layout="constrained")
     grid = figure.subplots(down, across, squeeze=False, **share)
     for panel, facet in zip(grid.flat, panels, strict=False):
@@ -100,21 +114,6 @@ def _across(view: View, size: float, most: int) -> tuple[int, float]:
         return max(1, min(panels, int(view.width / LEAST_PANEL))), view.width
     across = min(panels, most)
     return across, max(5.6, 1.4 + size * across)
-
-
-def _above(view: View, without: Sequence[Place], width: float) -> list[str]:
-    """The lines above a figure: its title, what its marks are, and what it leaves out. without: panels."""
-    gone = [view.title(view.facet, facet) for facet in without]
-    dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
-    notes = () if view.width else (view.caption, *view.notes)
-    lines = filter(None, (view.heading, *notes, *dropped))
-    return [row for line in lines for row in textwrap.wrap(line, int(15 * width))]
-
-
-def _norm(view: View) -> Normalize:
-    """The scale of colours of the means."""
-    means = [view.factor * point.mean for point in view.places.values() if point.is_shown]
-    return LogNorm(min(means), max(means)) if is_log(view) else Normalize(min(means), max(means) or 1.0)
 
 
 @_drawn
@@ -142,8 +141,10 @@ def line_figure(view: View) -> Figure:
     elif all(point.mean >= 0 for point in shown):
         largest = max(max(point.mean, point.high, 0) for point in shown)
         first.set_ylim(0, 1.08 * view.factor * largest or 1.0)
-    if len(shown) < len(view.places):
-        _make_room(first, len(lines), log)
+    if len(shown) < len(view.places):  # the upper edge is left to crosses
+        low, high = first.get_ylim()
+        share = 1.0 / (0.92 - 0.055 * min(len(lines), 5))
+        first.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
     if log:
         plain_log(first.yaxis, minor=True)
     elif view.y == SUCCESS:
@@ -279,13 +280,6 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
                 panel.annotate(text, at, xycoords=edge, color=look[line].colour, **beside)
 
 
-def _make_room(panel: Any, lines: int, log: bool) -> None:
-    """Leave the upper edge to the crosses of places where no flight was completed."""
-    low, high = panel.get_ylim()
-    share = 1.0 / (0.92 - 0.055 * min(lines, 5))
-    panel.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
-
-
 @_drawn
 def heat_figure(view: View) -> Figure:
     """The figure of a view of kind "heat"."""
@@ -293,22 +287,14 @@ def heat_figure(view: View) -> Figure:
     cell = 0.62 if len(view.x.values) * len(down_axis.values) <= MOST_LETTERS else 0.2
     size = max(2.2, cell * len(view.x.values) + 1.0), max(1.6, 0.42 * len(down_axis.values) + 0.8)
     figure, grid = _panels(view, size, 3)
-    norm = _norm(view)
+    means = [view.factor * point.mean for point in view.places.values() if point.is_shown]
+    norm = LogNorm(min(means), max(means)) if is_log(view) else Normalize(min(means), max(means) or 1.0)
     for panel, facet in zip(grid.flat, view.panels, strict=False):
         _draw_map(panel, view, facet, down_axis, norm)
     for line in grid:
         line[0].set_ylabel(down_axis.label)
-    bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=grid, label=view.y_label, shrink=0.9)
-    if isinstance(norm, LogNorm):
-        plain_log(bar.ax.yaxis)
+    error_bar(figure, norm, grid, view.y_label, shrink=0.9)
     return figure
-
-
-def readable_on(colour: Sequence[float]) -> str:
-    """Black or white, whichever has more contrast on a colour (red, green, blue in [0, 1]), as WCAG defines it."""
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
-    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    return "#000000" if (luminance + 0.05) ** 2 > 1.05 * 0.05 else "#FFFFFF"
 
 
 def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Normalize) -> None:
@@ -318,7 +304,9 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
     panel.imshow(np.ma.masked_invalid(values), cmap=ERROR_COLOURS, norm=norm, aspect="auto", origin="lower")
     panel.grid(False)
     for axis, place in ((view.x, panel.xaxis), (down_axis, panel.yaxis)):
-        place.set_ticks(range(len(axis.values)), [_shortened(axis.text(v)) for v in axis.values])
+        texts = [axis.text(value) for value in axis.values]
+        texts = [text if len(text) <= LONGEST_TICK else f"{text[: LONGEST_TICK - 3]}..." for text in texts]
+        place.set_ticks(range(len(texts)), texts)
     if sum(map(len, map(view.x.text, view.x.values))) > 5 * len(view.x.values):
         panel.tick_params(axis="x", rotation=30)
     for (j, i), value in np.ndenumerate(values):
@@ -327,7 +315,7 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
             continue
         lines, colour = [f"{point.ended}/{point.trials}"] if point.ended < point.trials else [], "#444444"
         if point.is_shown:
-            lines, colour = [significant(value), *lines], readable_on(ERROR_COLOURS(norm(value)))
+            lines, colour = [significant(value), *lines], ("#FFFFFF" if norm(value) > DARK else "#000000")
         else:
             lines = [*lines, "flown"] if lines else ["invalid"]
             hatch = Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0)
@@ -336,79 +324,7 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
             panel.text(i, j, "\n".join(lines), ha="center", va="center", fontsize=7, color=colour)
 
 
-def _shortened(text: str) -> str:
-    return text if len(text) <= LONGEST_TICK else f"{text[: LONGEST_TICK - 3]}..."
-
-
-@_drawn
-def parallel_figure(view: View) -> Figure:
-    """The figure of a view of kind "parallel"."""
-    norm = _norm(view)
-    n = len(view.along)
-    lines = sorted(view.places.items(), key=lambda one: -one[1].mean if one[1].is_shown else -math.inf)
-    if len(lines) > MOST_COMBINATIONS:  # the best and the worst, and as many between them as can be seen
-        every = np.linspace(0, len(lines) - 1, MOST_COMBINATIONS).round().astype(int)
-        drawn = f"{MOST_COMBINATIONS} of {len(lines)} combinations drawn, from the best to the worst"
-        view, lines = replace(view, notes=(*view.notes, drawn)), [lines[i] for i in every]
-    width = view.width or max(5.6, 1.6 * n + 2.4)
-    above = _above(view, (), width)
-    figure = Figure(figsize=(width, (0.6 * width if view.width else 4.2) + 0.17 * len(above)), layout="constrained")
-    panel = figure.subplots()
-    for place, point in lines:
-        heights = [height(axis, value) for axis, value in zip(view.along, place, strict=True)]
-        if point.is_shown:
-            value = view.factor * point.mean
-            end, colour = float(norm(value)) if norm.vmin != norm.vmax else 0.5, ERROR_COLOURS(norm(value))
-            panel.plot(range(n + 1), [*heights, end], color=colour, linewidth=1.4, alpha=0.9)
-            if point.ended < point.trials:
-                panel.annotate(
-                    f"{point.ended}/{point.trials}", (n, end), (3, -2), textcoords="offset points", fontsize=6
-                )
-        else:
-            panel.plot(range(n + 1), [*heights, -0.08], color="#AAAAAA", linewidth=0.9, linestyle=":")
-    for k, axis in enumerate(view.along):
-        _ticks(panel, k, axis)
-    panel.set_xticks(range(n + 1), [*(axis.label for axis in view.along), view.y_label], rotation=20, ha="right")
-    panel.set_yticks([])
-    panel.set_ylim(-0.12, 1.06)
-    panel.set_xlim(-0.35, n + 0.25)
-    panel.grid(False)
-    for name in ("left", "bottom"):
-        panel.spines[name].set_visible(False)
-    for k in range(n + 1):
-        panel.axvline(k, color="#555555", linewidth=0.8, zorder=0)
-    gone = sum(not point.is_shown for point in view.places.values())
-    if gone:
-        panel.text(n, -0.1, f" {gone} without a completed flight", fontsize=7, color="#777777", va="center", ha="right")
-    bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=panel, label=view.y_label)
-    if isinstance(norm, LogNorm):
-        plain_log(bar.ax.yaxis)
-    figure.suptitle("\n".join(above), fontsize=8)
-    return figure
-
-
-def height(axis: Axis, value: Any) -> float:
-    """Where a value stands on its axis, in [0, 1]."""
-    if axis.kind == "group":
-        return axis.values.index(value) / (len(axis.values) - 1) if len(axis.values) > 1 else 0.5
-    low, high = float(min(axis.values)), float(max(axis.values))
-    if low == high:
-        return 0.5
-    if axis.scale == "log":
-        return (math.log(float(value)) - math.log(low)) / (math.log(high) - math.log(low))
-    return (float(value) - low) / (high - low)
-
-
-def _ticks(panel: Any, k: int, axis: Axis) -> None:
-    every = np.linspace(0, len(axis.values) - 1, min(len(axis.values), MOST_TICKS)).round().astype(int)
-    for i in dict.fromkeys(every.tolist()):
-        value = axis.values[i]
-        text = f"{value:g}" if axis.kind == "number" else axis.text(value)
-        panel.text(k - 0.03, height(axis, value), text, fontsize=7, ha="right", va="center",
-                   bbox={"facecolor": "#FFFFFF", "edgecolor": "none", "pad": 0.6, "alpha": 0.8})  # fmt: skip
-
-
-FIGURES = {"lines": line_figure, "heat": heat_figure, "parallel": parallel_figure}
+FIGURES = {"lines": line_figure, "heat": heat_figure}
 
 
 def records(view: View) -> list[dict[str, Any]]:
@@ -429,38 +345,46 @@ def check_path(path: Path, force: bool, suffixes: Sequence[str] = SUFFIXES) -> P
     return check_output(path, force=force)
 
 
-@styled
 def save_view(view: View, path: Path, title: str = "", *, force: bool = True) -> Path:
     """Write the figure of a view in the format that the path's suffix names."""
-    form = path.suffix.lower().lstrip(".")
-    if form == "html":
+    if path.suffix.lower() == ".html":
         return write_text(path, page_of(view, title), force=force)
     return save_figure(figure_of(view), path, force=force)
 
 
-@styled
-def save_figure(figure: Figure, path: Path, *, force: bool = True) -> Path:
-    """Write a figure as PNG, PDF or SVG, without the time at which it was drawn."""
-    form = path.suffix.lower().lstrip(".")
-    dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    with written(path, force=force) as file:
-        figure.savefig(file, format=form, dpi=150, metadata=dated.get(form))
-    return path
-
-
-@styled
 def page_of(view: View, title: str) -> str:
     """The figure with its numbers as one page that opens without a network."""
-    stream = io.StringIO()
-    figure_of(view).savefig(stream, format="svg", metadata={"Date": None})
-    svg = stream.getvalue()
     shown = [{**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}} for row in records(view)]
     rows = [{n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()} for row in shown]
     table = records_table(rows)
     heads = [f"{name} ({view.unit})" if name == view.y and view.unit else name for name in table.columns]
-    return sortable_page(
-        view.heading or title or view.y_label,
-        replace(table, columns=heads),
-        above=svg[svg.index("<svg") :],
-        notes=(view.caption, *view.notes),
-    )
+    heading, notes = view.heading or title or view.y_label, (view.caption, *view.notes)
+    figure = figure_html(figure_of(view), heading)
+    return sortable_page(heading, replace(table, columns=heads), figures=[figure], notes=notes)
+
+
+def comparison_figure(kind: str, paths: Sequence[Path]) -> Figure:
+    """Paths and errors of several flights, or errors of several results; UsageError where there is nothing to draw."""
+    if kind == "flight":
+        from quadexp.report.flight_figures import flights_figure
+
+        return flights_figure(dict(zip(names_of(paths), map(read_flight, paths), strict=True)))
+    if kind == "results":
+        return results_figure(paths)
+    raise UsageError("--out: draws flights and results; the scores of checkpoints are in the table")
+
+
+def results_figure(paths: Sequence[Path]) -> Figure:
+    """Errors of every results folder, a line each: over the key with most values, a panel a controller and path."""
+    rows: list[dict[str, Any]] = []
+    record: dict[str, Any] = {}
+    for path, name in zip(paths, names_of(paths), strict=True):
+        columns, about = read_table(path / RESULTS_FILE, "results")
+        record = record or {key: about[key] for key in ("metric", "confidence") if key in about}
+        for row in from_columns(columns):
+            variant = f"{row.get('variant') or ''} {SOURCE}={name}".strip()
+            rows.append({**dict.fromkeys(ROW_COLUMNS), **row, "variant": variant})
+    frame = SweepFrame(rows, paths[0], record)
+    axes = [key for key in frame.swept if key not in (SOURCE, "controller", "model", "trajectory", "seed")]
+    x = max(axes, key=lambda key: len(frame.values(key))) if axes else "controller"
+    return line_figure(view(frame, x=x, by=[SOURCE], y=str(record.get("metric", "mean_error"))))

@@ -3,6 +3,13 @@
 The value is that of the configuration stored with the flight; `model.inducing` and the like are settings of the fit of
 its checkpoint, as long as that is where the flight found it. A cell without a flight (invalid, failed) has no file:
 the overrides that asked for it are in the record of the results.
+
+Conditions, such as `controller == gp_mpc and speed > 6`, are evaluated by pandas as `DataFrame.query` does. A word that
+is a column of the results or a key of the configuration stands for its values, any other one for a text. A number may
+have a unit (5 mm); without one it has that of the tables beside a metric (`mean_error < 5` is in mm) and that of the
+configuration beside a key. Beside the signs of Python there are `like 'gp_*'` and `is null`. What pandas reads is put
+together from known columns, signs and literals: no name, call or attribute of the condition gets there. As in pandas, a
+missing value fulfils no comparison but `!=` and `not in`.
 """
 
 from __future__ import annotations
@@ -10,8 +17,10 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,8 +31,9 @@ from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
 from quadexp.parts.options import units
 from quadexp.parts.schema import PARTS, PRESETS, REMEDIES, WORLD
+from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 from quadexp.report.pairing import setting_pairs
-from quadexp.report.result_rows import ROW_COLUMNS, TEXT_COLUMNS, from_columns
+from quadexp.report.text import plain, shown
 
 RESULTS = "results.parquet"
 ALIASES = {"speed": "trajectory.speed"}
@@ -34,6 +44,19 @@ SAME = ("vehicle", "plant", "trajectory", "controller", "model", "variant", "sou
 MOST_GONE = 3  # of them that are tried where files are missing
 MILLISECONDS = 0.1  # s, below which times are printed in milliseconds
 SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", "gp", "drag")  # nodes that decide no flight
+# Of a condition.
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "us": 1e-6, "ms": 1e-3, "s": 1.0, "deg": math.pi / 180, "%": 0.01}
+SIGNS = {"=": "==", "<>": "!=", "&&": "and", "||": "or"}
+LITERALS = {"true": "True", "false": "False"}
+_TOKEN = re.compile(
+    r"""\s*(?:(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s?(?P<unit>mm|cm|us|ms|deg|m|s|%)?(?![\w.])
+    |is\s+(?P<there>not\s+)?(?P<null>null\b)
+    |(?P<unlike>not\s+)?like\s+(?P<like>'[^']*'|"[^"]*"|[^\s()]+)
+    |(?P<joint>(?:and|or|not|in)\b)
+    |(?P<word>[^\W\d][\w.+/:*?-]*)|(?P<text>'[^']*'|"[^"]*")
+    |(?P<sign>==|!=|<>|<=|>=|&&|\|\||[=<>()\[\],]))""",
+    re.VERBOSE | re.IGNORECASE,
+)
 
 Row = Mapping[str, Any]
 
@@ -50,7 +73,7 @@ class SweepFrame:
         configs: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         self.rows, self.root, self.record = list(rows), Path(root), record or {}
-        self._own = configs or {}
+        self._read = configs or {}
         self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._gone: Counter[tuple[Any, ...]] = Counter()  # files of a group that could not be read
         self._columns: dict[str, list[Any]] = {}
@@ -75,7 +98,7 @@ class SweepFrame:
 
     def taken(self, order: Sequence[int]) -> SweepFrame:
         """The frame of the rows at these places, in this order."""
-        frame = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._own)
+        frame = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._read)
         frame._configs, frame._gone = self._configs, self._gone
         return frame
 
@@ -111,11 +134,9 @@ class SweepFrame:
     @cached_property
     def swept(self) -> list[str]:
         """The keys that take several values, the one that varies slowest first; the seed among them."""
-        texts: dict[str, set[str]] = {}
-        for text in (text for grid in self.record.get("grids") or () for several in grid for text in several):
-            texts.setdefault(text.partition("=")[0], set()).add(text)
-        asked = [key for key, values in texts.items() if len(values) > 1]
-        asked += [key for row in self.rows for key, _ in setting_pairs(row["variant"] or "")]
+        texts = dict.fromkeys(text for grid in self.record.get("grids") or () for axis in grid for text in axis)
+        asked = [key for key, count in Counter(text.partition("=")[0] for text in texts).items() if count > 1]
+        asked += [key for row in self.rows for key, _ in setting_pairs(row["variant"])]
         parts = {"plant": ("world", *WORLD), "controller": ("remedies", *REMEDIES), "trajectory.speed": ("speed",)}
         named = {key.partition(".")[0] for key in asked}
         asked += [key for key in ASKED if not named.intersection(parts.get(key, ()))]
@@ -147,7 +168,7 @@ class SweepFrame:
             return "+".join(self._remedies(row, REMEDIES)) or "none"
         if name.startswith("model."):
             return self._of_checkpoint(row["model"]).get(name.removeprefix("model."))
-        varied = dict(setting_pairs(row["variant"] or "")) if row["key"] not in self._own else {}
+        varied = dict(setting_pairs(row["variant"])) if row["key"] not in self._read else {}
         if name in varied:
             return read_value(varied[name])
         config = self._config(row)
@@ -174,20 +195,90 @@ class SweepFrame:
         on speed and seed, which are in its row: one file is read for all flights of a sweep that differ in these only.
         """
         key = row["key"]
-        overrides = None if key in self._own else self.record.get("without_flight", {}).get(key)
-        group = tuple(row.get(name) for name in SAME) if key not in self._own and overrides is None else (key,)
+        overrides = None if key in self._read else self.record.get("without_flight", {}).get(key)
+        group = (key,) if key in self._read or overrides is not None else tuple(row.get(name) for name in SAME)
         if group not in self._configs and self._gone[group] < MOST_GONE:
             try:
                 if overrides is not None:
-                    config = {name: read_value(value) for name, _, value in (one.partition("=") for one in overrides)}
-                elif key in self._own:
-                    config = dict(self._own[key])
+                    parts = (override.partition("=") for override in overrides)
+                    config: Mapping[str, Any] = {name: read_value(value) for name, _, value in parts}
+                elif key in self._read:
+                    config = self._read[key]
                 else:
                     config = read_metadata(CellStore(self.root).path(key), "flight").get("config") or {}
                 self._configs[group] = flat(config)
             except QuadexpError:  # a cell that has gone: what its row says has to do
                 self._gone[group] += 1
         return self._configs.get(group, {})
+
+
+def chosen(frame: SweepFrame, condition: str) -> list[bool]:
+    """Which rows fulfil the condition; UsageError, in one line, where it cannot be read or names no key."""
+    import pandas as pd
+
+    columns: dict[str, list[Any]] = {}
+    texts: list[str] = []
+    expression = " ".join(_translated(frame, condition, columns, texts))
+    if texts and all(is_number(value) for column in columns.values() for value in column if value is not None):
+        hint = suggestion(texts[0], frame.names, frame.swept)  # a misspelt key beside a number, or beside nothing
+        raise UsageError(f"--where: {texts[0]}: no such key or column{hint}")
+    try:
+        holds = pd.DataFrame(columns).eval(expression, engine="python")
+        if not columns or holds.dtype != bool:
+            raise ValueError("a comparison such as `speed > 6` is expected")
+    except Exception as error:  # of pandas and of Python's parser, which have many
+        raise UsageError(f"--where {condition!r}: cannot be read: {str(error).splitlines()[0]}") from None
+    return [bool(value) for value in holds.tolist()]
+
+
+def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]], texts: list[str]) -> list[str]:
+    """The parts of the expression. Filled: columns, the values of each name in it; texts, the words that are no key."""
+    tokens: list[re.Match[str]] = []
+    while condition[(at := tokens[-1].end() if tokens else 0) :].strip():
+        if (token := _TOKEN.match(condition, at)) is None:
+            raise UsageError(f"--where {condition!r}: cannot be read from {condition[at:].strip()[:20]!r} on")
+        tokens.append(token)
+    parts: list[str] = []
+
+    def column(values: list[Any]) -> str:
+        name = f"c{len(columns)}"
+        columns[name] = values
+        return name
+
+    for i, token in enumerate(tokens):
+        if token["number"]:
+            number = float(token["number"])
+            parts.append(repr(number * UNITS[token["unit"].lower()] if token["unit"] else number / _factor(tokens, i)))
+        elif token["null"] or token["like"]:
+            values = columns.get(parts[-1] if parts else "")
+            if values is None:
+                raise UsageError(f"--where {condition!r}: `{token[0].strip()}` needs a key before it")
+            if token["null"]:
+                holds = [(value is None) is not bool(token["there"]) for value in values]
+            else:
+                pattern, unlike = token["like"].strip("'\""), bool(token["unlike"])
+                holds = [value is not None and fnmatchcase(str(value), pattern) is not unlike for value in values]
+            parts[-1] = f"{column(holds)} == True"
+        elif (word := token["word"]) and word.lower() not in LITERALS:
+            if frame.has(word):
+                parts.append(column(frame.column(word)))
+            else:
+                texts.append(word)
+                parts.append(repr(word))
+        elif text := token["text"]:
+            parts.append(repr(read_value(text[1:-1]) if text[1:2] == "[" else text[1:-1]))
+        else:
+            part = (token["joint"] or token["word"] or token["sign"]).lower()
+            parts.append({**SIGNS, **LITERALS}.get(part, part))
+    return parts
+
+
+def _factor(tokens: Sequence[re.Match[str]], place: int) -> float:
+    """From SI to the unit in which tables show the metric that the number at this place is compared with; 1 if none."""
+    ends = [i for i, token in enumerate(tokens) if token[0].strip().lower() in ("and", "or", "&&", "||")]
+    begin = max((i for i in ends if i < place), default=-1)
+    comparison = tokens[begin + 1 : min((i for i in ends if i > place), default=len(tokens))]
+    return next((shown(token["word"])[0] for token in comparison if token["word"] and is_metric(token["word"])), 1.0)
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:
@@ -268,10 +359,9 @@ def setting_text(key: str, value: Any) -> str:
     Of a vector the length, of times below a tenth of a second milliseconds."""
     value, unit = _magnitude(key, value), unit_of(key)
     if not is_number(value):
-        return f"{setting_name(key)} {str(value).lower() if isinstance(value, bool) else value}"
-    if unit == "s" and 0 < value < MILLISECONDS:
-        value, unit = 1e3 * value, "ms"
-    return f"{setting_name(key)} {value:.6g} {unit}".strip()
+        return f"{setting_name(key)} {plain(value)}"
+    factor, unit = (1e3, "ms") if unit == "s" and 0 < value < MILLISECONDS else (1, unit)
+    return f"{setting_name(key)} {factor * value:.6g} {unit}".strip()
 
 
 def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tuple[str, dict[str, str]]:
@@ -283,9 +373,9 @@ def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tup
     name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
     if not all(map(is_number, numbers.values())) or len(set(numbers.values())) < len(numbers):
         return with_unit(name, key), {text: text for text in texts}
-    if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS:
-        numbers, unit = {text: 1e3 * value for text, value in numbers.items()}, "ms"
-    return f"{name} ({unit})" if unit else name, {text: f"{value:.6g}" for text, value in numbers.items()}
+    factor, unit = (1e3, "ms") if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS else (1, unit)
+    columns = {text: f"{factor * value:.6g}" for text, value in numbers.items()}
+    return f"{name} ({unit})" if unit else name, columns
 
 
 def setting_name(key: str) -> str:

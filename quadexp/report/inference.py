@@ -68,10 +68,9 @@ def reduction_interval(values: np.ndarray, baseline: np.ndarray, confidence: flo
         return NO_INTERVAL
     base = float(np.mean(baseline))
     ratio = float(np.mean(values)) / base
-    limits = mean_interval(
-        100 + 100 * (values - ratio * baseline) / base, confidence
-    )  # mean 100, by which `vary` judges
-    return Interval(limits.low - 100 * ratio, limits.high - 100 * ratio, limits.method)
+    about_100 = 100 + 100 * (values - ratio * baseline) / base  # their mean is 100, by which `vary` judges
+    low, high, method = mean_interval(about_100, confidence)
+    return Interval(low - 100 * ratio, high - 100 * ratio, method)
 
 
 class Ratio(NamedTuple):
@@ -103,11 +102,10 @@ def success_interval(successes: int, trials: int, confidence: float = 0.95) -> t
     """Limits of a share of independent trials; NaN without trials."""
     if trials == 0:
         return math.nan, math.nan
-    k, n, tail = successes, trials, (1 - confidence) / 2
-    return (
-        float(betaincinv(k, n - k + 1, tail)) if k > 0 else 0.0,
-        float(betaincinv(k + 1, n - k, 1 - tail)) if k < n else 1.0,
-    )
+    tail = (1 - confidence) / 2
+    low = float(betaincinv(successes, trials - successes + 1, tail)) if successes > 0 else 0.0
+    high = float(betaincinv(successes + 1, trials - successes, 1 - tail)) if successes < trials else 1.0
+    return low, high
 
 
 def paired_permutation(differences: np.ndarray) -> float:

@@ -14,44 +14,37 @@ from typing import Any, Literal, NamedTuple
 
 from quadexp.files.writer import write_text
 from quadexp.report.draw import line_figure
-from quadexp.report.figures import save
-from quadexp.report.points import Place, Point
 from quadexp.report.statistics import Statistic, compute_statistics
-from quadexp.report.style import Figure
+from quadexp.report.style import Figure, save
 from quadexp.report.table import Table
 from quadexp.report.tables import course_labels, plant_labels
 from quadexp.report.text import speed_text
-from quadexp.report.view import Axis, View
+from quadexp.report.view import Axis, Place, Point, View
 
 Row = Mapping[str, Any]
 First = Literal["plant", "world"]
+TITLE = "Mean distance of the true position from the reference over the flight (mm), mean over seeds"
 
 
 class Means(NamedTuple):
-    """labels: of the controllers, in order. places: (plant or world, course, speed) -> label -> mean error."""
+    """first: what a place begins with. labels: of the controllers, in order. places: (plant or world, course, speed)
+    -> label -> mean error."""
 
+    first: First
     labels: list[str]
     places: dict[tuple[str, str, float], dict[str, Statistic]]
 
 
 def draw(rows: Sequence[Row], out: Path) -> dict[str, str]:
     """Table and figure of the ladder into <out>; returns name -> path."""
-    figure = means_figure(means_by_place(rows, "world"), "world")
-    return {
-        "table_ladder": str(write_text(out / "ladder.md", ladder_table(rows).markdown())),
-        "figure_ladder": str(save(figure, out / "figures" / "ladder", inside=out)),
-    }
+    table = write_text(out / "ladder.md", ladder_table(rows).markdown())
+    figure = save(means_figure(means_by_place(rows, "world")), out / "figures" / "ladder", inside=out)
+    return {"table_ladder": str(table), "figure_ladder": str(figure)}
 
 
 def ladder_table(rows: Sequence[Row]) -> Table:
     """Mean position error (mm) by world and controller, of every trajectory and speed."""
-    title = "Mean distance of the true position from the reference over the flight (mm), mean over seeds"
-    return means_table(means_by_place(rows, "world"), "world", title)
-
-
-def world_of(plant: str) -> str:
-    """The world's name in the name of a plant."""
-    return plant.partition("/")[2] or "clean"
+    return means_table(means_by_place(rows, "world"), TITLE)
 
 
 def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ()) -> Means:
@@ -60,44 +53,45 @@ def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ())
     statistics = compute_statistics(rows, metrics=("mean_error",))
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
     labels = plant_labels(statistics)
-    found: dict[tuple[str, str], dict[float, dict[str, Statistic]]] = {}
+    speeds: dict[tuple[str, str], dict[float, dict[str, Statistic]]] = {}
     for s, label in zip(statistics, labels, strict=True):
-        at = s.plant if first == "plant" else world_of(s.plant), courses[s.trajectory, s.setting]
-        found.setdefault(at, {}).setdefault(s.speed, {})[label] = s
-    places = {(*at, speed): speeds[speed] for at, speeds in found.items() for speed in sorted(speeds)}
-    return Means(list(dict.fromkeys([*(name for name in order if name in labels), *labels])), places)
+        world = s.plant.partition("/")[2] or "clean"
+        at = s.plant if first == "plant" else world, courses[s.trajectory, s.setting]
+        speeds.setdefault(at, {}).setdefault(s.speed, {})[label] = s
+    places = {(*at, speed): of_speed[speed] for at, of_speed in speeds.items() for speed in sorted(of_speed)}
+    return Means(first, list(dict.fromkeys([*(name for name in order if name in labels), *labels])), places)
 
 
-def means_table(means: Means, first: First, title: str, *, bold: bool = False) -> Table:
+def means_table(means: Means, title: str, *, bold: bool = False) -> Table:
     """A line a place, a column a controller. bold: mark the best of a line (winner.py)."""
+
+    def cell(s: Statistic | None) -> str:
+        """The mean, or how many of its flights were not completed."""
+        if s is None:
+            return ""
+        if s.failures:
+            return ", ".join(f"{count} of {s.seeds} {outcome}" for outcome, count in s.failures.items())
+        text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
+        return f"**{text}**" if bold and s.best else text
+
     lines = [
-        [place, course, speed_text(speed, ""), *(_cell(found.get(label), bold) for label in means.labels)]
-        for (place, course, speed), found in means.places.items()
+        [place, course, speed_text(speed, ""), *(cell(by_label.get(label)) for label in means.labels)]
+        for (place, course, speed), by_label in means.places.items()
     ]
-    return Table([first, "trajectory", "m/s", *means.labels], lines, title, left=frozenset({0, 1}))
+    return Table([means.first, "trajectory", "m/s", *means.labels], lines, title, left=frozenset({0, 1}))
 
 
-def means_figure(means: Means, first: First) -> Figure:
+def means_figure(means: Means) -> Figure:
     """Over the worlds, a panel for each course and speed; or over the speed, a panel for each plant and course."""
     places: dict[Place, Point] = {}
     for label in means.labels:
-        for (place, course, speed), found in means.places.items():
-            if (s := found.get(label)) is not None:
-                at = (course, speed, label, place) if first == "world" else (place, course, label, speed)
+        for (place, course, speed), by_label in means.places.items():
+            if (s := by_label.get(label)) is not None:
+                at = (course, speed, label, place) if means.first == "world" else (place, course, label, speed)
                 mean, low, high = (math.nan,) * 3 if s.failures else (s.mean, s.low, s.high)
                 places[at] = Point(mean, low, high, s.n, s.n, *s.flown, method=s.interval)
-    worlds = tuple(dict.fromkeys(place for place, _, _ in means.places))
-    x, facet = Axis("world", worlds, "group"), ("trajectory", "trajectory.speed")
-    if first == "plant":
-        x, facet = Axis.of("trajectory.speed", sorted({at[2] for at in means.places})), ("plant", "trajectory")
+    worlds, speeds = dict.fromkeys(at[0] for at in means.places), sorted({at[2] for at in means.places})
+    x, facet = Axis("world", tuple(worlds), "group"), ("trajectory", "trajectory.speed")
+    if means.first == "plant":
+        x, facet = Axis.of("trajectory.speed", speeds), ("plant", "trajectory")
     return line_figure(View("lines", "mean_error", x, ("controller",), facet, places=places))
-
-
-def _cell(s: Statistic | None, bold: bool) -> str:
-    """The mean, or how many of its flights were not completed."""
-    if s is None:
-        return ""
-    if s.failures:
-        return ", ".join(f"{count} of {s.seeds} {outcome}" for outcome, count in s.failures.items())
-    text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
-    return f"**{text}**" if bold and s.best else text

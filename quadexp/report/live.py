@@ -16,8 +16,6 @@ from quadexp.report.table import Table
 from quadexp.report.tables import TITLES, error_table
 from quadexp.report.text import shown
 
-MOST_LINES = 60  # of the table on the page
-
 
 @dataclass
 class Live:
@@ -36,18 +34,12 @@ class Live:
     def done(self) -> int:
         return len(self.rows)
 
-    @property
-    def left(self) -> float:
-        """Seconds that the rest will take at the rate so far; NaN where it is not known."""
-        flown = self.done - self.before
-        return self.elapsed / flown * (self.total - self.done) if flown > 0 else math.nan
-
     def progress_text(self) -> str:
-        """How far it is, in a sentence."""
-        count = f"{self.done} of {self.total} flights"
+        """How far it is, in a sentence; how long the rest will take at the rate so far, where that is known."""
+        count, flown = f"{self.done} of {self.total} flights", self.done - self.before
         if self.state != "running":
             return f"{count}, {self.state}"
-        rest = f", about {clock(self.left)} left" if math.isfinite(self.left) else ""
+        rest = f", about {clock(self.elapsed / flown * (self.total - self.done))} left" if flown > 0 else ""
         return f"{count}, {clock(self.elapsed)} so far{rest}"
 
     def table(self) -> Table:
@@ -57,14 +49,12 @@ class Live:
         if not rows:
             return Table(["trajectory", "m/s"], [], title)
         known = [{**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]} for row in rows]
-        table = error_table(known, self.metric, baseline="").table()
+        table = error_table(known, self.metric, baseline="")
         return replace(table, title=title, notes=table.notes[:1])
 
 
 def clock(seconds: float) -> str:
-    """Such as "1:05 min" or "2:03:10 h"; "?" where it is not known."""
-    if not math.isfinite(seconds):
-        return "?"
+    """Such as "1:05 min" or "2:03:10 h"."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min" if minutes else f"{rest} s"
@@ -72,11 +62,6 @@ def clock(seconds: float) -> str:
 
 def page(live: Live, seconds: float) -> str:
     """The page, which loads itself anew every few seconds while the sweep runs."""
-    table = live.table()
-    if (more := len(table.rows) - 1 - MOST_LINES) > 0:
-        notes = [*table.notes, f"{more} more lines are not shown."]
-        table = replace(table, rows=table.rows[: MOST_LINES + 1], notes=notes)
-    block = Block(progress=(live.done, live.total, live.progress_text()), tables=[PageTable.of(table)])
-    sections = [Section("sweep", "", live.title, "", [block])]
+    block = Block(progress=(live.done, live.total, live.progress_text()), tables=[PageTable.of(live.table())])
     refresh = f"{seconds:g}" if live.state == "running" else ""
-    return document(f"{live.title} - quadexp sweep", sections, refresh=refresh)
+    return document(f"{live.title} - quadexp sweep", [Section("sweep", "", live.title, "", [block])], refresh=refresh)

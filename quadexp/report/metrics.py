@@ -1,4 +1,4 @@
-"""How well a flight followed its reference.
+"""How well a flight followed its reference, and the row of results that says it.
 
 With e the position error (m), phi the angle of the rotation between attitude and reference (rad), or, where the path
 leaves the heading free, between their thrust axes:
@@ -14,6 +14,7 @@ that was not flown to its end has no error (log/outcome.py).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,8 +22,23 @@ import numpy as np
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
+from quadexp.report.table import csv_text
 
 SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor counts as at its limit
+ERRORS = ("rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse")
+METRICS = (
+    *ERRORS, "saturated_share", "peak_speed", "duration", "unconverged_count", "solve_time_median", "solve_time_p99",
+    "solve_time_max",
+)  # fmt: skip
+# Columns of a row of results, in the order they are written.
+ROW_COLUMNS = (
+    "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", *ERRORS, "solve_time_median",
+    "solve_time_p99", "solve_time_max", "saturated_share", "peak_speed", "duration", "unconverged_count",
+    "reference_residual", "outside_data", "outcome", "backend", "cause", "program", "sources", "libraries", "key",
+)  # fmt: skip
+_NUMBERS = (*METRICS, "speed", "seed", "reference_residual", "outside_data")
+TEXT_COLUMNS = tuple(name for name in ROW_COLUMNS if name not in _NUMBERS)
+INTEGER_COLUMNS = ("seed", "unconverged_count")
 
 
 class Shown(NamedTuple):
@@ -69,10 +85,8 @@ def attitude_error(flight: Flight) -> np.ndarray:
     2 atan2(|a - b|, |a + b|) of unit vectors a and b: the thrust axes, or the quaternions, which have half the angle,
     with the sign of b such that |a - b| is the smaller one.
     """
-    a, b = (
-        q / np.linalg.norm(q, axis=1, keepdims=True)
-        for q in (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE])
-    )
+    attitudes = (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE])
+    a, b = (attitude / np.linalg.norm(attitude, axis=1, keepdims=True) for attitude in attitudes)
     free = _free(flight)
     if free:
         from quadexp.physics.rotation import thrust_axis  # imports CasADi, which showing a flight does without
@@ -92,8 +106,8 @@ def heading_error(flight: Flight) -> np.ndarray:
     """Azimuth of y_body minus that of the reference, (k,) (rad), in [-pi, pi]."""
     from quadexp.physics.rotation import heading  # imports CasADi, which showing a flight does without
 
-    found, wanted = (heading(q) for q in (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE]))
-    return np.remainder(found - wanted + np.pi, 2 * np.pi) - np.pi
+    flown, wanted = heading(flight.state[:, ATTITUDE]), heading(flight.reference_state[:, ATTITUDE])
+    return np.remainder(flown - wanted + np.pi, 2 * np.pi) - np.pi
 
 
 def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> float:
@@ -114,7 +128,7 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
         return dict.fromkeys(METRICS, float("nan")) | {"unconverged_count": 0, "duration": 0.0}
     error, angle, t = position_error(flight), attitude_error(flight), flight.t
     every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 else 1
-    solve_time = flight["solve_time"][::every]
+    solve_time, unconverged = flight["solve_time"][::every], flight.columns.get("unconverged", np.zeros(0))[::every]
     metrics = {
         "rmse": float(np.sqrt(np.mean(error**2))),
         "mean_error": float(np.mean(error)),
@@ -124,9 +138,7 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
         "saturated_share": saturated_share(flight, thrust_min, thrust_max),
         "peak_speed": float(np.linalg.norm(flight.state[:, VELOCITY], axis=1).max()),
         "duration": float(t[-1] - t[0]),
-        "unconverged_count": int(np.sum(flight.columns["unconverged"][::every]))
-        if "unconverged" in flight.columns
-        else 0,
+        "unconverged_count": int(np.sum(unconverged)),
         "solve_time_median": float(np.median(solve_time)),
         "solve_time_p99": float(np.percentile(solve_time, 99)),
         "solve_time_max": float(np.max(solve_time)),
@@ -136,11 +148,29 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
 
 def errors_none(outcome: Any) -> dict[str, float]:
     """The errors of a flight with this outcome as far as they are none; {} where it was flown to its end."""
-    return {} if outcome in COMPLETED else dict.fromkeys(ERRORS, float("nan"))
+    return {} if outcome in COMPLETED else dict.fromkeys(ERRORS, math.nan)
 
 
-ERRORS = ("rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse")
-METRICS = (
-    *ERRORS, "saturated_share", "peak_speed", "duration", "unconverged_count", "solve_time_median", "solve_time_p99",
-    "solve_time_max",
-)  # fmt: skip
+def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows of results as CSV, numbers in full precision."""
+    return csv_text(ROW_COLUMNS, ([row.get(name) for name in ROW_COLUMNS] for row in rows))
+
+
+def to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """Rows of results as columns of fixed types, for Parquet."""
+    columns: dict[str, np.ndarray] = {}
+    for name in ROW_COLUMNS:
+        values = [row.get(name) for row in rows]
+        if name in TEXT_COLUMNS:
+            columns[name] = np.array(["" if value is None else str(value) for value in values], dtype=object)
+        else:
+            kind, empty = (np.int64, 0) if name in INTEGER_COLUMNS else (float, math.nan)
+            columns[name] = np.array([empty if value is None else value for value in values], dtype=kind)
+    return columns
+
+
+def from_columns(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Rows of results from the columns of their file; a flight that was lost has no errors, whatever wrote it."""
+    lists = (column.tolist() for column in columns.values())
+    rows = (dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True))
+    return [row | errors_none(row["outcome"]) for row in rows]

@@ -37,11 +37,9 @@ QUANTITIES = {
 def identification_lines(model: VehicleModel, report: Row) -> list[str]:
     """The result of an identification. report: as in the checkpoint folder."""
     lines = [_data_line(model), *model_lines(model)]
-    if report.get("beside_quadratic"):
-        lines.append(
-            "thrust      its interval holds where drag along z is linear in v_z; beside quadratic drag it is"
-            f" {report['beside_quadratic']}"
-        )
+    if beside := report.get("beside_quadratic"):
+        where = "where drag along z is linear in v_z; beside quadratic drag it is"
+        lines.append(f"thrust      its interval holds {where} {beside}")
     other = {(row["axis"], row["term"]): row["value"] for row in report["other_loss"]["rows"]}
     drag = ", ".join(f"d_{axis} {other[axis, 'linear']:.4f}" for axis in "xyz")
     lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")
@@ -59,14 +57,11 @@ def main_lines(model: VehicleModel, report: Row) -> list[str]:
     """What matters first, in four lines: data, thrust, drag, the best model; and the notes."""
     drag = _linear_drag(model.linear.records(), ".4g")
     lines = [_data_line(model), f"thrust      {model.thrust}", f"drag        {drag} 1/s"]
-    for row in report["selection"]:
-        if row["level"] == report.get("best_row", report["best"]):
-            score, where = (
-                row["held_out"] or row["in_sample"],
-                "on flights left out" if row["held_out"] else "in sample",
-            )
-            error = f": RMSE {score['norm']:.3f} m/s^2 {where}" if score else ""
-            lines.append(f"best        {row['name'].strip('+ ')}{error}")
+    level = report.get("best_row", report["best"])
+    for row in (row for row in report["selection"] if row["level"] == level):
+        score, where = row["held_out"] or row["in_sample"], "on flights left out" if row["held_out"] else "in sample"
+        error = f": RMSE {score['norm']:.3f} m/s^2 {where}" if score else ""
+        lines.append(f"best        {row['name'].strip('+ ')}{error}")
     return lines + [f"note        {note}" for note in report["notes"]]
 
 
@@ -82,25 +77,21 @@ def _linear_drag(rows: Sequence[Row], form: str) -> str:
 
 
 def model_lines(model: VehicleModel) -> list[str]:
-    """Thrust curve and coefficients, +- half the 95 % interval."""
-    lines = [f"intervals   +- is half the 95 % interval {interval_of(model.dataset.get('flights', 0))}"]
-    lines.append(f"thrust      {model.thrust}")
-    for kind, terms in model.models.items():
-        for axis in "xyz":
-            own = [row for row in terms.records() if row["axis"] == axis]
-            text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in own)
-            lines.append(f"{kind.replace('_', ' ') if axis == 'x' else '':<14}{axis}: {text}")
-    return lines + (torque_lines(model.torque) if model.torque is not None else [])
-
-
-def interval_of(flights: int) -> str:
-    """The scope of the intervals of a fit to so many flights (quadexp.models.regression)."""
-    if flights >= FLIGHT_CLUSTERS:
-        return f"over {flights} flights"
-    return (
-        "of these flights only, from blocks of time: what differs from flight to flight is not in it"
+    """Thrust curve and coefficients, +- half the 95 % interval, and its scope (quadexp.models.regression)."""
+    flights = model.dataset.get("flights", 0)
+    scope = (
+        f"over {flights} flights"
+        if flights >= FLIGHT_CLUSTERS
+        else "of these flights only, from blocks of time: what differs from flight to flight is not in it"
         f" ({FLIGHT_CLUSTERS} flights or more show that)"
     )
+    lines = [f"intervals   +- is half the 95 % interval {scope}", f"thrust      {model.thrust}"]
+    for kind, terms in model.models.items():
+        for axis in "xyz":
+            rows = [row for row in terms.records() if row["axis"] == axis]
+            text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in rows)
+            lines.append(f"{kind.replace('_', ' ') if axis == 'x' else '':<14}{axis}: {text}")
+    return lines + (torque_lines(model.torque) if model.torque is not None else [])
 
 
 def _curve_lines(curves: Sequence[Row], model: VehicleModel) -> list[str]:
@@ -109,17 +100,17 @@ def _curve_lines(curves: Sequence[Row], model: VehicleModel) -> list[str]:
     curve = model.thrust
     used = "unused" if not curve.reference_voltage else "V" if curve.voltage_exponent == 1 else "V^g"
     signals = {"unused": "command", "V": "command V/V_ref", "V^g": "command (V/V_ref)^g"}
-    parts = {"in_sample": "in sample", "held_out": "left out"}
-    parts |= {"halves_out": "half left out"} if any(row.get("halves_out") is not None for row in curves) else {}
-    lines = []
+    halves = any(row.get("halves_out") is not None for row in curves)
+    parts = {"in_sample": "in sample", "held_out": "left out"} | ({"halves_out": "half left out"} if halves else {})
+    rows = []
     for row in curves:
         name = " + ".join(f"c_{p} s^{p}" if p > 1 else "c_1 s" for p in row["powers"])
         chosen = row["voltage"] == used and tuple(row["powers"]) == tuple(curve.powers.astype(int).tolist())
         cells = ["-" if row[part] is None else f"{row[part]:.3f}" for part in parts]
-        lines.append([f"  {name}, s = {signals[row['voltage']]}", *cells, "<- used" if chosen else ""])
-    halves = ", and on half a flight left out" if "halves_out" in parts else ""
-    title = f"thrust curves: RMSE along z (m/s^2), in sample, on flights left out{halves}"
-    return Table(["", *parts.values(), ""], lines, title, left=frozenset({0, len(parts) + 1})).lines()
+        rows.append([f"  {name}, s = {signals[row['voltage']]}", *cells, "<- used" if chosen else ""])
+    title = "thrust curves: RMSE along z (m/s^2), in sample, on flights left out"
+    title += ", and on half a flight left out" if halves else ""
+    return Table(["", *parts.values(), ""], rows, title, left=frozenset({0, len(parts) + 1})).lines()
 
 
 def selection_lines(rows: Sequence[Row], best: str) -> list[str]:
@@ -157,43 +148,41 @@ def validation_lines(report: Row) -> list[str]:
     flights, rows = report["flights"], report["rows"]
     how = "each by models refitted to the others" if report["leave_one_out"] else "by the models as they are"
     lines = [*report["notes"], f"{len(flights)} flights, {rows[0]['rows']} samples, {how}", ""]
-    lines += one_step_lines(rows)
+    lines += _one_step_lines(rows)
     base = next((row for row in rows if row["predictor"] == "nominal" and not row["thrust_tracked"]), None)
     if base is not None:
         about = "nominal about its mean (without the accelerometer's constant offsets)"
         lines.append(f"{about}: {base['rms_about_mean']:.3f}")
     if report.get("nominal"):
         lines.append(f"nominal: the thrust curve {report['nominal']}, as fitted beside drag, without the drag")
-    lines += [*least_lines(rows), "", *band_lines(report["bands"])]
+    lines += [*_least_lines(rows), "", *_band_lines(report["bands"])]
     for mode, (_, description) in MODES.items():
-        own = [row for row in report["rollouts"] if row["mode"] == mode]
-        if own:
+        rollouts = [row for row in report["rollouts"] if row["mode"] == mode]
+        if rollouts:
             lines += ["", *report["torque"]] if mode == "torque" else []
             if mode != "attitude":
                 description += "; rotor thrusts as measured, thrust scale tracked up to the start"
-            head = f"open loop: {description}; {mean_of(mode)} over {own[0]['starts']} starts"
-            lines += ["", head, *rollout_lines(own)]
+            head = f"open loop: {description}; {mean_of(mode)} over {rollouts[0]['starts']} starts"
+            lines += ["", head, *rollout_lines(rollouts)]
     return lines
 
 
-def least_lines(rows: Sequence[Row]) -> list[str]:
+def _least_lines(rows: Sequence[Row]) -> list[str]:
     """The best model's share of nominal's residual: as fitted, and with the thrust scale tracked."""
-    fitted, tracked = (
-        min((row for row in rows if row["thrust_tracked"] == tracked), key=lambda row: row["rms"])
-        for tracked in (False, True)
-    )
-    if "share" not in fitted:
-        return []
+
+    def least(tracked: bool) -> Row:
+        return min((row for row in rows if row["thrust_tracked"] == tracked), key=lambda row: row["rms"])
 
     def text(row: Row, key: str) -> str:
-        return f"{_percent(row, key)} [{100 * row[key + '_low']:.1f}, {100 * row[key + '_high']:.1f}]"
+        return f"{_percent(row, key)} [{100 * row[key + '_low']:.1f}, {100 * row[key + '_high']:.1f}] of nominal"
 
+    fitted, tracked = least(False), least(True)
+    if "share" not in fitted:
+        return []
+    alike, share = text(tracked, "share_alike"), text(tracked, "share")
     return [
-        f"least, as fitted: {fitted['predictor']}, {text(fitted, 'share')} of nominal as fitted",
-        (
-            f"least, thrust scale tracked: {tracked['predictor']}, {text(tracked, 'share_alike')} of nominal"
-            f" with its scale tracked too, {text(tracked, 'share')} of nominal as fitted"
-        ),
+        f"least, as fitted: {fitted['predictor']}, {text(fitted, 'share')} as fitted",
+        f"least, thrust scale tracked: {tracked['predictor']}, {alike} with its scale tracked too, {share} as fitted",
     ]
 
 
@@ -201,7 +190,7 @@ def _percent(row: Row, key: str) -> str:
     return f"{100 * row[key]:.1f} %" if row.get(key) is not None else ""
 
 
-def one_step_lines(rows: Sequence[Row]) -> list[str]:
+def _one_step_lines(rows: Sequence[Row]) -> list[str]:
     """A line per predictor: axes and vector as fitted, then vector and shares with the thrust scale tracked.
 
     The shares are of nominal as fitted, and of nominal with its scale tracked too.
@@ -224,7 +213,7 @@ def one_step_lines(rows: Sequence[Row]) -> list[str]:
     return Table(heads + ["outside the fit"] * outside, lines, title, groups=groups).lines()
 
 
-def band_lines(bands: Sequence[Row]) -> list[str]:
+def _band_lines(bands: Sequence[Row]) -> list[str]:
     """RMS of the vector by speed, a line per predictor."""
     edges = sorted({(row["low"], row["high"]) for row in bands})
     texts = {(row["predictor"], row["low"]): f"{row['rms']:.3f} / {row['rms_tracked']:.3f}" for row in bands}
@@ -245,8 +234,8 @@ def rollout_lines(rows: Sequence[Row]) -> list[str]:
     values = {(row["predictor"], row["thrust_tracked"], row["horizon"]): row for row in rows}
     lines = []
     for name, tracked in keys:
-        own = [values.get((name, tracked, horizon)) for horizon in horizons]
-        cells = [f"{error_of(row, quantity):.3f}" if row else "" for quantity in quantities for row in own]
+        at = [values.get((name, tracked, horizon)) for horizon in horizons]
+        cells = [f"{error_of(row, quantity):.3f}" if row else "" for quantity in quantities for row in at]
         lines.append([name + (", tracked" if tracked and several else ""), *cells])
     groups = {1 + i * len(horizons): f"{name} ({QUANTITIES[name][0]})" for i, name in enumerate(quantities)}
     return Table(["", *(f"{h:g} s" for _ in quantities for h in horizons)], lines, groups=groups).lines()

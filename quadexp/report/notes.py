@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
 from quadexp.models.support import REPORTED_SHARE
-from quadexp.report.flown_by import mixed_programs
+from quadexp.report.checked import mixed_programs
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound, is_invalid
 from quadexp.report.text import count, speed_text, too_few
 
@@ -31,33 +32,29 @@ Row = Mapping[str, Any]
 
 
 def table_notes(
-    statistics: Sequence[Statistic], pooled: Sequence[Statistic], found: Sequence[Verdict] = ()
+    statistics: Sequence[Statistic], pooled: Sequence[Statistic], best: Sequence[Verdict] = ()
 ) -> tuple[str, ...]:
     """What the numbers of a table are, who is best, and each contestant against the baseline over all conditions."""
     from quadexp.report.inference import least_seeds
 
     confidence = statistics[0].confidence
-    known = any(s.common_interval == "t" for s in statistics)
-    interval = f" [{100 * confidence:g} % interval: Student's t]" if known else ""
+    alpha, contestants = 1 - confidence, len({s.contestant for s in statistics})
     seeds = sorted({s.seeds for s in statistics})
-    seeds_text = count(seeds[0], "seed") if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
-    all_well = not any(s.failures for s in statistics)
-    over = f"mean over {'' if all_well else 'the flights of a line that all completed, of '}{seeds_text}"
-    contestants = len({s.contestant for s in statistics})
-    alpha = 1 - confidence
-    line = "a trajectory and speed, whatever the settings" if any(s.variant for s in statistics) else "a line"
-    bold = (
-        f"; bold: least error of {line}, significantly less than every other (p < {alpha:.2g}, corrected for the choice"
-        " among them and for the lines), if no other completed more flights"
-        + ("; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else "")
-        + ("" if any(s.best for s in statistics) else "; here: none")
-    )
-    lines = [f"{over}{interval}" + (bold if contestants > 1 else "")]
-    tested = [s for s in statistics if s.comparisons]
-    if tested:
+    over = count(seeds[0], "seed") if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
+    lost = any(s.failures for s in statistics)
+    line = f"mean over {'the flights of a line that all completed, of ' if lost else ''}{over}"
+    if any(s.common_interval == "t" for s in statistics):
+        line += f" [{100 * confidence:g} % interval: Student's t]"
+    if contestants > 1:
+        of = "a trajectory and speed, whatever the settings" if any(s.variant for s in statistics) else "a line"
+        line += f"; bold: least error of {of}, significantly less than every other (p < {alpha:.2g}, corrected for the"
+        line += " choice among them and for the lines), if no other completed more flights"
+        line += "; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else ""
+        line += "" if any(s.best for s in statistics) else "; here: none"
+    lines = [line]
+    if tested := [s for s in statistics if s.comparisons]:
         comparisons, pairs = tested[0].comparisons, max(s.pairs for s in tested)
-        over = count(comparisons, "comparison")
-        least = least_seeds(comparisons, confidence)
+        over, least = count(comparisons, "comparison"), least_seeds(comparisons, confidence)
         if pairs >= least:
             test = f"p < {alpha:.2g}, paired permutation test, Holm over {over}"
             lines.append(f"* differs from {tested[0].baseline}: {test}")
@@ -65,11 +62,10 @@ def table_notes(
             lines.append(too_few(pairs, least, confidence, f" in a line, over {over}"))
     elif not any(s.baseline for s in statistics) and contestants > 1:
         lines.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
-    if not all_well:
-        lines.append(RULE)
+    lines += [RULE] if lost else []
     if any(s.n > s.common for s in statistics):
         lines.append("own: mean over all own completed flights, and their number")
-    lines += [text for one in found if (text := one.text())]
+    lines += [text for verdict in best if (text := verdict.text())]
     return (*lines, *_first([entry.text() for entry in pooled]))
 
 
@@ -83,13 +79,13 @@ def notes(rows: Sequence[Row]) -> list[str]:
     """The notes on result rows; empty if there are none."""
     invalid = [text] if (text := invalid_text(rows)) else []
     rows = [row for row in rows if not is_invalid(row)]
-    groups: dict[tuple[str, str, str], list[Row]] = {}
+    flights: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault(contestant_of(row), []).append(row)
-    labels = contestant_labels(list(groups))
+        flights.setdefault(contestant_of(row), []).append(row)
+    labels = contestant_labels(list(flights))
     lines = []
     for note in OF_A_CONTESTANT:
-        lines += _first([f"{labels[who]}: {text}" for who, own in groups.items() if (text := note(own))])
+        lines += _first([f"{labels[who]}: {text}" for who, flown in flights.items() if (text := note(flown))])
     return invalid + lines + mixed_programs(rows)
 
 
@@ -99,10 +95,8 @@ def invalid_text(rows: Sequence[Row]) -> str:
     if not causes:
         return ""
     shown = [f"{cause} ({n})" if len(causes) > 1 else cause for cause, n in causes.most_common(MOST_CAUSES)]
-    rest = f"; and {len(causes) - MOST_CAUSES} other causes" if len(causes) > MOST_CAUSES else ""
-    return (
-        f"{sum(causes.values())} of {len(rows)} combinations are invalid and were not flown: {'; '.join(shown)}{rest}"
-    )
+    shown += [f"and {len(causes) - MOST_CAUSES} other causes"] if len(causes) > MOST_CAUSES else []
+    return f"{causes.total()} of {len(rows)} combinations are invalid and were not flown: {'; '.join(shown)}"
 
 
 def _known(rows: Sequence[Row], name: str) -> Iterator[tuple[float, Row]]:
@@ -118,7 +112,7 @@ def _outside_data(rows: Sequence[Row]) -> str:
     known = {id(row) for _, row in shares}
     unknown = sum(bool(row.get("model")) and row["outcome"] not in UNFLOWN and id(row) not in known for row in rows)
     parts = [f"unknown of {unknown} flights whether inside the data of its model (older checkpoint)"] if unknown else []
-    largest, row = max(shares, key=lambda one: one[0], default=(0.0, {}))
+    largest, row = max(shares, key=itemgetter(0), default=(0.0, {}))
     if largest > REPORTED_SHARE:
         mean = sum(share for share, _ in shares) / len(shares)
         most = f" (most: {100 * largest:.3g} %, {_place(row)})" if len(shares) > 1 else ""
@@ -143,15 +137,13 @@ def _unknown_world(rows: Sequence[Row]) -> str:
 
 def _attitude_error(rows: Sequence[Row]) -> str:
     """Large attitude errors of completed flights."""
-    errors = [one for one in _known(rows, "attitude_rmse") if one[1]["outcome"] == "ok"]
-    large = [one for one in errors if one[0] > LARGE_ATTITUDE_ERROR]
+    errors = [(error, row) for error, row in _known(rows, "attitude_rmse") if row["outcome"] == "ok"]
+    worst, row = max(errors, key=itemgetter(0), default=(0.0, {}))
+    large = sum(error > LARGE_ATTITUDE_ERROR for error, _ in errors)
     if not large:
         return ""
-    worst, row = max(large, key=lambda one: one[0])
-    return (
-        f"attitude error above {math.degrees(LARGE_ATTITUDE_ERROR):.0f} degrees in {len(large)} of"
-        f" {count(len(errors), 'flight')} (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
-    )
+    above = f"attitude error above {math.degrees(LARGE_ATTITUDE_ERROR):.0f} degrees in {large}"
+    return f"{above} of {count(len(errors), 'flight')} (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
 
 
 OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (
@@ -168,19 +160,19 @@ def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> l
     """A line if more than REPORTED_SHARE of a flight lay outside its model's data, or that is unknown; or always."""
     if record is None:
         return []
-    share = record["share"]
+    share, model = record["share"], record["model"]
     if share is None:
-        return [f"data        unknown whether the flight lay inside the data of {record['model']}: {record['note']}"]
+        return [f"data        unknown whether the flight lay inside the data of {model}: {record['note']}"]
     if share <= REPORTED_SHARE and not always:
         return []
-    text = f"data        {100 * share:.1f} % of samples outside the data that {record['model']} was fitted to"
-    worst = sorted(record["shares"], key=lambda name: -record["shares"][name])[:3]
+    worst = sorted(record["shares"].items(), key=lambda feature: -feature[1])[:3]
     parts = [
-        f"{name} {100 * record['shares'][name]:.1f} %, fitted on {_range(name, record['ranges'][name])}"
-        for name in worst
-        if record["shares"][name] > 0
+        f"{name} {100 * outside:.1f} %, fitted on {_range(name, record['ranges'][name])}"
+        for name, outside in worst
+        if outside > 0
     ]
-    return [text + (f" ({'; '.join(parts)})" if parts else "")]
+    of = f" ({'; '.join(parts)})" if parts else ""
+    return [f"data        {100 * share:.1f} % of samples outside the data that {model} was fitted to{of}"]
 
 
 def range_lines(ranges: Mapping[str, Sequence[float]]) -> list[str]:

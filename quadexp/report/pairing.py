@@ -46,21 +46,21 @@ _BEFORE_KEY = re.compile(r" (?=[\w./@]+=)")  # values may hold blanks
 _KEYS_ABOVE = re.compile(r"^[^=]*\.(?=[^=.]*=)")
 
 
-def split_variant(variant: str) -> tuple[str, str]:
-    """What varies within a sweep, as (of the controller, of the condition): "controller.nodes=20 plant.payload=0.1"."""
-    parts = _BEFORE_KEY.split(variant) if variant else []
-    own = [part for part in parts if part.startswith("controller.")]
-    return " ".join(own), " ".join(part for part in parts if part not in own)
+def _split(variant: str | None) -> list[str]:
+    """ "controller.nodes=20 plant.payload=0.1" as its settings."""
+    return _BEFORE_KEY.split(variant) if variant else []
 
 
 def condition_of(row: Row) -> Condition:
     speed = row["speed"]
     speed = None if speed is None or math.isnan(float(speed)) else float(speed)
-    return row["plant"], row["vehicle"], row["trajectory"], speed, split_variant(row.get("variant") or "")[1]
+    setting = " ".join(part for part in _split(row.get("variant")) if not part.startswith("controller."))
+    return row["plant"], row["vehicle"], row["trajectory"], speed, setting
 
 
 def contestant_of(row: Row) -> Contestant:
-    return row["controller"], row["model"], split_variant(row.get("variant") or "")[0]
+    settings = " ".join(part for part in _split(row.get("variant")) if part.startswith("controller."))
+    return row["controller"], row["model"], settings
 
 
 def is_flown(row: Row) -> bool:
@@ -88,23 +88,16 @@ def contestant_labels(contestants: Sequence[Contestant]) -> dict[Contestant, str
         short = {path: path for path in paths}
     labels = {}
     for controller, model, variant in contestants:
-        parts = [controller, short[model] if len(models[controller]) > 1 and model else "", *variant_parts(variant)]
-        labels[controller, model, variant] = " ".join(part for part in parts if part)
+        parts = [controller, short[model] if len(models[controller]) > 1 and model else ""]
+        parts += [_KEYS_ABOVE.sub("", part) for part in _split(variant)]  # "nodes=20" of "controller.nodes=20"
+        labels[controller, model, variant] = " ".join(filter(None, parts))
     count = Counter(labels.values())
-    for one in (one for one, label in labels.items() if count[label] > 1):  # the short label is not unique
-        labels[one] = " ".join(part for part in one if part)
-    return labels
+    return {who: " ".join(filter(None, who)) if count[label] > 1 else label for who, label in labels.items()}
 
 
-def variant_parts(variant: str) -> list[str]:
-    """The settings of a variant, each without its groups: "controller.nodes=20" becomes "nodes=20"."""
-    return [_KEYS_ABOVE.sub("", part) for part in _BEFORE_KEY.split(variant) if part]
-
-
-def setting_pairs(variant: str) -> list[tuple[str, str]]:
+def setting_pairs(variant: str | None) -> list[tuple[str, str]]:
     """(key, value) of the settings of a variant, as texts; values may hold blanks."""
-    parts = (part.partition("=") for part in _BEFORE_KEY.split(variant) if part)
-    return [(key, value) for key, _, value in parts]
+    return [(key, value) for key, _, value in (part.partition("=") for part in _split(variant))]
 
 
 class Flights(NamedTuple):
@@ -115,7 +108,7 @@ class Flights(NamedTuple):
 
     @property
     def share(self) -> float:
-        return self.ended / self.trials if self.trials else float("nan")
+        return self.ended / self.trials if self.trials else math.nan
 
     def text(self) -> str:
         return f"{self.ended} of {self.trials}"
@@ -165,7 +158,7 @@ def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
 
 def flew_least(flights: Mapping[Who, Flights]) -> frozenset[Who]:
     """The contestants with the smallest share of completed flights; none if all have the same."""
-    shares = {who: one.share for who, one in flights.items() if one.trials}
+    shares = {who: count.share for who, count in flights.items() if count.trials}
     low, high = min(shares.values(), default=0.0), max(shares.values(), default=0.0)
     return frozenset(who for who, share in shares.items() if share == low < high)
 
@@ -221,12 +214,12 @@ class Groups:
     def flights(self, conditions: Iterable[Condition]) -> dict[Contestant, Flights]:
         """Contestant -> how many of its trials in these conditions were completed."""
         counts: dict[Contestant, Flights] = {}
-        for here in (self.conditions[condition] for condition in conditions):
-            flown = {who: [one for same in by_seed.values() for one in same] for who, by_seed in here.items()}
-            possible = {one.seed for own in flown.values() for one in own if one.outcome != "infeasible"}
-            for who, own in flown.items():
-                count = Flights(sum(one.outcome == "ok" for one in own), sum(one.seed in possible for one in own))
-                counts[who] = counts.get(who, Flights(0, 0)).plus(count)
+        for condition in conditions:
+            cells = {who: self.cells[condition, who] for who in self.conditions[condition]}
+            possible = {flown.seed for cell in cells.values() for flown in cell if flown.outcome != "infeasible"}
+            for who, cell in cells.items():
+                ended, trials = sum(f.outcome == "ok" for f in cell), sum(f.seed in possible for f in cell)
+                counts[who] = counts.get(who, Flights(0, 0)).plus(Flights(ended, trials))
         return counts
 
     def common(self, conditions: Iterable[Condition]) -> Common:
@@ -234,8 +227,8 @@ class Groups:
         ended: dict[Contestant, set[tuple[Condition, int]]] = {}
         for condition in conditions:
             for contestant, by_seed in self.conditions[condition].items():
-                good = {(condition, seed) for seed, same in by_seed.items() if all(one.outcome == "ok" for one in same)}
-                ended.setdefault(contestant, set()).update(good)
+                good = [seed for seed, same in by_seed.items() if all(flown.outcome == "ok" for flown in same)]
+                ended.setdefault(contestant, set()).update((condition, seed) for seed in good)
         compared, shared = common(ended)
         seeds: dict[Condition, set[int]] = {}
         for condition, seed in shared:
@@ -250,13 +243,13 @@ class Groups:
     def values(self, condition: Condition, contestant: Contestant, place: int, seeds: Set[int]) -> np.ndarray:
         """One metric, one value per seed in ascending order; the mean if a seed was flown more than once."""
         by_seed = self.conditions[condition].get(contestant, {})
-        flights = ([one.values[place] for one in same] for seed, same in by_seed.items() if seed in seeds)
-        return np.array([own[0] if len(own) == 1 else np.mean(own) for own in flights], float)
+        flights = ([flown.values[place] for flown in same] for seed, same in by_seed.items() if seed in seeds)
+        return np.array([values[0] if len(values) == 1 else np.mean(values) for values in flights], float)
 
     def baseline(self, contestant: Contestant) -> Contestant | None:
         """The baseline of a contestant; if the baseline flew with several settings, the one with the same settings."""
-        same = [who for who in self._baselines if len(self._baselines) == 1 or who[2] == contestant[2]]
-        return same[0] if len(same) == 1 and contestant not in self._baselines else None
+        alike = [who for who in self._baselines if len(self._baselines) == 1 or who[2] == contestant[2]]
+        return alike[0] if len(alike) == 1 and contestant not in self._baselines else None
 
     def pairs(
         self, condition: Condition, contestant: Contestant, rival: Contestant, among: Common | None = None
@@ -266,20 +259,20 @@ class Groups:
         among: take only the common flights, if both contestants are among the compared ones.
         """
         shared = among.seeds.get(condition, frozenset()) if among and {contestant, rival} <= {*among.compared} else None
-        own, others = (self.conditions[condition].get(who, {}) for who in (contestant, rival))
+        flights, rivals = (self.conditions[condition].get(who, {}) for who in (contestant, rival))
         name = self.labels[rival]
         pairs: list[tuple[Flown, Flown]] = []
         causes: Counter[str] = Counter()
-        for seed in sorted({*own, *others}):
-            mine, its = own.get(seed, []), others.get(seed, [])
+        for seed in sorted({*flights, *rivals}):
+            mine, its = flights.get(seed, []), rivals.get(seed, [])
             if len(mine) > 1 or len(its) > 1:
                 causes["flown more than once"] += 1
             elif not mine or not its:
                 causes["not asked for" if not mine else f"not asked of {name}"] += 1
-            elif (mine_was := mine[0].outcome) != "ok":
-                its_was = its[0].outcome
-                also = f" as was {name}" if its_was == mine_was else f" ({name} {its_was})" if its_was != "ok" else ""
-                causes[mine_was + also] += 1
+            elif (outcome := mine[0].outcome) != "ok":
+                other = its[0].outcome
+                also = f" as was {name}" if other == outcome else f" ({name} {other})" if other != "ok" else ""
+                causes[outcome + also] += 1
             elif its[0].outcome != "ok":
                 causes[f"{its[0].outcome} by {name}"] += 1
             elif shared is not None and seed not in shared:

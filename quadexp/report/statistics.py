@@ -17,10 +17,12 @@ The interval is for new seeds of these conditions, not for new trajectories.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,17 +31,8 @@ from quadexp.log.outcome import FAILURES
 from quadexp.log.schema import describe
 from quadexp.report import inference
 from quadexp.report.metrics import SHOWN
-from quadexp.report.pairing import (
-    Condition,
-    Contestant,
-    Flights,
-    Flown,
-    Groups,
-    Row,
-    causes_text,
-    seed_means,
-    whole,
-)  # fmt: skip
+from quadexp.report.pairing import Condition, Contestant, Flights, Flown, Groups, Row, causes_text, seed_means, whole
+from quadexp.report.table import csv_text
 from quadexp.report.text import count, probability, too_few
 from quadexp.report.winner import best_of_lines
 
@@ -59,10 +52,10 @@ class Statistic:
     differences, positive if smaller than the baseline.
 
     seeds: cells requested. trials: those that at least one contestant could fly. n: flights in the mean. common:
-    flights in the common mean, 0 if it is not compared. best_p: see `winner.line_p`, corrected for the number of lines,
-    NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low, high].
-    p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed: m/s,
-    NaN for a trajectory without one.
+    flights in the common mean, 0 if it is not compared. best_p: see winner.best_of_lines, corrected for the number of
+    lines, NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low,
+    high]. p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed:
+    m/s, NaN for a trajectory without one.
 
     conditions, units: over all conditions, number of those with pairs, and of their seeds, which are the values.
     own_reduction, own_pairs: over all flights that both completed.
@@ -129,11 +122,6 @@ class Statistic:
         return not self.trajectory
 
     @property
-    def condition(self) -> Condition:
-        speed = None if math.isnan(self.speed) else self.speed
-        return self.plant, self.vehicle, self.trajectory, speed, self.setting
-
-    @property
     def contestant(self) -> Contestant:
         return self.controller, self.model, self.variant
 
@@ -172,12 +160,12 @@ class Statistic:
         if not self.pairs:
             return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
         low, high = self.reduction_low, self.reduction_high
-        word, (low, high) = ("less", (low, high)) if self.reduction >= 0 else ("more", (-high, -low))
+        word, low, high = ("less", low, high) if self.reduction >= 0 else ("more", -high, -low)
         limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
         about = self.chance + (f"; left out: {self.left_out}" if self.left_out else "")
         if self.own_pairs > self.pairs:
-            own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
-            about += f"; over all {self.own_pairs} that both completed: {own:.1f} % {more}"
+            change = f"{abs(self.own_reduction):.1f} % {'less' if self.own_reduction >= 0 else 'more'}"
+            about += f"; over all {self.own_pairs} that both completed: {change}"
         over = count(self.conditions, "condition")
         return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
 
@@ -194,52 +182,54 @@ def compute_statistics(
     about: dict[tuple[Condition, Contestant], dict[str, Any]] = {}  # what is the same for every metric
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
     for condition, among in groups.lines.items():
+        plant, vehicle, trajectory, speed, setting = condition
+        where: dict[str, Any] = {"plant": plant, "vehicle": vehicle, "trajectory": trajectory, "setting": setting}
+        where |= {"speed": NAN if speed is None else speed}
         for contestant, flown in groups.flights([condition]).items():
             at, rival = (condition, contestant), groups.baseline(contestant)
             low, high = inference.success_interval(flown.ended, flown.trials, confidence)
-            about[at] = {
-                **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
-                "speed": NAN if condition[3] is None else condition[3],
-                **_whose(groups, contestant, confidence),
-                **_tally(groups.cells[at], flown.trials),
-                "success_low": low,
-                "success_high": high,
-            }
+            about[at] = {**where, **_whose(groups, contestant, confidence), **_tally(groups.cells[at], flown.trials)}
+            about[at] |= {"success_low": low, "success_high": high}
             if rival is not None:
                 pairs[at], causes = groups.pairs(condition, contestant, rival, among)
                 about[at] |= {"baseline": groups.labels[rival], "left_out": causes_text(causes)}
     statistics: list[Statistic] = []
     for place, metric in enumerate(metrics):
-        made = []
+        of_metric, unit = [], describe(metric, "results").unit
         best = best_of_lines(groups, place, confidence) if metric in COMPARED else {}
         for at, flights in groups.cells.items():
             (condition, contestant), among = at, groups.lines[at[0]]
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
             values = np.array([flown.values[place] for flown in flights if flown.outcome == "ok"])
             shared = groups.values(condition, contestant, place, seeds)
-            own = _mean_fields(values, confidence)
+            every = _mean_fields(values, confidence)
             # The common flights are among its own: as many are the same.
-            common = own if len(shared) == len(values) else _mean_fields(shared, confidence)
-            fields = about[at] | own
+            common = every if len(shared) == len(values) else _mean_fields(shared, confidence)
+            fields = about[at] | every
             fields |= {"common" if name == "n" else f"common_{name}": value for name, value in common.items()}
             if metric not in COMPARED:
                 fields |= {"baseline": "", "left_out": ""}
             elif pairs.get(at):
                 fields |= _comparison(pairs[at], place, confidence)
-            unit = describe(metric, "results").unit
-            made.append(Statistic(metric=metric, unit=unit, best_p=best.get(at, NAN), **fields))
-        corrected = inference.holm(np.array([one.p for one in made]))
-        comparisons = int(np.count_nonzero(~np.isnan(corrected)))
-        statistics += [
-            one if math.isnan(p) else replace(one, p_holm=float(p), comparisons=comparisons)
-            for one, p in zip(made, corrected, strict=True)
-        ]
+            of_metric.append(Statistic(metric=metric, unit=unit, best_p=best.get(at, NAN), **fields))
+        statistics += corrected(of_metric)
     return statistics
 
 
+def corrected(statistics: Sequence[Statistic]) -> list[Statistic]:
+    """The same, with p by Holm over those that have one."""
+    corrected = inference.holm(np.array([statistic.p for statistic in statistics]))
+    tests = int(np.count_nonzero(~np.isnan(corrected)))
+    return [
+        statistic if math.isnan(p) else replace(statistic, p_holm=float(p), comparisons=tests)
+        for statistic, p in zip(statistics, corrected, strict=True)
+    ]
+
+
 def _whose(groups: Groups, contestant: Contestant, confidence: float) -> dict[str, Any]:
-    names = dict(zip(("controller", "model", "variant"), contestant, strict=True))
-    return {**names, "label": groups.labels[contestant], "confidence": confidence}
+    controller, model, variant = contestant
+    label = groups.labels[contestant]
+    return {"controller": controller, "model": model, "variant": variant, "label": label, "confidence": confidence}
 
 
 def _tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
@@ -252,44 +242,38 @@ def _tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
 def _mean_fields(values: np.ndarray, confidence: float) -> dict[str, Any]:
     """Number, mean, its interval and the standard deviation of the finite values; NaN if there are none."""
     values = values[np.isfinite(values)]
-    limits = inference.mean_interval(values, confidence, least=0.0)
-    return {
-        "n": len(values),
-        "mean": float(np.mean(values)) if len(values) else NAN,
-        "low": limits.low,
-        "high": limits.high,
-        "std": float(np.std(values, ddof=1)) if len(values) > 1 else NAN,
-        "interval": limits.method,
-    }
+    low, high, method = inference.mean_interval(values, confidence, least=0.0)
+    mean = float(np.mean(values)) if len(values) else NAN
+    std = float(np.std(values, ddof=1)) if len(values) > 1 else NAN
+    return {"n": len(values), "mean": mean, "low": low, "high": high, "std": std, "interval": method}
 
 
 def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: float) -> dict[str, Any]:
-    own, others = (np.array([pair[side].values[place] for pair in pairs]) for side in (0, 1))
-    differences = own - others
+    values, others = (np.array([pair[side].values[place] for pair in pairs]) for side in (0, 1))
+    differences, base = values - others, float(np.mean(others))
     limits = inference.mean_interval(differences, confidence)
-    relative = inference.reduction_interval(own, others, confidence)
-    base = float(np.mean(others))
+    relative = inference.reduction_interval(values, others, confidence)
     return {
         "pairs": len(pairs),
         "baseline_mean": base,
         "difference": float(np.mean(differences)),
         "difference_low": limits.low,
         "difference_high": limits.high,
-        "reduction": _reduction(float(np.mean(own)) / base) if base > 0 else NAN,
+        "reduction": _reduction(float(np.mean(values)) / base) if base > 0 else NAN,
         "reduction_low": relative.low,
         "reduction_high": relative.high,
         "cohen_d": inference.cohen_d(differences),
-        **_test(differences, inference.vary(own) or inference.vary(others)),
+        **_test(differences, inference.vary(values) or inference.vary(others)),
     }
 
 
 def _test(differences: np.ndarray, varying: bool) -> dict[str, Any]:
     """Effect and p of the differences of some seeds, (n,), and the least p that so many can give; no p for copies of
     one flight."""
-    tested = {"effect": inference.rank_biserial(differences)}
-    if len(differences) > 1 and varying:
-        tested |= {"p": inference.paired_permutation(differences), "p_least": inference.least_p(len(differences))}
-    return tested
+    effect = {"effect": inference.rank_biserial(differences)}
+    if len(differences) < 2 or not varying:
+        return effect
+    return {**effect, "p": inference.paired_permutation(differences), "p_least": inference.least_p(len(differences))}
 
 
 def overall(
@@ -299,7 +283,7 @@ def overall(
     groups = Groups(rows, baseline, (metric,))
     among = {world: groups.common(conditions) for world, conditions in groups.worlds.items()}
     flights = {condition: groups.flights([condition]) for condition in groups.conditions}
-    made = []
+    pooled = []
     for contestant in groups.contestants:
         if (rival := groups.baseline(contestant)) is None:
             continue
@@ -307,25 +291,24 @@ def overall(
         every: list[float] = []  # the mean of each condition, also beyond the common flights
         own_pairs = trials = 0
         causes: Counter[str] = Counter()
-        own: list[Flown] = []
         for condition in dict.fromkeys(at for at, who in groups.cells if who in (contestant, rival)):
             pairs, left_out = groups.pairs(condition, contestant, rival, among[condition[:2]])
-            own += groups.cells.get((condition, contestant), [])
             trials += flights[condition].get(contestant, Flights(0, 0)).trials
             causes.update(left_out)
-            here = _logs(pairs)
-            if len(here) < len(pairs):
-                causes["without an error above zero"] += len(pairs) - len(here)
-            logs |= {(condition, seed): log for seed, log in here.items()}
+            by_seed = _logs(pairs)
+            if len(by_seed) < len(pairs):
+                causes["without an error above zero"] += len(pairs) - len(by_seed)
+            logs |= {(condition, seed): log for seed, log in by_seed.items()}
             if beyond := _logs(groups.pairs(condition, contestant, rival)[0]):
                 every.append(float(np.mean([*beyond.values()])))
                 own_pairs += len(beyond)
         kept = whole(logs.keys()) if logs else frozenset()
         if len(kept) < len(logs):
             causes["not in every condition"] += len(logs) - len(kept)
-        by_seed = seed_means(logs)
-        ratio = inference.log_ratio(by_seed, confidence)  # NaN without pairs
-        made.append(
+        means = seed_means(logs)
+        ratio = inference.log_ratio(means, confidence)  # NaN without pairs
+        flown = [flight for (_, who), cell in groups.cells.items() if who == contestant for flight in cell]
+        pooled.append(
             Statistic(
                 metric=metric,
                 unit=describe(metric, "results").unit,
@@ -333,27 +316,67 @@ def overall(
                 left_out=causes_text(causes),
                 conditions=len({condition for condition, _ in kept}),
                 pairs=len(kept),
-                units=len(by_seed),
+                units=len(means),
                 own_pairs=own_pairs,
                 own_reduction=_reduction(math.exp(np.mean(every))) if every else NAN,
                 reduction=_reduction(ratio.value),
                 reduction_low=_reduction(ratio.high),
                 reduction_high=_reduction(ratio.low),
                 **_whose(groups, contestant, confidence),
-                **_tally(own, trials),
-                **_test(by_seed, inference.vary(by_seed)),
+                **_tally(flown, trials),
+                **_test(means, inference.vary(means)),
             )
         )
-    corrected = inference.holm(np.array([one.p for one in made]))
-    tests = int(np.count_nonzero(~np.isnan(corrected))) or sum(one.pairs > 0 for one in made)
-    return [replace(one, p_holm=float(p), comparisons=tests) for one, p in zip(made, corrected, strict=True)]
+    tests = sum(not math.isnan(statistic.p) for statistic in pooled) or sum(statistic.pairs > 0 for statistic in pooled)
+    return [replace(statistic, comparisons=tests) for statistic in corrected(pooled)]
 
 
 def _logs(pairs: Sequence[tuple[Flown, Flown]]) -> dict[int, float]:
     """Seed -> logarithm of the ratio of the first metric, of the pairs that have one."""
-    errors = {own.seed: (own.values[0], other.values[0]) for own, other in pairs}
-    return {seed: math.log(own / other) for seed, (own, other) in errors.items() if own > 0 and other > 0}
+    errors = {flown.seed: (flown.values[0], other.values[0]) for flown, other in pairs}
+    return {seed: math.log(error / other) for seed, (error, other) in errors.items() if error > 0 and other > 0}
 
 
 def _reduction(ratio: float) -> float:
     return 100 * (1 - ratio)
+
+
+KINDS = {field.name: {"int": np.int64, "float": float, "str": object}[str(field.type)] for field in fields(Statistic)}
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """rows: per metric and contestant, in each condition and over all. flights: the result rows they are of."""
+
+    rows: list[Statistic]
+    flights: Sequence[Row]
+    baseline: str
+    confidence: float
+
+    def of(self, metric: str) -> list[Statistic]:
+        return [row for row in self.rows if row.metric == metric and not row.is_overall]
+
+    def record(self, metric: str) -> list[dict[str, Any]]:
+        """Of one metric, for JSON."""
+        return [asdict(row) for row in self.of(metric)]
+
+    @cached_property
+    def csv(self) -> str:
+        return statistics_csv(self.rows)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """20 hex digits of all numbers."""
+        return hashlib.sha256(self.csv.encode()).hexdigest()[:20]
+
+
+def results_statistics(rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE) -> Statistics:
+    """The statistics of result rows: of each metric, line by line and over all conditions."""
+    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
+    pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
+    return Statistics([*compute_statistics(rows, **options), *pooled], rows, baseline, confidence)
+
+
+def statistics_csv(statistics: Sequence[Statistic]) -> str:
+    """Numbers in full precision, nothing for NaN."""
+    return csv_text(list(KINDS), ([getattr(row, name) for name in KINDS] for row in statistics))

@@ -1,56 +1,64 @@
-"""The look of all figures and of the report's page: colour and marker per controller, style, legends, logarithmic axes.
+"""The look of all figures and of the report's page: colour and marker per controller, style, legends, logarithmic axes;
+and how a figure is written.
 
 A controller looks the same in every figure and on the page, and so does a model of the air: `gp_mpc` and a GP are blue.
-Variants of a controller (settings, checkpoint) have its hue in another shade, hollow markers, another dash. Every hue
-has a colour on light ground (also on paper) and one on dark ground. All have a contrast of 3:1 and are distinct for
-colour-blind readers (tests/report/test_palette.py).
+Variants of a controller (settings, checkpoint) have its hue in another shade, hollow markers, another dash. All colours
+have a contrast of 3:1 and are distinct for colour-blind readers (tests/report/test_style.py).
 """
 
 from __future__ import annotations
 
+import base64
 import io
 import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import matplotlib.figure
+import numpy as np
 from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, to_hex, to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-from quadexp.messages import clean
+from quadexp.files.writer import written
+from quadexp.messages import clean, html
 from quadexp.parts.options import OptionFiles
+from quadexp.progress import doing
+from quadexp.report import FORMATS
 
-HUES: dict[str, tuple[str, str]] = {  # hue -> colour on light and on dark ground
-    "ink": ("#000000", "#ffffff"),
-    "orange": ("#b87708", "#ecb83f"),
-    "blue": ("#004fc3", "#51a3fa"),
-    "green": ("#0a7344", "#46d7a0"),
-    "pink": ("#90338f", "#c751ba"),
-    "vermillion": ("#8c2e08", "#e47048"),
-    "sky": ("#1e8fcc", "#a3cee6"),
-    "brown": ("#4e1b06", "#906b5a"),
-    "grey": ("#5f6773", "#8d97a5"),
+HUES = {
+    "ink": "#000000",
+    "orange": "#b87708",
+    "blue": "#004fc3",
+    "green": "#0a7344",
+    "pink": "#90338f",
+    "vermillion": "#8c2e08",
+    "sky": "#1e8fcc",
+    "brown": "#4e1b06",
+    "grey": "#5f6773",
 }
-USUAL_SHADES = (
-    (-0.45, 0.25, -0.7),
-    (0.6, 0.35, -0.25),
-)  # of variants on light and dark ground: share of white, or of black
-OTHER_SHADES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # where the usual ones are not distinct
-    "ink": ((0.5, 0.25, 0.38), (-0.55, -0.25, -0.4)),
-    "orange": ((-0.45, -0.25, -0.7), (0.6, -0.35, 0.35)),
-    "pink": (USUAL_SHADES[0], (0.65, 0.3, 0.48)),
-    "sky": ((-0.45, -0.25, -0.7), (-0.45, 0.7, -0.25)),
-    "brown": ((0.45, 0.25, -0.6), (0.65, 0.3, 0.48)),
+USUAL_SHADES = (-0.45, 0.25, -0.7)  # of variants: share of white, or of black where negative
+OTHER_SHADES = {  # where the usual ones are not distinct
+    "ink": (0.5, 0.25, 0.38),
+    "orange": (-0.45, -0.25, -0.7),
+    "sky": (-0.45, -0.25, -0.7),
+    "brown": (0.45, 0.25, -0.6),
 }
-COLOURS = tuple(HUES[hue][0] for hue in HUES if hue != "grey")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">", "p")
+COLOURS = tuple(colour for hue, colour in HUES.items() if hue != "grey")
+GLYPHS = {  # marker of matplotlib -> the same as letters, filled and hollow
+    "o": "●○", "s": "■□", "^": "▲△", "D": "◆◇", "v": "▼▽", "P": "✚✛", "X": "✖✕", "*": "★☆", "h": "⬢⬡", "<": "◀◁",
+    ">": "▶▷", "p": "⬟⬠",
+}  # fmt: skip
+MARKERS = tuple(GLYPHS)
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 STYLE: Any = {  # matplotlib types every single key
     "font.size": 9,
@@ -71,17 +79,9 @@ STYLE: Any = {  # matplotlib types every single key
 styled = matplotlib.rc_context(STYLE)  # decorator of functions that make a Figure
 
 
-@dataclass(frozen=True)
-class _Clean:
-    """Texts of ticks without control characters. made: text of a value and its number."""
-
-    made: Callable[..., str]
-
-    def __call__(self, *tick: Any) -> str:
-        return clean(self.made(*tick))
-
-
 MANY = 20_000  # points
+LARGEST_DRAWING = 100_000  # bytes of a drawing on a page
+DOTS = 144  # of a picture on a page, an inch
 
 
 class Figure(matplotlib.figure.Figure):
@@ -92,8 +92,8 @@ class Figure(matplotlib.figure.Figure):
     def draw(self, renderer: Any) -> None:
         for axis in self.findobj(Axis):  # which makes its texts while it is drawn
             formatter = axis.get_major_formatter()
-            if isinstance(formatter, FuncFormatter) and not isinstance(formatter.func, _Clean):
-                formatter.func = _Clean(formatter.func)
+            if isinstance(formatter, FuncFormatter) and not hasattr(formatter.func, "__wrapped__"):
+                formatter.func = _cleaned(formatter.func)
         for text in self.findobj(Text):
             if (shown := clean(text.get_text())) != text.get_text():
                 text.set_text(shown)
@@ -108,38 +108,15 @@ class Figure(matplotlib.figure.Figure):
             super().savefig(*args, **kwargs)
 
     def _repr_png_(self) -> bytes:
-        stream = io.BytesIO()
-        self.savefig(stream, format="png", dpi=72, bbox_inches="tight")
-        return stream.getvalue()
+        return drawing(self, format="png", dpi=72, bbox_inches="tight")
+
+
+def _cleaned(text_of: Callable[..., str]) -> Callable[..., str]:
+    """What makes the text of a tick, without control characters."""
+    return wraps(text_of)(lambda *tick: clean(text_of(*tick)))
 
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
-Worn = tuple[str, str, Any]  # hue, marker, dash
-
-
-def _looks_of_options() -> tuple[dict[str, Worn], dict[str, Worn]]:
-    """The looks that the options of controllers state (`look:`), and those that share a hue with one of them that they
-    seldom stand beside (`seldom: true`)."""
-    files = OptionFiles()
-    stated = {option: look for option in files.options("controller") if (look := files.look("controller", option))}
-    worn = {option: (look["hue"], look["marker"], look["dash"]) for option, look in stated.items()}
-    usual = {option: look for option, look in worn.items() if not stated[option].get("seldom")}
-    return usual, {option: look for option, look in worn.items() if option not in usual}
-
-
-LOOKS, MORE_LOOKS = _looks_of_options()
-LOOKS |= {  # models of the air
-    "nominal": ("grey", "o", "-"),
-    "linear drag": ("orange", "s", "-"),
-    "quadratic drag": ("green", "X", "--"),
-    "blade element": ("vermillion", "D", "-."),
-}
-ALL_LOOKS = LOOKS | MORE_LOOKS
-SELDOM = ("green", "sky", "pink", "brown", "vermillion")  # hues that controllers without a look of their own get first
-KNOWN = {name: (HUES[hue][0], marker, dash) for name, (hue, marker, dash) in LOOKS.items()}  # with the colour on paper
-BLUE, ORANGE, GREY = KNOWN["gp_mpc"][0], KNOWN["linear drag"][0], "#777777"
-COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # of data behind curves
-MOST_VARIANTS = 4  # of one controller that share its hue; with more, each has a hue of its own
 
 
 @dataclass(frozen=True)
@@ -153,14 +130,14 @@ class Look:
     filled: bool = True
 
     @property
-    def token(self) -> str:
-        """Name of the colour, such as "blue-1": a CSS variable of the page."""
-        return f"{self.hue}-{self.shade}"
+    def colour(self) -> str:
+        """As "#rrggbb"."""
+        return shaded(self.hue, self.shade)
 
     @property
-    def colour(self) -> str:
-        """On paper."""
-        return shaded(self.hue, self.shade)
+    def glyph(self) -> str:
+        """The marker as a letter."""
+        return GLYPHS[self.marker][not self.filled]
 
     def line(self) -> dict[str, Any]:
         """Keywords of `plot` for a line without markers."""
@@ -172,15 +149,39 @@ class Look:
         return {**self.line(), "marker": self.marker, "markersize": 5, "markerfacecolor": face}
 
 
-def shaded(hue: str, shade: int = 0, *, dark: bool = False) -> str:
-    """The colour of a hue, or of the shade of a variant. dark: on dark ground."""
-    colour = HUES[hue][dark]
+def shaded(hue: str, shade: int = 0) -> str:
+    """The colour of a hue, or of the shade of a variant."""
     if shade == 0:
-        return colour
-    share = OTHER_SHADES.get(hue, USUAL_SHADES)[dark][shade - 1]
-    end = 255 if share > 0 else 0
-    mixed = (int(colour[i : i + 2], 16) * (1 - abs(share)) + end * abs(share) for i in (1, 3, 5))
-    return "#" + "".join(f"{round(value):02x}" for value in mixed)
+        return HUES[hue]
+    share = OTHER_SHADES.get(hue, USUAL_SHADES)[shade - 1]
+    red, green, blue = (value + abs(share) * ((share > 0) - value) for value in to_rgb(HUES[hue]))
+    return to_hex((red, green, blue))
+
+
+def _looks_of_options() -> dict[str, Look]:
+    """The looks that the options of controllers state (`look:`); last those that share a hue with another one that they
+    seldom stand beside (`seldom: true`)."""
+    files = OptionFiles()
+    stated = {option: look for option in files.options("controller") if (look := files.look("controller", option))}
+    usual_first = sorted(stated.items(), key=lambda item: bool(item[1].get("seldom")))
+    return {option: Look(look["hue"], look["marker"], look["dash"]) for option, look in usual_first}
+
+
+MODELS = {  # of the air
+    "nominal": Look("grey", "o", "-"),
+    "linear drag": Look("orange", "s", "-"),
+    "quadratic drag": Look("green", "X", "--"),
+    "blade element": Look("vermillion", "D", "-."),
+}
+LOOKS = MODELS | _looks_of_options()
+SELDOM = ("green", "sky", "pink", "brown", "vermillion")  # hues that controllers without a look of their own get first
+BLUE, ORANGE, GREY = HUES["blue"], HUES["orange"], "#777777"
+# Light for small errors, dark for large ones; without the end that is invisible on white paper.
+ERROR_COLOURS = LinearSegmentedColormap.from_list(
+    "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
+)
+COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # of data behind curves
+MOST_VARIANTS = 4  # of one controller that share its hue; with more, each has a hue of its own
 
 
 def looks(labels: Sequence[str]) -> dict[str, Look]:
@@ -196,21 +197,22 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     variants: dict[str, list[str]] = {}
     for label in sorted(labels, key=lambda label: -usual[label]):
         variants.setdefault(name_of(label), []).append(label)
-    many = {name for name, own in variants.items() if len(own) > MOST_VARIANTS}
-    taken = [ALL_LOOKS[name][:2] for name in variants if name in ALL_LOOKS and name not in many]
+    many = {name for name, alike in variants.items() if len(alike) > MOST_VARIANTS}
+    taken = [(LOOKS[name].hue, LOOKS[name].marker) for name in variants if name in LOOKS and name not in many]
+    order = {name: place for place, name in enumerate(LOOKS)}
     chosen: dict[str, Look] = {}
-    for name in sorted(variants, key=lambda name: ("+" in name, name not in LOOKS, name not in ALL_LOOKS)):
+    for name in sorted(variants, key=lambda name: ("+" in name, order.get(name, len(order)))):
         if name in many:
             free = [[x for x in every if all(x not in pair for pair in taken)] or every for every in (HUES, MARKERS)]
             for i, (label, hue, marker) in enumerate(zip(variants[name], *map(cycle, free), strict=False)):
                 chosen[label] = Look(hue, marker, DASHES[i // len(HUES) % len(DASHES)])
             continue
         controller, plus, remedies = name.partition("+")
-        hue, marker, dash = ALL_LOOKS.get(name) or (*_pair_of(controller, chosen, taken), "-")
-        taken.append((hue, marker))
-        dashes = [dash, *(other for other in DASHES if other != dash)]
+        plain = LOOKS.get(name) or Look(*_pair_of(controller, chosen, taken), "-")
+        taken.append((plain.hue, plain.marker))
+        dashes = [plain.dash, *(other for other in DASHES if other != plain.dash)]
         for i, label in enumerate(variants[name]):
-            look = Look(hue, marker, dashes[i], i, i == 0)
+            look = replace(plain, dash=dashes[i], shade=i, filled=i == 0)
             others = list(chosen.values())
             chosen[label] = _with_remedies(look, f"{remedies} {i}", others) if plus else _apart(look, others)
     return {label: chosen[label] for label in labels}
@@ -219,10 +221,8 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
 def _pair_of(name: str, chosen: Mapping[str, Look], taken: Sequence[tuple[str, str]]) -> tuple[str, str]:
     """Hue and marker of a controller without a look of its own: with remedies that of the plain one, otherwise by its
     name, as far as nobody else has them."""
-    if name in chosen:
-        return chosen[name].hue, chosen[name].marker
-    if name in ALL_LOOKS:
-        return ALL_LOOKS[name][:2]
+    if (plain := chosen.get(name) or LOOKS.get(name)) is not None:
+        return plain.hue, plain.marker
     at = zlib.crc32(name.encode())
     hues = [*_turned(SELDOM, at), *(hue for hue in HUES if hue not in SELDOM)]
     markers = _turned([m for m in MARKERS if m not in "os^v"], at // len(SELDOM))  # which the usual controllers have
@@ -287,3 +287,55 @@ def plain_log(axis: Any, *, minor: bool = False) -> None:
     axis.set_minor_formatter(NullFormatter())
     if not minor or len(steps) > 3:
         axis.set_minor_locator(FixedLocator([]))
+
+
+def mathematics(panel: Any) -> None:
+    """Let what stands between $ in the texts of a panel be mathematics."""
+    legend = panel.get_legend()
+    texts = [panel.xaxis.label, panel.yaxis.label, panel.title, *panel.get_xticklabels()]
+    for text in [*texts, *(legend.get_texts() if legend else ())]:
+        text.set_parse_math(True)
+
+
+def error_bar(figure: Figure, norm: Normalize, panels: Any, label: str, **where: Any) -> None:
+    """The scale of ERROR_COLOURS beside panels, with plain numbers."""
+    bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=panels, label=label, **where)
+    if isinstance(norm, LogNorm):
+        plain_log(bar.ax.yaxis)
+
+
+@styled
+def save_figure(figure: Figure, path: Path, *, inside: Path | None = None, force: bool = True) -> Path:
+    """Write a figure as PNG, PDF or SVG, as its suffix says, without the time at which it was drawn. inside: see
+    `written`."""
+    form = path.suffix.lower().lstrip(".")
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form)
+    with written(path, inside=inside, force=force) as file:
+        figure.savefig(file, format=form, dpi=150, metadata=undated)
+    return path
+
+
+def save(figure: Figure, path: Path, inside: Path | None = None) -> Path:
+    """Write a figure as PNG and SVG; returns the path of the SVG, the last that is written."""
+    doing(f"drawing {path.name}")
+    for form in FORMATS[::-1]:
+        save_figure(figure, path.with_suffix(f".{form}"), inside=inside)
+    return path.with_suffix(".svg")
+
+
+def figure_html(figure: Figure, label: str) -> str:
+    """A figure inside a page: a drawing (SVG), or where it has too many marks a picture (PNG). label: its description
+    for screen readers."""
+    with matplotlib.rc_context({**STYLE, "svg.fonttype": "none"}):
+        form, drawn = "svg+xml", drawing(figure, format="svg", transparent=True, metadata={"Date": None})
+    if len(drawn) > LARGEST_DRAWING:
+        form, drawn = "png", drawing(figure, format="png", dpi=DOTS)
+    source = f"data:image/{form};base64,{base64.b64encode(drawn).decode()}"
+    return f'<figure style="--wide:{figure.get_size_inches()[0]:.1f}"><img alt="{html(label)}" src="{source}"></figure>'
+
+
+def drawing(figure: Figure, **how: Any) -> bytes:
+    """A figure as a file. how: keywords of `savefig`."""
+    stream = io.BytesIO()
+    figure.savefig(stream, **how)
+    return stream.getvalue()

@@ -1,4 +1,4 @@
-"""The content of a file: kind, configuration, units, seed, versions, size, on one screen."""
+"""The content of a file: kind, configuration, units, seed, versions, size, on one screen; and a flight's result."""
 
 from __future__ import annotations
 
@@ -6,26 +6,27 @@ import json
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.parts.schema import WORLD
-from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
-from quadexp.report.margin_line import margin_line
-from quadexp.report.metrics import METRICS, errors_none
+from quadexp.report.checked import flown_by, flown_by_lines, versions_of
+from quadexp.report.metrics import METRICS, errors_none, from_columns
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
-from quadexp.report.table import records_table
-from quadexp.report.text import speed_text
+from quadexp.report.table import Table, records_table
+from quadexp.report.text import number, speed_text
 
 MODEL_FILE = "model.json"
 RESULTS_FILE = "results.parquet"
+LONG = 0.499  # s: margins are not looked for beyond half a second
+HELD_OUT_UNITS = {"a": "m/s^2", "t": "N m"}  # by the first letter of an output
 
 
 def summarise(path: str | Path) -> dict[str, Any]:
@@ -34,17 +35,22 @@ def summarise(path: str | Path) -> dict[str, Any]:
     Raises UsageError if there is no such file, DataError if it is none of these or damaged.
     """
     path = Path(path)
+    if kind_of(path) == "checkpoint":
+        return _checkpoint(path.parent if path.name == MODEL_FILE else path)
+    return _table(path / RESULTS_FILE if path.is_dir() else path)
+
+
+def kind_of(path: Path) -> str:
+    """ "flight", "results", "checkpoint", or another kind that the file records."""
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
-    if path.name == MODEL_FILE:
-        return _checkpoint(path.parent)
+    if path.name == MODEL_FILE or (path / MODEL_FILE).is_file():
+        return "checkpoint"
     if not path.is_dir():
-        return _table(path)
-    if (path / RESULTS_FILE).is_file():
-        return _table(path / RESULTS_FILE)
-    if (path / MODEL_FILE).is_file():
-        return _checkpoint(path)
-    raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
+        return read_metadata(path)["kind"]
+    if not (path / RESULTS_FILE).is_file():
+        raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
+    return "results"
 
 
 def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[str]:
@@ -55,21 +61,19 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     source = f" from {residual['source']}" if residual.get("source") else ""
     speed = f" at {text}" if (text := speed_text(row["speed"])) else ""
     about = f"{row['controller']} (residual: {name}{source}) flew {row['trajectory']}{speed}"
-    errors = ", ".join(
-        f"{n} {1e3 * row[k]:.4g} mm" for n, k in (("mean", "mean_error"), ("RMSE", "rmse"), ("max", "max_error"))
-    )
+    cause = f" ({metadata['cause']})" if metadata.get("cause") else ""
+    means = {"mean": row["mean_error"], "RMSE": row["rmse"], "max": row["max_error"]}
+    errors = ", ".join(f"{kind} {1e3 * error:.4g} mm" for kind, error in means.items())
     errors += f", attitude {np.degrees(row['attitude_rmse']):.3g} deg"
-    ended = row["outcome"] in COMPLETED
-    times = (1e6 * row[f"solve_time_{name}"] for name in ("median", "p99", "max"))
+    median, p99, largest = (1e6 * row[f"solve_time_{name}"] for name in ("median", "p99", "max"))
     lines = [
         f"{about} on {row['plant']}, seed {row['seed']}",
-        f"outcome     {row['outcome']}{f' ({cause})' if (cause := metadata.get('cause')) else ''}",
-        f"error       {errors if ended else 'none: it was not flown to its end'}",
+        f"outcome     {row['outcome']}{cause}",
+        f"error       {errors if row['outcome'] in COMPLETED else 'none: it was not flown to its end'}",
     ]
     if row["attitude_rmse"] > LARGE_ATTITUDE_ERROR:
         lines.append("            the attitude is far from the reference's, which an error of position does not show")
-    step = "step        median {:.0f} us, 99 % {:.0f} us, largest {:.0f} us"
-    lines.append(f"{step.format(*times)} ({row['backend']})")
+    lines.append(f"step        median {median:.0f} us, 99 % {p99:.0f} us, largest {largest:.0f} us ({row['backend']})")
     if row.get("unconverged_count"):
         lines.append("            the first step did not converge (controller.initial_iterations): not the optimum")
     lines.append(
@@ -77,30 +81,70 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         f" {100 * row['saturated_share']:.1f} % of samples at a thrust limit"
     )
     if thinned := metadata.get("thinned"):
-        lines.append(
-            f"stored      a sample every {thinned['log_period']:g} s, not every {thinned['control_period']:g} s"
-        )
+        every, period = thinned["log_period"], thinned["control_period"]
+        lines.append(f"stored      a sample every {every:g} s, not every {period:g} s")
     if line := margin_line(metadata.get("margins")):
         lines.append(f"loop        {line}")
     share = row.get("reference_residual")
     if share is not None and share < 1:
-        lines.append(
-            f"reference   contains {math.floor(100 * share)} % of the residual ({name}):"
-            " with all of it none was found on this path"
-        )
+        contained = f"{math.floor(100 * share)} % of the residual ({name})"
+        lines.append(f"reference   contains {contained}: with all of it none was found on this path")
     unknown = {"model": row["model"], "share": None, "note": "flown by an older version"} if row.get("model") else None
     return lines + outside_line(metadata.get("outside_data", unknown), always=always)
 
 
-def world_line(record: Mapping[str, Any]) -> list[str]:
-    """The world of a flight and its parts; nothing where the flight does not tell."""
-    if not (world := record.get("world")):
-        return []
-    parts = ", ".join(world_options(record))
-    return [f"world       {world}" + ("" if parts.replace(", ", ",") in ("", world) else f": {parts}")]
+def margin_line(margins: Mapping[str, Any] | None) -> str:
+    """What a loop tolerates of what nobody predicted; "" where it is not known. margins: see experiment.loop_margins.
+    They are those of the MPC by itself, which is said where a remedy is around it."""
+    if not margins:
+        return ""
+    if not margins["delay"]:
+        return "hover is not stable, even without a delay"
+    delay, lag = (_milliseconds(margins[name]) for name in ("delay", "lag"))
+    of = "the bare MPC tolerates" if margins.get("without") or margins.get("age") else "tolerates"
+    line = f"{of} {delay} of unmodelled delay, {lag} of unmodelled lag"
+    if predicted := _predicted(margins):
+        line += f" beyond the {_milliseconds(predicted)} predicted"
+        line += f", and {_milliseconds(margins['early'])} less than these" if margins["dead_time"] else ""
+    return f"{line} (at hover{''.join(f', without {name}' for name in margins.get('without', ()))})"
 
 
-def world_options(record: Mapping[str, Any]) -> list[str]:
+def world_note(margins: Mapping[str, Any] | None) -> str:
+    """Where the world's own delays are more than the loop tolerates; "" where they are not."""
+    if not margins or margins["world_stable"] or not margins["delay"]:
+        return ""
+    world = f"{_milliseconds(margins['world_latency'])} of delay and {_milliseconds(margins['world_lag'])} of motor lag"
+    loop = "the loop of the bare MPC" if margins.get("without") else "the loop"
+    return (
+        f"this world has {world}, the controller predicts {_milliseconds(_predicted(margins))} of dead time and"
+        f" {_milliseconds(margins['motor_lag'])} of lag: {loop} is not stable at hover; give controller.dead_time,"
+        " controller.motor_lag, or a longer controller.first_node (horizon=robust)"
+    )
+
+
+def delays_note(columns: Mapping[str, Any]) -> str:
+    """What delay=identified found in a flight, and how the controller flew until then; "" of other flights."""
+    if "delay_known" not in columns:
+        return ""
+    soft = "the published grid with soft weights"
+    known = columns["t"][columns["delay_known"] != 0]
+    if not len(known):
+        return f"the delays were not all found in this flight: {soft} flew"
+    names = {"delay_time": "state", "delay_dead_time": "commands", "delay_lag": "motors"}
+    delays = ", ".join(f"{word} {_milliseconds(float(columns[name][-1]))}" for name, word in names.items())
+    return f"delays found in flight: {delays}; {soft} flew until t={known[0]:.2f} s"
+
+
+def _predicted(margins: Mapping[str, Any]) -> float:
+    """What is predicted of delays (s), of commands and of the state; flights of earlier versions have no age."""
+    return float(margins["dead_time"] + margins.get("age", 0.0))
+
+
+def _milliseconds(time: float) -> str:
+    return "over 500 ms" if time > LONG else f"{1e3 * time:.0f} ms"
+
+
+def _world_options(record: Mapping[str, Any]) -> list[str]:
     """The parts of a flight's world that do something, such as "wind=dryden"; a flight records no others."""
     config = record.get("config") or {}
     names = {group: config[group].get("name") for group in WORLD if isinstance(config.get(group), Mapping)}
@@ -138,14 +182,15 @@ def _table(path: Path) -> dict[str, Any]:
 
 
 def _flight_lines(record: Mapping[str, Any], samples: int, summary: dict[str, Any]) -> list[str]:
-    outcome = record.get("outcome")
+    outcome, world, parts = record.get("outcome"), record.get("world"), _world_options(record)
     row = record["row"] | errors_none(outcome)
     metrics = {name: row.get(name) for name in METRICS}
     table = [{"figure": name, "value": metrics[name], "unit": describe(name, "results").unit} for name in METRICS]
     summary |= {"metrics": metrics, "outcome": outcome, "tables": [records_table(table)]}
-    summary["world"] = {"name": record.get("world"), "parts": world_options(record)}
-    flown = flight_lines(record, always=True) if samples else [f"outcome     {outcome}: {record.get('cause')}"]
-    return flown + world_line(record)
+    summary["world"] = {"name": world, "parts": parts}
+    lines = flight_lines(record, always=True) if samples else [f"outcome     {outcome}: {record.get('cause')}"]
+    beside = "" if ",".join(parts) in ("", world) else f": {', '.join(parts)}"
+    return lines + ([f"world       {world}{beside}"] if world else [])
 
 
 def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
@@ -167,19 +212,17 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
         f"flights     {len(flights)}, {float(np.sum(columns['dt'])):.0f} s",
     ]
     check_finite(columns, [name for name in columns if columns[name].dtype.kind == "f"], "data set")
-    table = []
+    rows = []
     for name in ("v_x", "v_y", "v_z", "a_x", "a_y", "a_z"):
-        unit = describe(name, "residuals").unit
         numbers = {kind: float(getattr(columns[name], kind)()) for kind in ("mean", "std", "min", "max")}
-        table.append({"column": name, **numbers, "unit": unit})
-        mean, std, low, high = numbers.values()
-        lines.append(f"{name:<12}mean {mean:8.3f}  std {std:7.3f}  min {low:8.3f}  max {high:8.3f} {unit}")
-    summary |= {"flights": flights, "tables": [records_table(table)]}
+        rows.append({"column": name, **numbers, "unit": _unit(name)})
+        text = "  ".join(f"{kind} {value:8.3f}" for kind, value in numbers.items())
+        lines.append(f"{name:<12}{text} {_unit(name)}")
+    summary |= {"flights": flights, "tables": [records_table(rows)]}
     return lines
 
 
 def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
-    from quadexp.report.result_rows import from_columns
     from quadexp.report.tables import error_table
 
     rows = from_columns(columns)
@@ -190,16 +233,40 @@ def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], 
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
         table = error_table(rows, record.get("metric", "mean_error"), **options)
-        summary["tables"] = [table.table()]
+        summary["tables"] = [table]
         lines += ["", *table.markdown().splitlines(), ""]
     return lines
+
+
+def held_out_rows(checkpoint: str | Path) -> list[dict[str, Any]]:
+    """How well each predictor does on flights that no fit has seen: a record for each output and predictor, with rmse
+    and its unit; [] where the checkpoint has no report, or one of another kind."""
+    from quadexp.models.checkpoint import load_report
+
+    path = Path(checkpoint)
+    try:
+        rows = load_report(path.parent if path.name == MODEL_FILE else path).get("rows", [])
+        return [{**row, "unit": HELD_OUT_UNITS[row["output"][0]], "rmse": float(row["rmse"])} for row in rows]
+    except (QuadexpError, ValueError, TypeError, KeyError, AttributeError):  # a model does not need its report
+        return []
+
+
+def held_out_table(rows: Sequence[Mapping[str, Any]]) -> Table | None:
+    """Outputs down, predictors across; None without scores."""
+    if not rows:
+        return None
+    errors: dict[str, dict[str, str]] = {}
+    for row in rows:
+        errors.setdefault(f"{row['output']} ({row['unit']})", {})[row["predictor"]] = number(row["rmse"])
+    predictors = list(dict.fromkeys(row["predictor"] for row in rows))
+    lines = [[output, *(texts.get(predictor, "-") for predictor in predictors)] for output, texts in errors.items()]
+    return Table(["RMSE on held-out flights", *predictors], lines)
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.models.checkpoint import load_model, load_report
     from quadexp.models.neural import NeuralModel
     from quadexp.models.vehicle_model import VehicleModel
-    from quadexp.report.held_out import held_out_rows, held_out_table
 
     model, file = load_model(path), path / MODEL_FILE
     try:
@@ -221,17 +288,15 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     ]
     for name, output in summary["outputs"].items():
         scales = ", ".join(f"{f} {s:.3g}" for f, s in zip(output["features"], output["lengthscale"], strict=True))
-        lines.append(
-            f"{name:<12}{output['inducing']} points, length scales {scales};"
-            f" signal {output['signal_std']:.3g}, noise {output['noise_std']:.3g} {describe(name, 'residuals').unit}"
-        )
+        stds = f"signal {output['signal_std']:.3g}, noise {output['noise_std']:.3g} {_unit(name)}"
+        lines.append(f"{name:<12}{output['inducing']} points, length scales {scales}; {stds}")
     if isinstance(model, NeuralModel):
         summary |= {"sizes": list(model.network.sizes), "features": list(model.features), "lipschitz": model.lipschitz}
         layers = "-".join(map(str, model.network.sizes))
         lines.append(f"network     {layers} units: {', '.join(model.outputs)} from {', '.join(model.features)}")
         lines.append(f"            largest slope of the scaled network at most {model.lipschitz:.3g}")
         for name, std in zip(model.outputs, model.residual_std, strict=True):
-            lines.append(f"{name:<12}error on the rows of the fit {std:.3g} {describe(name, 'residuals').unit}")
+            lines.append(f"{name:<12}error on the rows of the fit {std:.3g} {_unit(name)}")
     if isinstance(model, VehicleModel):
         from quadexp.report.model_lines import model_lines, selection_lines
 
@@ -252,6 +317,10 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     if settings := [f"{name} {value}" for name, value in summary["settings"].items() if name != "features"]:
         lines.append(f"settings    {', '.join(settings)}")
     return summary | {"lines": lines + _provenance_lines(summary)}
+
+
+def _unit(output: str) -> str:
+    return describe(output, "residuals").unit
 
 
 def _output_record(output: Any) -> dict[str, Any]:

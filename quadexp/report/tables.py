@@ -1,20 +1,30 @@
-"""The tables of a sweep: errors, comparisons, flights.
+"""The tables of a sweep: errors, comparisons, flights; and the files of the first two.
 
 The error table has trajectory and speed down and controllers across; every setting that was swept is a column of its
 own, with its unit above and its values down, and so are many plants or worlds. The first row counts the flights that
 completed; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
 settings contradict each other. The comparison table has one row per contestant and condition, against the baseline.
 The table of flights has any columns of the results and any keys, for the terminal, as CSV and as a sortable page.
+
+<results>/statistics.parquet, .csv    every metric, long
+<results>/table.md, .tex              one metric: the error table, and in table.md the comparisons
+<results>/comparison.tex              one metric: every contestant against the baseline
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from quadexp.errors import QuadexpError
+from quadexp.files.writer import write_text
+from quadexp.log.store import read_table, read_text, write_table
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
 from quadexp.report.metrics import NUMBERS, SHOWN
@@ -28,87 +38,52 @@ from quadexp.report.pairing import (
     contestant_of,
     is_invalid,
     setting_pairs,
-)  # fmt: skip
-from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics, overall
+)
+from quadexp.report.statistics import BASELINE, CONFIDENCE, KINDS, Statistic, Statistics, compute_statistics, overall
 from quadexp.report.table import Table, csv_text
-from quadexp.report.text import p_value, shown, speed_text, with_interval
+from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
 from quadexp.report.winner import verdicts
 
 MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
+STATISTICS = "statistics.parquet"
+# What a text file made of statistics is called in the answer of a command.
+NAMES = {
+    "table.md": "markdown",
+    "table.tex": "latex",
+    "comparison.tex": "comparison",
+    "statistics.csv": "statistics_csv",
+}
 TITLES = {name: NUMBERS[name].title for name in SHOWN}
-NAN = math.nan
-
-Line = tuple[str, ...]  # of an error table: trajectory with what else varies, speed, values of swept keys
-
-
-def value_text(s: Statistic) -> tuple[str, str]:
-    """Mean over the common flights and its interval, in the unit that tables show; ("", "") without such flights."""
-    values = (SHOWN[s.metric][0] * value for value in (s.common_mean, s.common_low, s.common_high))
-    return ("", "") if math.isnan(s.common_mean) else with_interval(*values)
-
-
-def own_text(s: Statistic) -> str:
-    """Such as "own 13.1 of 19", over all own completed flights; "" if all of them are common ones."""
-    mean = with_interval(SHOWN[s.metric][0] * s.mean, NAN, NAN)[0]
-    return f"own {mean} of {s.n}" if s.n > s.common else ""
-
-
-def lost_text(s: Statistic) -> str:
-    """Such as "1 lost, 2 solver_failed"."""
-    return ", ".join(f"{count} {outcome}" for outcome, count in s.failures.items())
 
 
 def cell_text(s: Statistic) -> str:
-    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost"."""
-    beside = "; ".join(filter(None, (own_text(s), lost_text(s))))
-    mean, limits = value_text(s)
-    if not mean:
-        return beside or "-"
+    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost".
+
+    The mean over the common flights with its interval; beside it that over all own completed flights, if these are
+    more, and how the others ended."""
+    factor = SHOWN[s.metric][0]
+    beside = [f"{count} {outcome}" for outcome, count in s.failures.items()]
+    beside = [", ".join(beside)] if beside else []
+    if s.n > s.common:
+        beside = [f"own {with_interval(factor * s.mean)[0]} of {s.n}", *beside]
+    if math.isnan(s.common_mean):
+        return "; ".join(beside) or "-"
+    mean, limits = with_interval(factor * s.common_mean, factor * s.common_low, factor * s.common_high)
     mean = f"**{mean}**" if s.best else mean
-    return mean + limits + ("*" if s.significant else "") + (f" ({beside})" if beside else "")
+    return mean + limits + ("*" if s.significant else "") + (f" ({'; '.join(beside)})" if beside else "")
 
 
 @dataclass(frozen=True)
-class ErrorTable:
-    """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
-    flown: column -> how many of its flights it completed. entries: (row, column) -> statistic. notes: lines below.
-    keys: settings that were swept. headings: of their columns. invalid: (row, column) of settings that contradict each
-    other."""
+class ErrorTable(Table):
+    """Rows: counts of completed flights, then trajectory with what else varies, speed, swept settings, means."""
 
-    metric: str
-    unit: str
-    rows: tuple[Line, ...]
-    columns: tuple[str, ...]
-    entries: Mapping[tuple[Line, str], Statistic]
-    flown: Mapping[str, Flights]
-    notes: tuple[str, ...] = ()
-    keys: tuple[str, ...] = ()
-    headings: tuple[str, ...] = ()
-    invalid: Set[tuple[Line, str]] = frozenset()
-
-    def table(self, *, speed: str = "m/s") -> Table:
-        """As texts. speed: heading of that column."""
-        counts = (self.flown[column] for column in self.columns)
-        rows = [["flown", *[""] * (1 + len(self.keys)), *(one.text() if one.trials else "-" for one in counts)]]
-        rows += [[*line, *(self._text(line, column) for column in self.columns)] for line in self.rows]
-        title, beside = f"{TITLES[self.metric]} ({self.unit})", 2 + len(self.keys)
-        heads = ["trajectory", speed, *self.headings, *self.columns]
-        return Table(heads, rows, title, head=1, over=title, notes=self.notes, beside=beside)
-
-    def _text(self, line: Line, column: str) -> str:
-        entry = self.entries.get((line, column))
-        return cell_text(entry) if entry else "invalid" if (line, column) in self.invalid else "-"
-
-    def markdown(self) -> str:
-        return self.table().markdown(bullets=True)
+    def markdown(self, *, bullets: bool = True) -> str:
+        return super().markdown(bullets=bullets)
 
     def latex(self) -> str:
-        return self.table(speed="speed (m/s)").latex()
+        return Table.latex(replace(self, columns=[self.columns[0], "speed (m/s)", *self.columns[2:]]))
 
     __str__ = markdown
-
-    def _repr_html_(self) -> str:
-        return self.table().html()
 
 
 def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -139,7 +114,7 @@ def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str]
     return {at: " ".join(filter(None, at)) if count[label] > 1 else label for at, label in labels.items()}
 
 
-def row_of(s: Statistic) -> dict[str, Any]:
+def _row_of(s: Statistic) -> dict[str, Any]:
     """What a statistic tells of the rows it is made from."""
     names = ("plant", "vehicle", "trajectory", "speed", "controller", "model")
     return {**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()}
@@ -157,51 +132,43 @@ def error_table(
     statistics = compute_statistics(results, metrics=(metric,), **options)
     best = verdicts(results, metric=metric, confidence=confidence)
     notes = table_notes(statistics, overall(results, metric=metric, **options), best)
-    rows = [*map(row_of, statistics), *filter(is_invalid, results)]
-    settings = [dict(setting_pairs(row.get("variant") or "")) for row in rows]
+    rows = [*map(_row_of, statistics), *filter(is_invalid, results)]
+    settings = [dict(setting_pairs(row.get("variant"))) for row in rows]
     values: dict[str, list[str]] = {}
-    for own in settings:
-        for key, value in own.items():
-            values.setdefault(key, []).append(value)
+    for pair in (pair for pairs in settings for pair in pairs.items()):
+        values.setdefault(pair[0], []).append(pair[1])
     keys = [key for key, several in values.items() if len(set(several)) > 1]
     keys.sort(key=lambda key: key.startswith("controller."))  # those of the conditions first
-    kept = (" ".join(f"{key}={value}" for key, value in own.items() if key not in keys) for own in settings)
+    kept = (" ".join(f"{key}={value}" for key, value in pairs.items() if key not in keys) for pairs in settings)
     bare = [{**row, "variant": variant} for row, variant in zip(rows, kept, strict=True)]
     labels = column_labels(bare)
     shown_as = {key: setting_column(key, values[key], keys) for key in keys}
     if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
         labels = column_labels([{**row, "plant": ""} for row in bare])
         shown_as = {"plant": ("plant", {row["plant"]: row["plant"] for row in rows}), **shown_as}
-    order: dict[Line, tuple[str, float]] = {}
-    entries: dict[tuple[Line, str], Statistic] = {}
-    wrong: set[tuple[Line, str]] = set()
-    flown: dict[str, Flights] = {}
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
-    for i, (row, label) in enumerate(zip(bare, labels, strict=True)):
+    places: dict[tuple[str, ...], tuple[int, float]] = {}  # texts that begin a line -> its place
+    cells: dict[tuple[tuple[str, ...], str], str] = {}
+    flown: dict[str, Flights] = {}
+    order: dict[str, int] = {}  # of the courses
+    for row, pairs, label, s in zip(bare, settings, labels, [*statistics, *[None] * len(rows)], strict=False):
         *_, speed, setting = condition_of(row)
-        course, own = courses[row["trajectory"], setting], settings[i] | {"plant": row["plant"]}
-        texts = (column[own[key]] if key in own else "" for key, (_, column) in shown_as.items())
+        course, values_of = courses[row["trajectory"], setting], pairs | {"plant": row["plant"]}
+        texts = (column[values_of[key]] if key in values_of else "" for key, (_, column) in shown_as.items())
         line = (course, speed_text(speed, ""), *texts)
-        order.setdefault(line, (course, -1.0 if speed is None else speed))
-        flown.setdefault(label, Flights(0, 0))
-        if i < len(statistics):
-            entries[line, label] = statistics[i]
-            flown[label] = flown[label].plus(statistics[i].flown)
-        else:
-            wrong.add((line, label))
-    names = list(dict.fromkeys(line[0] for line in order))
-    return ErrorTable(
-        metric=metric,
-        unit=SHOWN[metric][1],
-        rows=tuple(sorted(order, key=lambda line: (names.index(order[line][0]), order[line][1]))),
-        columns=tuple(flown),
-        entries=entries,
-        flown=flown,
-        notes=(*notes, *row_notes(results)),
-        keys=tuple(shown_as),
-        headings=tuple(heading for heading, _ in shown_as.values()),
-        invalid=wrong - entries.keys(),
-    )
+        places.setdefault(line, (order.setdefault(course, len(order)), -1.0 if speed is None else speed))
+        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
+        if s is not None or (line, label) not in cells:
+            cells[line, label] = cell_text(s) if s else "invalid"
+    title, beside = f"{TITLES[metric]} ({SHOWN[metric][1]})", 2 + len(shown_as)
+    counts = ["flown", *[""] * (beside - 1), *(count.text() if count.trials else "-" for count in flown.values())]
+    lines = [
+        [*line, *(cells.get((line, label), "-") for label in flown)]
+        for line in sorted(places, key=lambda line: places[line])
+    ]
+    heads = ["trajectory", "m/s", *(heading for heading, _ in shown_as.values()), *flown]
+    notes = (*notes, *row_notes(results))
+    return ErrorTable(heads, [counts, *lines], title, head=1, over=title, notes=notes, beside=beside)
 
 
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
@@ -212,18 +179,16 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     heading += ["reduction (%)", "effect", "p", "p (Holm)", "left out"]
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
     rows = []
-    for s, label in zip(statistics, column_labels([*map(row_of, statistics)]), strict=True):
+    for s, label in zip(statistics, column_labels([*map(_row_of, statistics)]), strict=True):
         if not s.baseline:
             continue
-        change = ["-", "-"]
+        line = [courses[s.trajectory, s.setting], speed_text(s.speed, ""), label, str(s.pairs), "-", "-"]
         if s.pairs:
-            values = (s.difference, s.difference_low, s.difference_high)
-            change = ["".join(with_interval(*(factor * value for value in values)))]
-            change += ["".join(with_interval(s.reduction, s.reduction_low, s.reduction_high))]
+            difference = (factor * value for value in (s.difference, s.difference_low, s.difference_high))
+            reduction = (s.reduction, s.reduction_low, s.reduction_high)
+            line[-2:] = ["".join(with_interval(*values)) for values in (difference, reduction)]
         effect = "-" if math.isnan(s.effect) else f"{s.effect:.2f}"
-        tests = [effect, p_value(s.p), p_value(s.p_holm), s.left_out or "-"]
-        course = courses[s.trajectory, s.setting]
-        rows.append([course, speed_text(s.speed, ""), label, str(s.pairs), *change, *tests])
+        rows.append([*line, effect, p_value(s.p), p_value(s.p_holm), s.left_out or "-"])
     if not rows:
         return None
     baselines = dict.fromkeys(s.baseline for s in statistics if s.baseline)
@@ -236,24 +201,46 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
 
 
-class FlightsTable(NamedTuple):
-    """names: of the columns that are shown."""
+def comparison_texts(statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
+    """The error table of one metric, and name -> content of the text files made of the statistics."""
+    table = error_table(statistics.flights, metric, baseline=statistics.baseline, confidence=statistics.confidence)
+    files = {"table.md": table.markdown(), "table.tex": table.latex(), "statistics.csv": statistics.csv}
+    if (comparison := comparison_table(statistics.of(metric))) is not None:
+        files["table.md"] += f"\n{comparison.markdown()}"
+        files["comparison.tex"] = comparison.latex()
+    return table, files
 
-    names: list[str]
-    table: Table
+
+def write_comparison(root: Path, statistics: Statistics, texts: Mapping[str, str]) -> dict[str, str]:
+    """Write the statistics and the texts of `comparison_texts`, unless they are there; returns name -> path."""
+    for name, text in texts.items():
+        if read_text(root / name) != text:
+            write_text(root / name, text)
+    if "comparison.tex" not in texts:
+        (root / "comparison.tex").unlink(missing_ok=True)
+    record = {name: getattr(statistics, name) for name in ("baseline", "confidence", "fingerprint")}
+    try:
+        there = read_table(root / STATISTICS, "statistics")[1].get("fingerprint") == statistics.fingerprint
+    except QuadexpError:
+        there = False
+    if not there:
+        columns = {
+            name: np.array([getattr(row, name) for row in statistics.rows], kind) for name, kind in KINDS.items()
+        }
+        write_table(root / STATISTICS, columns, record, "statistics")
+    return {NAMES[name]: str(root / name) for name in texts} | {"statistics": str(root / STATISTICS)}
 
 
-def flights_table(frame: SweepFrame, names: Sequence[str], *, all_of_them: bool = True) -> FlightsTable:
-    """Flights with these columns, in the units in which tables show them. all_of_them: also empty columns.
+def flights_table(frame: SweepFrame, names: Sequence[str]) -> Table:
+    """Flights with these columns, in the units in which tables show them.
 
     Raises UsageError for a name that is no column and no key.
     """
     columns = {name: frame.column(name) for name in names}
-    columns = {name: own for name, own in columns.items() if all_of_them or any(value is not None for value in own)}
-    texts = [[_flight_text(name, value) for value in own] for name, own in columns.items()]
-    left = (i for i, own in enumerate(columns.values()) if not all(is_number(v) for v in own if v is not None))
+    texts = [[_flight_text(name, value) for value in values] for name, values in columns.items()]
+    numbers = [all(is_number(value) for value in values if value is not None) for values in columns.values()]
     rows = [*map(list, zip(*texts, strict=True))]
-    return FlightsTable(list(columns), Table([*map(heading, columns)], rows, left=frozenset(left)))
+    return Table([*map(heading, columns)], rows, left=frozenset(i for i, right in enumerate(numbers) if not right))
 
 
 def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
@@ -263,7 +250,7 @@ def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
 
 def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
     """Flights as a page that sorts and filters, and opens without a network."""
-    return sortable_page(title, flights_table(frame, names).table, notes=[f"{len(frame.rows)} flights of {title}"])
+    return sortable_page(title, flights_table(frame, names), notes=[f"{len(frame.rows)} flights of {title}"])
 
 
 def heading(name: str) -> str:
@@ -273,10 +260,4 @@ def heading(name: str) -> str:
 
 
 def _flight_text(name: str, value: Any) -> str:
-    if value is None:
-        return ""
-    if not is_number(value):
-        return str(value).lower() if isinstance(value, bool) else str(value)
-    if is_metric(name):
-        return f"{shown(name)[0] * value:.4g}"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{shown(name)[0] * value:.4g}" if is_metric(name) and is_number(value) else plain(value)

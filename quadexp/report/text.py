@@ -39,7 +39,7 @@ def number(value: float) -> str:
     return "-" if not math.isfinite(value) else f"{value:.2e}" if 0 < abs(value) < 1e-5 else significant(value)
 
 
-def with_interval(value: float, low: float, high: float) -> tuple[str, str]:
+def with_interval(value: float, low: float = math.nan, high: float = math.nan) -> tuple[str, str]:
     """Such as ("240.6", " [239.9, 241.2]"): as many decimals as the interval needs; ("240.6", "") without one."""
     half = (high - low) / 2
     text = significant(value, max(1, -math.floor(math.log10(half))) if half > 0 and math.isfinite(half) else 1)
@@ -57,9 +57,16 @@ def percent(value: float, low: float = math.nan, high: float = math.nan, *, leas
     if half > 0 and math.isfinite(half):
         decimals = min(max(1, -math.floor(math.log10(half))), MOST_DECIMALS)
         return f"{value:.{decimals}f} %", f" [{low:.{decimals}f}, {high:.{decimals}f}]"
-    left = abs(100 - abs(value))
-    decimals = max(least, 1 - math.floor(math.log10(left))) if 0 < left < 0.5 else least
+    missing = abs(100 - abs(value))
+    decimals = max(least, 1 - math.floor(math.log10(missing))) if 0 < missing < 0.5 else least
     return f"{value:.{min(decimals, 4)}f} %", ""
+
+
+def plain(value: Any) -> str:
+    """A value of a setting: "" for None, true and false in small letters, floats without superfluous digits."""
+    if value is None:
+        return ""
+    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def relative(value: float) -> str:
@@ -88,7 +95,7 @@ def duration(seconds: float, exact: bool = False) -> str:
     """A time in a suitable unit: 40.3 µs, 14.2 ms, 2.10 s. exact: without zeros at the end."""
     if not math.isfinite(seconds):
         return "-"
-    factor, unit = next(one for one in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")) if one[0] * seconds >= 1 or one[0] == 1e6)
+    factor, unit = (1.0, "s") if seconds >= 1 else (1e3, "ms") if 1e3 * seconds >= 1 else (1e6, "µs")
     value = factor * seconds
     return f"{value:g} {unit}" if exact else f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} {unit}"
 

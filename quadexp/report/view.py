@@ -1,8 +1,18 @@
-"""What to draw of a sweep: which keys are x, lines and panels; chosen by what was swept where nobody says.
+"""What to draw of a sweep: which keys are x, lines and panels, and the number at each of their places.
+
+Keys are chosen by what was swept where nobody says:
 
     one key        it is x, the controllers are lines, the trajectories panels
     two keys       the longer one is x, the other one lines, or panels beside the controllers; and a heat map of both
-    more           parallel coordinates: a line a combination, from the values of its keys to its error
+    more           the longest one is x, the next one lines, or a panel for each; panels of all values of the others
+
+A place is one value of every key that the figure shows (x, lines, panels). Its mean is over the common flights, by the
+one rule of every table (pairing.py): places that differ in keys of the controller stand beside each other, and are over
+the flights that all of them completed. Settings that the figure does not show are averaged, seed by seed:
+
+    mean      over the seeds, of the mean over the other settings of that seed
+    interval  of the mean over the seeds, as in tables (inference.mean_interval); of a share, where each flight has a
+              seed of its own
 
 A figure shows every panel, or says which it leaves out.
 """
@@ -10,23 +20,109 @@ A figure shows every panel, or says which it leaves out.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
+from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_controller, setting_text, with_unit
+from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
-from quadexp.report.points import SUCCESS, Place, Point, points, shown_column
-from quadexp.report.text import count, listed
+from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
+from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
 
-Kind = Literal["lines", "heat", "parallel"]
+Kind = Literal["lines", "heat"]
+Place = tuple[Any, ...]  # a value of each key that is shown
+SUCCESS = "success"  # the share of completed flights
 WHO = ("controller", "model")
 FLOWN = (*WHO, "trajectory")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
 MOST_VALUES = 6  # of a key that is averaged, named in a note
+
+
+@dataclass(frozen=True)
+class Point:
+    """mean, low, high: NaN where there is no common flight. flights, seeds: in the mean. ended: flights that ended
+    well, of trials. lost: outcome -> number of the others. method: of the interval. invalid: why there was nothing to
+    fly."""
+
+    mean: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    flights: int = 0
+    seeds: int = 0
+    ended: int = 0
+    trials: int = 0
+    lost: Mapping[str, int] = field(default_factory=dict)
+    method: str = "none"
+    invalid: str = ""
+
+    @property
+    def is_shown(self) -> bool:
+        return math.isfinite(self.mean)
+
+
+def points(
+    frame: SweepFrame, keys: Sequence[str], y: str, *, others: Sequence[str] = (), confidence: float = 0.95
+) -> dict[Place, Point]:
+    """Place -> point, in the order of the rows. keys: what a place has a value of. y: a number of the flights, or
+    "success". others: keys that vary beside them, which are averaged. A flight without a value of a key has no place.
+    """
+    columns = [shown_column(frame, key, keys) for key in keys]
+    others_columns = [frame.column(key) for key in others]
+    values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
+    flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
+    well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
+    places: dict[Place, list[int]] = {}  # place -> rows
+    groups: dict[Place, list[Place]] = {}  # what is flown -> places
+    for i, place in enumerate(zip(*columns, strict=True)):
+        if None not in place:
+            places.setdefault(place, []).append(i)
+    for place in places:
+        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
+        groups.setdefault(flown, []).append(place)
+    used: dict[Place, list[int]] = {}
+    for group in groups.values():
+        ended = {
+            place: {flights[i] for i in places[place] if well[i]} - {flights[i] for i in places[place] if not well[i]}
+            for place in group
+        }
+        compared, shared = common(ended)
+        used |= {place: [i for i in places[place] if flights[i] in shared] for place in compared}
+    result = {}
+    for place, numbers in places.items():
+        rows = [frame.rows[i] for i in numbers]
+        outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
+        trials, completed = outcomes.total(), outcomes.pop("ok", 0)
+        point = Point(ended=completed, trials=trials, lost=outcomes, invalid="" if trials else str(rows[0]["cause"]))
+        if y == SUCCESS:
+            single = len({row["seed"] for row in rows}) == len(rows)
+            low, high = success_interval(completed, trials, confidence) if single else (math.nan, math.nan)
+            share = completed / trials if trials else math.nan
+            point = replace(point, mean=share, low=low, high=high, flights=trials, method="Clopper-Pearson")
+        elif place in used:
+            errors: dict[tuple[Place, int], list[float]] = {}
+            for i in used[place]:
+                errors.setdefault(flights[i], []).append(float(values[i]))
+            means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
+            low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
+            limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}
+            point = replace(point, **limits, flights=len(used[place]), seeds=len(means))
+        result[place] = point
+    return result
+
+
+def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
+    """The column of a key as a figure of these keys shows it: a flight without a checkpoint has an empty one, and the
+    name of a controller has no remedy in it that is a key of its own."""
+    if key == "controller":
+        return frame.controllers(keys)
+    return [row["model"] or "" for row in frame.rows] if key == "model" else frame.column(key)
 
 
 @dataclass(frozen=True)
@@ -80,7 +176,6 @@ class View:
     by: tuple[str, ...] = ()
     facet: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
-    along: tuple[Axis, ...] = ()
     confidence: float = 0.95
     notes: tuple[str, ...] = ()
     places: dict[Place, Point] = field(default_factory=dict)
@@ -98,14 +193,11 @@ class View:
         for name in names:
             if name not in known:
                 raise UsageError(f"--label {name}: no key or value of this figure{suggestion(name, sorted(known))}")
-        along = tuple(replace(axis, names=names) for axis in self.along)
-        return replace(self, names=names, x=replace(self.x, names=names), along=along)
+        return replace(self, names=names, x=replace(self.x, names=names))
 
     @property
     def keys(self) -> tuple[str, ...]:
         """What a place has a value of, in this order."""
-        if self.kind == "parallel":
-            return tuple(axis.key for axis in self.along)
         return (*self.facet, *self.by, self.x.key)
 
     @property
@@ -125,8 +217,6 @@ class View:
     @property
     def file_name(self) -> str:
         """What a file of this figure is called: "against_nodes", "map_of_nodes_and_horizon"."""
-        if self.kind == "parallel":
-            return "over_all_keys"
         x, *others = (key.rpartition(".")[2] for key in (self.x.key, *self.by))
         return f"map_of_{x}_and_{others[0]}" if self.kind == "heat" else f"against_{x}"
 
@@ -190,8 +280,6 @@ def view(
         return automatic(frame, y, confidence)[0]
     given_x, given_by, given_facet = (_checked(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
     given = [*given_x, *given_by, *given_facet]
-    if kind == "parallel":
-        return _made(frame, kind, "", _parallel(frame, [*given_x, *given_by]), [], y, confidence)
     for key in given:
         if given.count(key) > 1:
             raise UsageError(f"{key}: stands twice among --x, --by and --facet")
@@ -221,16 +309,14 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
     if "trajectory.speed" in axes:  # plants and vehicles are panels beside it
         course += [key for key in ("plant", "vehicle") if key in axes]
         axes = [key for key in axes if key not in course]
-    if len(axes) > 2:
-        return [_made(frame, "parallel", "", _parallel(frame, [*who, *course, *axes]), [], y, confidence)]
     x = _longest(frame, axes) if axes else [*who, *course, "seed"][0]
     who, course, rest = ([key for key in keys if key != x] for keys in (who, course, axes))
     if not rest:
         return [_made(frame, "lines", x, who, course, y, confidence)]
     few = not who and len(frame.values(rest[0])) <= MOST_LINES
-    by, facet = (rest, course) if few else (who, [*course, *rest])
+    by, facet = (rest[:1], [*course, *rest[1:]]) if few else (who, [*course, *rest])
     views = [_made(frame, "lines", x, by, facet, y, confidence)]
-    if all(len(frame.values(key)) > 2 for key in axes):
+    if len(axes) == 2 and all(len(frame.values(key)) > 2 for key in axes):
         views.append(_made(frame, "heat", x, rest, [*who, *course], y, confidence))
     return views
 
@@ -238,33 +324,35 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
 def _made(
     frame: SweepFrame, kind: Kind, x: str, by: Sequence[str], facet: Sequence[str], y: str, confidence: float
 ) -> View:
-    """The view of these keys. by: of parallel coordinates all of them."""
-    parallel = kind == "parallel"
+    """The view of these keys."""
     others = _beside(frame, [*by, *facet, x])
-    if not parallel:
-        facet = [*facet, *(key for key in WHO if key in others)]
-        others = [key for key in others if key not in WHO]
-    keys = [*by] if parallel else [*facet, *by, x]
+    facet = [*facet, *(key for key in WHO if key in others)]
+    others = [key for key in others if key not in WHO]
+    keys = [*facet, *by, x]
     places = points(frame, keys, y, others=others, confidence=confidence)
     if not any(point.is_shown for point in places.values()):
         if any(row["outcome"] == "ok" for row in frame.rows):
             raise UsageError(f"no completed flight has {y} and a value of {listed(keys)}")
         flights = count(len(frame.rows), "flight")
         raise UsageError(f"none of the {flights} was completed: there is no {y} to draw (--y success draws that)")
-    axes = {
-        key: Axis.of(key, list(dict.fromkeys(shown_column(frame, key, keys))) if key in WHO else frame.values(key))
-        for key in keys
-    }
+    values = list(dict.fromkeys(shown_column(frame, x, keys))) if x in WHO else frame.values(x)
     alone = {}  # what all flights share of who flew and what, without what the figure shows
     for key in ("controller", "trajectory", "trajectory.speed"):
-        values = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
-        if key not in (*keys, *others) and len(set(values)) == 1 and values[0] is not None:
-            alone[key] = values[0]
+        column = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
+        if key not in (*keys, *others) and len(set(column)) == 1 and column[0] is not None:
+            alone[key] = column[0]
     return View(
-        kind, y, axes[by[0] if parallel else x], () if parallel else tuple(by), tuple(facet), tuple(others),
-        tuple(axes.values()) if parallel else (), confidence, tuple(_notes(frame, keys, others, y, places)), places,
-        alone,
-    )  # fmt: skip
+        kind=kind,
+        y=y,
+        x=Axis.of(x, values),
+        by=tuple(by),
+        facet=tuple(facet),
+        others=tuple(others),
+        confidence=confidence,
+        notes=tuple(_notes(frame, keys, others, y, places)),
+        places=places,
+        alone=alone,
+    )
 
 
 def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
@@ -273,23 +361,16 @@ def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
     return [key for key in frame.swept if key not in aside]
 
 
-def _parallel(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
-    chosen = [*(keys or (key for key in frame.swept if key != "seed")), *(key for key in WHO if key in frame.swept)]
-    if len(chosen := list(dict.fromkeys(chosen))) < 2:
-        raise UsageError("--kind parallel: needs two keys or more that take several values")
-    return chosen
-
-
 def _notes(
-    frame: SweepFrame, keys: Sequence[str], others: Sequence[str], y: str, places: dict[Place, Point]
+    frame: SweepFrame, keys: Sequence[str], others: Sequence[str], y: str, places: Mapping[Place, Point]
 ) -> list[str]:
     notes = []
     for key in keys:
         values = frame.values(key)
         if len(values) == 1 and key not in ("seed", *FLOWN):
             notes.append(f"{key} is {value_text(key, values[0])} in all flights that have it")
-        shown = shown_column(frame, key, keys)
-        lacking = [row["controller"] for row, value in zip(frame.rows, shown, strict=True) if value is None]
+        column = shown_column(frame, key, keys)
+        lacking = [row["controller"] for row, value in zip(frame.rows, column, strict=True) if value is None]
         if lacking:
             names = listed(list(dict.fromkeys(lacking)))
             notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({names})")
@@ -300,8 +381,8 @@ def _notes(
     trials, ended = (sum(getattr(point, name) for point in places.values()) for name in ("trials", "ended"))
     if y != SUCCESS and ended < trials:
         notes.append(f"{trials - ended} of {trials} flights were not completed: marked k/n where k of n were")
-    if wrong := sum(bool(point.invalid) for point in places.values()):
-        notes.append(f"{count(wrong, 'place')} invalid: settings that contradict each other")
+    if invalid := sum(bool(point.invalid) for point in places.values()):
+        notes.append(f"{count(invalid, 'place')} invalid: settings that contradict each other")
     return notes
 
 
@@ -324,8 +405,4 @@ def _longest(frame: SweepFrame, keys: Sequence[str]) -> str:
 
 def value_text(key: str, value: Any) -> str:
     """A value of a key: numbers without superfluous digits, a checkpoint by the end of its path."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if is_number(value):
-        return f"{value:.6g}"
-    return str(value).rstrip("/").rpartition("/")[2] if key == "model" else str(value)
+    return str(value).rstrip("/").rpartition("/")[2] if key == "model" else plain(value)

@@ -15,23 +15,13 @@ most: alpha / 2 for the verdict over all conditions, alpha / 2 for the marks in 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from quadexp.report.inference import NO_RATIO, Ratio, holm, log_ratio
-from quadexp.report.pairing import (
-    Common,
-    Condition,
-    Contestant,
-    Flights,
-    Groups,
-    Row,
-    flew_least,
-    is_bound,
-    seed_means,
-)  # fmt: skip
+from quadexp.report.pairing import Common, Condition, Contestant, Groups, Row, flew_least, is_bound, seed_means
 from quadexp.report.text import count, probability
 
 
@@ -48,16 +38,17 @@ class Ranking(NamedTuple):
         return [who for who, ratio in self.ratios.items() if not ranked * ratio.p < 1 - confidence]
 
 
-def rank(groups: Groups, among: Common, who: Sequence[Contestant], place: int, confidence: float) -> Ranking:
-    """The ranking of those in `who` that are compared, by one metric over the common flights."""
-    who = [contestant for contestant in who if contestant in among.compared]
-    logs = dict(zip(who, _logs(groups, among, who, place), strict=True)) if who else {}
-    if not logs or not len(logs[who[0]]):
+def rank(groups: Groups, among: Common, conditions: Sequence[Condition], place: int, confidence: float) -> Ranking:
+    """The ranking of those who flew in these conditions, bounds aside, by one metric over the common flights."""
+    flew = dict.fromkeys(who for condition in conditions for who in groups.conditions[condition])
+    ranked = [who for who in flew if who in among.compared and not is_bound(who[0])]
+    logs = dict(zip(ranked, _logs(groups, among, ranked, place), strict=True)) if ranked else {}
+    if not logs or not len(logs[ranked[0]]):
         return Ranking(None, {}, math.nan)
-    first, *others = sorted(who, key=lambda contestant: float(np.mean(logs[contestant])))
+    first, *others = sorted(ranked, key=lambda who: float(np.mean(logs[who])))
     ratios = {other: log_ratio(logs[other] - logs[first], confidence) for other in others}
     p = [ratio.p for ratio in ratios.values()]
-    return Ranking(first, ratios, min(1.0, len(who) * max(p)) if p and not np.isnan(p).any() else math.nan)
+    return Ranking(first, ratios, min(1.0, len(ranked) * max(p)) if p and not np.isnan(p).any() else math.nan)
 
 
 def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> np.ndarray:
@@ -71,12 +62,6 @@ def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) 
     return seed_means(logs).reshape(-1, len(who)).T
 
 
-def ratio_of(groups: Groups, among: Common, who: Contestant, other: Contestant, confidence: float) -> Ratio:
-    """Error of one over that of another, of the first metric, over the common flights."""
-    own, others = _logs(groups, among, [who, other], 0)
-    return log_ratio(own - others, confidence)
-
-
 def best_of_lines(groups: Groups, place: int, confidence: float) -> dict[tuple[Condition, Contestant], float]:
     """(condition, contestant) that may be marked as best of its line -> p that it is not, by Holm over the lines.
 
@@ -84,24 +69,18 @@ def best_of_lines(groups: Groups, place: int, confidence: float) -> dict[tuple[C
     barred = {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}
     p: dict[tuple[Condition, Contestant], float] = {}
     for condition, among in groups.lines.items():
-        flights = groups.flights([condition])
-        ranking = rank(groups, among, _ranked(flights), place, confidence)
-        if (least := ranking.least) is None or least in barred[condition[:2]] or not _flew_most(least, flights):
+        least, ratios, chance = rank(groups, among, [condition], place, confidence)
+        if least is None or least in barred[condition[:2]] or not _flew_most(groups, least, [condition]):
             continue
-        means = {
-            who: float(np.mean(groups.values(condition, who, place, among.seeds[condition])))
-            for who in (least, *ranking.ratios)
-        }
+        seeds = among.seeds[condition]
+        means = {who: float(np.mean(groups.values(condition, who, place, seeds))) for who in (least, *ratios)}
         if means[least] <= min(means.values()):  # the table shows means, not logarithms
-            p[condition, least] = ranking.p
+            p[condition, least] = chance
     return dict(zip(p, holm(np.array([*p.values()])).tolist(), strict=True))
 
 
-def _ranked(flights: Mapping[Contestant, Flights]) -> list[Contestant]:
-    return [who for who in flights if not is_bound(who[0])]
-
-
-def _flew_most(who: Contestant, flights: Mapping[Contestant, Flights]) -> bool:
+def _flew_most(groups: Groups, who: Contestant, conditions: Sequence[Condition]) -> bool:
+    flights = groups.flights(conditions)
     return all(not other.share > flights[who].share for other in flights.values())
 
 
@@ -155,31 +134,35 @@ class Verdict(NamedTuple):
 def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: float = 0.95) -> list[Verdict]:
     """One verdict for every plant and vehicle."""
     groups = Groups(rows, "", (metric,))
-    labels = groups.labels
-    made = []
+    labels = groups.labels | {None: ""}
+    result = []
     for (plant, vehicle), conditions in groups.worlds.items():
-        among, flights = groups.common(conditions), groups.flights(conditions)
-        ranking = rank(groups, among, _ranked(flights), 0, confidence)
-        least, alike = ranking.least, ranking.alike(confidence)
+        among = groups.common(conditions)
+        least, ratios, p = ranking = rank(groups, among, conditions, 0, confidence)
+        alike = ranking.alike(confidence)
         bound = next((who for who in among.compared if least is not None and is_bound(who[0])), None)
-        nearest = next(iter([*alike, *ranking.ratios]), None)
-        made.append(
+        nearest = next(iter([*alike, *ratios]), None)
+        bound_ratio = NO_RATIO
+        if least is not None and bound is not None:
+            logs, others = _logs(groups, among, [least, bound], 0)
+            bound_ratio = log_ratio(logs - others, confidence)
+        result.append(
             Verdict(
                 metric=metric,
                 plant=plant,
                 vehicle=vehicle,
                 common=among.flights,
                 units=among.units,
-                least=labels[least] if least else "",
-                ways=len(ranking.ratios) + (least is not None),
+                least=labels[least],
+                ways=len(ratios) + (least is not None),
                 alike=[labels[who] for who in alike],
-                flew_less=least is not None and not _flew_most(least, flights),
-                next=labels[nearest] if nearest else "",
-                ratio=ranking.ratios[nearest] if nearest else NO_RATIO,
-                p=ranking.p,
-                bound=labels[bound] if bound else "",
-                bound_ratio=ratio_of(groups, among, least, bound, confidence) if least and bound else NO_RATIO,
+                flew_less=least is not None and not _flew_most(groups, least, conditions),
+                next=labels[nearest],
+                ratio=ratios[nearest] if nearest else NO_RATIO,
+                p=p,
+                bound=labels[bound],
+                bound_ratio=bound_ratio,
                 compared=[labels[who] for who in among.compared],
             )
         )
-    return made
+    return result

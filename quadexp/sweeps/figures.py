@@ -1,16 +1,12 @@
-"""The figures of a sweep, drawn in its processes while tables are made; only those whose inputs have changed.
+"""The figures of a sweep, drawn in its processes while tables are made.
 
-The SVG of a figure holds a digest of all that decided it. Nothing here imports matplotlib before a figure is drawn.
+Nothing here imports matplotlib before a figure is drawn.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,37 +17,33 @@ from quadexp.errors import UsageError
 from quadexp.files.names import file_name
 from quadexp.files.writer import clean, remove
 from quadexp.log.cell_store import CellStore
-from quadexp.provenance import source_hash
 from quadexp.report.frame import SweepFrame
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
-from quadexp.report.result_rows import to_columns
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
-from quadexp.report.view import automatic
+from quadexp.report.view import View, automatic
 from quadexp.sweeps.engine import Workers, cause
 
 FOLDER = "figures"
 LONGEST = 600.0  # s that one figure may take
-HEAD = 4096  # bytes of an SVG within which its digest stands
 MAX_CONDITIONS = 3  # of tracked paths side by side
 
 Row = Mapping[str, Any]
 
 
 class Drawing(NamedTuple):
-    """A figure to be drawn. make: makes it from the inputs. digest: of all that decides it."""
+    """A figure to be drawn. make: makes it from the inputs."""
 
     name: str
     make: Callable[..., Any]
     inputs: tuple[Any, ...]
-    digest: str
 
 
 def draw(drawing: Drawing, path: Path) -> None:
     """Draw a figure as SVG and PNG, each whole or not at all. path: of the SVG."""
-    from quadexp.report.figures import save
+    from quadexp.report.style import save
 
-    save(drawing.make(*drawing.inputs), path, path.parent.parent, drawing.digest)
+    save(drawing.make(*drawing.inputs), path, path.parent.parent)
 
 
 def drawings(
@@ -59,21 +51,14 @@ def drawings(
 ) -> list[Drawing]:
     """The figures of these rows, the one that takes longest first. out: folder of the results. record: of the results,
     which says what was swept; without it the rows do, as far as they can."""
-    rows, store = [dict(row) for row in rows], CellStore(out)
-    swept = {name: (record or {})[name] for name in ("grids", "without_flight") if name in (record or {})}
-    asked, of_rows, figures = (metric, confidence, swept), _columns(rows), list[Drawing]()
+    store, figures = CellStore(out), []
     with contextlib.suppress(UsageError):  # no flight was completed
-        for which, view in enumerate(automatic(SweepFrame(rows, str(out), swept), metric, confidence)):
-            name = f"{metric.removesuffix('_error')}_error_{view.file_name}"
-            figures.append(_drawing(name, _swept, (rows, str(out), *asked, which), (of_rows, *asked, which)))
+        for view in automatic(SweepFrame([*map(dict, rows)], out, record), metric, confidence):
+            figures.append(Drawing(f"{metric.removesuffix('_error')}_error_{view.file_name}", _swept, (view,)))
     for trajectory, grid in path_grids(rows).items():
         flights = {place: str(store.path(row["key"])) for place, row in grid.cells.items() if is_flown(row)}
         missing = {place: row["outcome"] for place, row in grid.cells.items() if not is_flown(row)}
-        inputs = flights, trajectory, missing, grid.left_out
-        about = [*grid.cells], _columns(list(grid.cells.values())), grid.left_out
-        figures.append(_drawing(f"path_{trajectory}", _paths, inputs, about))
-    if any(map(is_flown, rows)):
-        figures.append(_drawing("solve_time", _times, (rows,), of_rows))
+        figures.append(Drawing(f"path_{trajectory}", _paths, (flights, trajectory, missing, grid.left_out)))
     return figures
 
 
@@ -124,41 +109,18 @@ def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
     return grids
 
 
-def _swept(rows: Sequence[Row], out: str, metric: str, confidence: float, record: Row, which: int) -> Any:
+def _swept(view: View) -> Any:
     """One of the figures that were chosen by what was swept."""
     from quadexp.report.draw import figure_of
 
-    return figure_of(automatic(SweepFrame(rows, out, record), metric, confidence)[which])
+    return figure_of(view)
 
 
 def _paths(paths: Mapping[tuple[str, str], str], *about: Any) -> Any:
     from quadexp.log.store import read_flight
-    from quadexp.report.figures import tracked_paths
+    from quadexp.report.flight_figures import tracked_paths
 
     return tracked_paths({place: read_flight(path) for place, path in paths.items()}, *about)
-
-
-def _times(rows: Sequence[Row]) -> Any:
-    from quadexp.report.figures import solve_times
-
-    return solve_times(rows)
-
-
-def _columns(rows: Sequence[Row]) -> dict[str, Any]:
-    """The same for rows that were just flown, and as they come from a file."""
-    return {name: column.tolist() for name, column in to_columns(rows).items()}
-
-
-def _drawing(name: str, make: Callable[..., Any], inputs: tuple[Any, ...], decided_by: Any) -> Drawing:
-    """decided_by: what the figure shows, wherever the folder lies."""
-    text = json.dumps([make.__name__, decided_by, _look()], default=str)
-    return Drawing(name, make, inputs, hashlib.sha256(text.encode()).hexdigest())
-
-
-@cache
-def _look() -> list[str]:
-    """What decides the look of every figure: the sources of quadexp.report, and matplotlib."""
-    return [source_hash([Path(str(report.__file__)).parent]), version("matplotlib")]
 
 
 class SweepFigures:
@@ -189,25 +151,15 @@ class SweepFigures:
         return self._out / FOLDER / f"{file_name(name)}.svg"
 
     def begin(self, rows: Sequence[Row], record: Row | None = None) -> None:
-        """Begin to draw the figures of the rows that are not there yet. The flights must be on disk. record: of the
-        results, which says what was swept."""
+        """Begin to draw the figures of the rows. The flights must be on disk. record: of the results, which says what
+        was swept."""
         try:
             asked = drawings(rows, self._out, *self._options, record)
             self._asked = [drawing.name for drawing in asked]
-            todo = [drawing for drawing in asked if not self.shows(drawing)]
-            for drawing in todo:
-                self._running[drawing.name] = self._begun(drawing, len(todo))
+            for drawing in asked:
+                self._running[drawing.name] = self._begun(drawing, len(asked))
         except Exception as error:  # the tables are made all the same
             self.failed["all figures"] = cause(error, LONGEST)
-
-    def shows(self, drawing: Drawing) -> bool:
-        """Whether the figure is there as it would be drawn."""
-        path = self.path(drawing.name)
-        try:
-            with path.open("rb") as file:
-                return drawing.digest.encode() in file.read(HEAD) and path.with_suffix(".png").is_file()
-        except OSError:
-            return False
 
     def _begun(self, drawing: Drawing, all_of_them: int) -> Callable[[], None]:
         """What waits for a figure, and draws it where there are no other processes for that."""
@@ -225,11 +177,8 @@ class SweepFigures:
             try:
                 wait()
             except Exception as error:
-                self._remove(name)
+                for form in report.FORMATS:
+                    with contextlib.suppress(OSError):  # a folder that takes no files has none either
+                        remove(self.path(name).with_suffix(f".{form}"), self._out)
                 self.failed[name] = cause(error, LONGEST)
         return {f"figure_{name}": str(self.path(name)) for name in self._asked if self.path(name).is_file()}
-
-    def _remove(self, name: str) -> None:
-        for form in report.FORMATS:
-            with contextlib.suppress(OSError):  # a folder that takes no files has none either
-                remove(self.path(name).with_suffix(f".{form}"), self._out)

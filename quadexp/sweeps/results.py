@@ -18,8 +18,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import FAILURES
-from quadexp.report.frame import SweepFrame, read_value
-from quadexp.report.query import chosen
+from quadexp.report.frame import SweepFrame, chosen, read_value
 from quadexp.sweeps.sweep_table import RESULTS, Row, condition, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell
@@ -47,7 +46,7 @@ def select(
     """The cells of a folder, with any key of the configuration as a column, and `wanted`.
 
     filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `gp_*`. where:
-    see report/query.py. sort: columns with commas between, "-" before one for descending order; what comes first
+    see report/frame.py. sort: columns with commas between, "-" before one for descending order; what comes first
     decides first, and missing values come last. failures: only what was not completed.
     Raises UsageError for a folder without results or an unknown column.
     """

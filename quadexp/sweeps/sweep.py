@@ -27,9 +27,8 @@ from quadexp.log.store import read_metadata
 from quadexp.parts.cells import Cell, Cells
 from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
-from quadexp.report.flown_by import differing_libraries, flown_by, program_name, programs_text
-from quadexp.report.statistics import BASELINE, CONFIDENCE
-from quadexp.report.statistics_file import Statistics
+from quadexp.report.checked import differing_libraries, flown_by, program_name, programs_text
+from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistics
 from quadexp.report.tables import ErrorTable
 from quadexp.sweeps.engine import (
     CellFailed,

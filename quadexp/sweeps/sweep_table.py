@@ -21,10 +21,17 @@ from quadexp.files.names import NAMED, check_names
 from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table, read_text, write_table
-from quadexp.report.metrics import errors_none
-from quadexp.report.result_rows import INTEGER_COLUMNS, ROW_COLUMNS, TEXT_COLUMNS, from_columns, to_columns, to_csv
-from quadexp.report.statistics_file import Statistics, comparison_texts, results_statistics, write_comparison
-from quadexp.report.tables import ErrorTable
+from quadexp.report.metrics import (
+    INTEGER_COLUMNS,
+    ROW_COLUMNS,
+    TEXT_COLUMNS,
+    errors_none,
+    from_columns,
+    to_columns,
+    to_csv,
+)
+from quadexp.report.statistics import Statistics, results_statistics
+from quadexp.report.tables import ErrorTable, comparison_texts, write_comparison
 
 RESULTS = "results.parquet"
 OPTIONAL = ("speed", "reference_residual", "outside_data")  # numbers that not every flight has: None where missing

@@ -14,8 +14,8 @@ from typing import Any
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table
-from quadexp.report.result_rows import ROW_COLUMNS
-from quadexp.report.statistics_file import FILE
+from quadexp.report.metrics import ROW_COLUMNS
+from quadexp.report.tables import STATISTICS
 from quadexp.sweeps.sweep_table import RESULTS, Row, altered_texts, open_results, read_rows, table_row
 
 TEXTS = ("results.csv", "statistics.csv", "table.md", "table.tex", "comparison.tex")
@@ -59,7 +59,7 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
         progress(count, len(keys))
     path = store.root / RESULTS
     table = found.look(path, lambda: read_rows(path)) if path.exists() else None
-    if not path.exists() and any((store.root / name).exists() for name in (*TEXTS, FILE)):
+    if not path.exists() and any((store.root / name).exists() for name in (*TEXTS, STATISTICS)):
         found.wrong[str(path)] = "is not there, and what is made of it is"
     if table is not None:
         listed, record = table
@@ -98,7 +98,7 @@ def _verify_made(root: Path, record: dict[str, Any], found: Verified) -> None:
     found.files += sum((root / name).is_file() for name in made)
     found.wrong |= altered_texts(root, record)
     found.wrong |= {str(root / name): "is not there" for name in made if not (root / name).is_file()}
-    path = root / FILE
+    path = root / STATISTICS
     if "statistics" in record and not path.exists():
         found.wrong[str(path)] = "is not there"
     table = found.look(path, lambda: read_table(path, "statistics")) if path.exists() else None

@@ -18,6 +18,7 @@ from quadexp.parts.compose import session
 from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
+from quadexp.report.tables import TITLES
 from quadexp.report.text import number
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.sweep import opened
@@ -95,10 +96,7 @@ def tune(
         about = _about(request, search, trials, best)
         choice, option = write_preset(out, composer, options, tuned, about, asked.name)
     if figure:
-        from quadexp.report.figures import save
-        from quadexp.tune.figure import history_figure
-
-        save(history_figure(trials, request, each), out / "history")
+        _draw(trials, request, each, out / "history")
     before, after = (settings_of(axes, trial.numbers) for trial in (trials[0], trials[best]))
     settings = {key: (before[key], after[key]) for key in before}
     record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
@@ -106,6 +104,35 @@ def tune(
     width = max(map(len, settings))
     lines += [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
     return Tuned(trials, best, choice, option, record, [*lines, str(option)], axes)
+
+
+def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -> None:
+    """Geometric mean error of each trial over the flights spent, of `flights` each; crosses: trials with a lost flight;
+    hollow: trials with too small a delay margin."""
+    from matplotlib import rc_context
+
+    from quadexp.report.style import STYLE, Figure, plain_log, save
+
+    factor, unit = SHOWN[request.metric]
+    spent = flights * np.arange(1, len(trials) + 1)
+    error = factor * np.array([trial.worth.error for trial in trials])
+    best = [best_of(trials[: k + 1]) for k in range(len(trials))]
+    completed = np.array([trial.worth.lost == 0 for trial in trials])
+    short = completed & np.array([trial.worth.margin < request.least_margin for trial in trials])
+    least = f"trial with a delay margin below {1e3 * request.least_margin:g} ms"
+    with rc_context(STYLE):
+        figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+        panel = figure.subplots()
+        panel.plot(spent, np.where(completed & ~short, error, np.nan), "o", ms=3.5, color="#4a6fa5", label="trial")
+        if short.any():
+            panel.plot(spent, np.where(short, error, np.nan), "o", color="#4a6fa5", fillstyle="none", label=least)
+        panel.plot(spent, np.where(completed, np.nan, error), "x", color="#b3261e", label="trial with a lost flight")
+        panel.step(spent, error[best], where="post", color="#17191d", label="best so far")
+        panel.axhline(error[0], color="#8a9099", linewidth=1.0, linestyle="--", label="before")
+        panel.set(yscale="log", xlabel="flights", ylabel=f"{TITLES[request.metric]} ({unit}), geometric mean")
+        plain_log(panel.yaxis)
+        panel.legend()
+        save(figure, path)
 
 
 def _short(value: Any) -> str:

@@ -202,7 +202,7 @@ class TestSweep:
         same(qx.load("r/results.parquet"), columns)
         assert str(results.table()).strip() in Path("r/table.md").read_text().strip()
         assert os.listdir(here) == ["r"]
-        assert results.table("rmse").metric == "rmse"
+        assert results.table("rmse").title == "RMSE (mm)"
 
         chosen = results[(results["controller"] == "perfect_mpc") & (results["seed"] == 1)]
         flight = chosen.flight(-1)
@@ -235,7 +235,7 @@ class TestSweep:
             with pytest.raises(qx.UsageError, match="need all columns"):
                 part.table()
         both = pd.concat([results, qx.sweep(*QUICK, seed=[2])])
-        assert "3 of 3" in both._repr_html_() and both.table("rmse").flown
+        assert "3 of 3" in both._repr_html_() and both.table("rmse").rows[0][0] == "flown"
         results["late"] = results["seed"] > 0
         results.save("results.parquet")
         assert qx.load("results.parquet")["late"].tolist() == [0, 1]

@@ -141,9 +141,7 @@ class TestEvaluate:
         # Paired: the two controllers met the same noise; without drag to know, hovering is nearly the same flight.
         assert columns["seed"].tolist() == [0, 1, 0, 1]
         assert {p.name for p in Path("r/figures").iterdir()} == {
-            f"{name}.{form}"
-            for name in ("path_hover", "solve_time", "mean_error_against_controller")
-            for form in ("svg", "png")
+            f"{name}.{form}" for name in ("path_hover", "mean_error_against_controller") for form in ("svg", "png")
         }
         again = quadexp("evaluate", *self.SWEEP, "--out", "r", "--json", cwd=here)
         record = json.loads(again.stdout)

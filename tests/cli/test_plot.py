@@ -8,10 +8,12 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from quadexp.report.compare_results import results_means
+from quadexp.report.compare import compare
+from quadexp.report.summary import held_out_rows, held_out_table
 from tests.cli.command import run, run_main
 from tests.report.sweeps import noise, swept
 
@@ -87,7 +89,7 @@ class TestPlot:
         [
             (("--out", "a.jpg"), "a figure is a file .png, .pdf, .svg, .html"),
             (("--x", "controller.node"), "controller.node: no such key; did you mean controller.nodes?"),
-            (("--kind", "pie"), "'pie' is not one of 'lines', 'heat', 'parallel'"),
+            (("--kind", "pie"), "'pie' is not one of 'lines', 'heat'"),
             (("--where", "speed > 100"), "--where 'speed > 100': no flight fulfils it"),
             (("--kind", "heat", "--x", "seed", "--by", "a,b"), "a: no such key"),
         ],
@@ -129,56 +131,52 @@ class TestCompare:
         code, out, _ = run("compare", "r", "heavy", "lossy", "--out", "c.png")
         assert code == 0 and out.endswith("c.png\n") and Path("c.png").stat().st_size > 10_000
         assert out.splitlines()[0].split() == ["mean", "error", "(mm)", "r", "heavy", "lossy", "flights"]
-        metric, found = results_means([Path("r"), Path("heavy"), Path("lossy")])
+        report = compare("r", "heavy", "lossy")
         tables = [pd.read_parquet(f"{name}/results.parquet") for name in ("r", "heavy", "lossy")]
-        for label, (means, flights) in found.items():
-            own = [t[(t["controller"] + t["variant"].str.replace("controller.", " ") == label)] for t in tables]
-            expected = [t[t["seed"] < 2][metric].mean() for t in own]  # seed 2 is lost in one of them
-            assert means == pytest.approx(expected, rel=1e-12) and flights == 4
-        assert len(found) == 4
+        for label, means in report["metrics"].items():
+            flown = [t[(t["controller"] + t["variant"].str.replace("controller.", " ") == label)] for t in tables]
+            expected = [t[t["seed"] < 2][report["metric"]].mean() for t in flown]  # seed 2 is lost in one of them
+            assert means == pytest.approx(expected, rel=1e-12)
+        assert len(report["metrics"]) == 4 and {row[-1] for row in report["tables"][0].rows} == {"4"}
+
+    def test_the_picture_of_results_has_a_line_a_folder_and_a_panel_a_controller(self, results):
+        from quadexp.report.draw import results_figure
+
+        figure = results_figure([Path("r"), Path("heavy"), Path("lossy")])
+        panels = [panel for panel in figure.axes if panel.axison]
+        assert [panel.get_title() for panel in panels] == ["nominal_mpc", "perfect_mpc"]
+        lines = {c.get_label(): c.lines[0].get_ydata() for c in panels[0].containers}
+        assert set(lines) == {"results=r", "results=heavy", "results=lossy"}
+        assert np.asarray(lines["results=heavy"]) == pytest.approx(1.5 * np.asarray(lines["results=r"]))
+        assert np.asarray(lines["results=lossy"]) == pytest.approx(2 * np.asarray(lines["results=r"]))
 
     def test_flights_in_every_format(self, results):
         flights = [str(path) for path in sorted(Path("r/cells").glob("*/*.parquet"))[:3]]
         code, out, _ = run("compare", *flights, "--out", "f.svg", "--format", "csv")
         assert code == 0 and out.startswith("setting,") and Path("f.svg").is_file()
         record = json.loads(run("compare", *flights, "--json")[1])
-        assert len(record["together"]["metrics"]["mean_error"]) == 3
+        assert len(record["metrics"]["mean_error"]) == 3
         many = [str(path) for path in sorted(Path("r/cells").glob("*/*.parquet"))[:9]]
         assert run("compare", *many)[0] == 0
         code, _, err = run("compare", *flights, "--out", "f.html")
         assert code == 2 and "a figure is a file .png, .pdf, .svg" in err
 
 
-class TestExport:
-    def test_mlflow_reads_back_what_was_flown(self, results):
-        pytest.importorskip("mlflow")
-        code, out, err = run("export", "r", "--to", "mlflow", "--out", "runs")
-        assert (code, out) == (0, "runs\n"), err
-        from mlflow.tracking import MlflowClient
+class TestShow:
+    def test_held_out_scores_of_a_checkpoint(self, tmp_path):
+        made = [("a_x", "gp", 0.5), ("a_x", "zero", 2.0), ("t_x", "gp", 0.001)]
+        report = {"rows": [dict(zip(("output", "predictor", "rmse"), one, strict=True)) for one in made]}
+        (tmp_path / "report.json").write_text(json.dumps(report))
+        table = held_out_table(held_out_rows(tmp_path))
+        assert table.columns == ["RMSE on held-out flights", "gp", "zero"]
+        assert table.rows == [["a_x (m/s^2)", "0.500", "2.00"], ["t_x (N m)", "0.00100", "-"]]
+        (tmp_path / "report.json").write_text("{'damaged")
+        assert held_out_rows(tmp_path) == [] and held_out_table([]) is None
 
-        client = MlflowClient(tracking_uri=Path("runs").resolve().as_uri())
-        (experiment,) = client.search_experiments(filter_string="name = 'r'")
-        found = client.search_runs([experiment.experiment_id], max_results=100)
-        table = pd.read_parquet("r/results.parquet").set_index("key")
-        assert len(found) == len(table) == 24
-        for one in found:
-            row = table.loc[one.data.tags["key"]]
-            assert one.data.metrics["mean_error"] == row["mean_error"]
-            assert one.data.params["controller"] == row["controller"] and one.data.params["seed"] == str(row["seed"])
-            assert one.data.params["controller.nodes"] == row["variant"].partition("=")[2]
-            assert one.info.status == "FINISHED"
-
-    @pytest.mark.slow
-    def test_wandb_writes_a_run_a_flight_and_sends_nothing(self, results):
-        pytest.importorskip("wandb")
-        run("results", "r", "seed=1,2", "--prune", "--yes")
-        code, _, err = run("export", "r", "--to", "wandb", "--out", "w")
-        assert code == 0, err
-        assert len(list(Path("w/wandb").glob("offline-run-*/run-*.wandb"))) == 8
-
-    def test_what_goes_wrong_is_one_line(self, results, monkeypatch):
-        code, _, err = run("export", "r", "--to", "csv")
-        assert code == 2 and "--to csv: no such format for results; there are mlflow, wandb" in err
-        monkeypatch.setitem(__import__("sys").modules, "mlflow", None)
-        code, _, err = run("export", "r", "--to", "mlflow", "--out", "x")
-        assert code == 2 and "pip install 'quadexp[mlflow]'" in err and not Path("x").exists()
+    def test_formats(self, results):
+        code, out, _ = run("show", "r", "--format", "csv")
+        assert code == 0 and out.startswith("trajectory,m/s,nodes,nominal_mpc,perfect_mpc")
+        flight = next(Path("r/cells").glob("*/*.parquet"))
+        found = {row["figure"]: row for row in rows(run("show", flight, "--format", "csv")[1])}
+        row = pd.read_parquet("r/results.parquet").set_index("key").loc[flight.stem]
+        assert float(found["mean_error"]["value"]) == row["mean_error"] and found["mean_error"]["unit"] == "m"

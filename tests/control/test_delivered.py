@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 import quadexp as qx
-from quadexp.control.base import Measurement
 from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.instant import Told, run
 
 PERIOD = 0.02
 
 
-def measured(speed=None) -> Measurement:
-    return Measurement(0.0, np.zeros(13), None, speed)
+def now(delivered, speed=None) -> np.ndarray:
+    """The thrusts at an instant with these rotor speeds, (4,), or without."""
+    told = Told(4)
+    told.speed[...], told.turning[0] = 0.0 if speed is None else speed, speed is not None
+    run(delivered.before(told))
+    return delivered.thrust
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.03])
@@ -24,16 +28,16 @@ def test_commands_act_late_and_lag(vehicle, rng, dead_time, lag):
     first, commands, fine = rng.uniform(1, 5, 4), rng.uniform(1, 5, (6, 4)), 1e-5
     delivered = DeliveredThrust(vehicle, PERIOD, dead_time, lag)
     delivered.reset(first)
-    assert np.array_equal(delivered.now(measured()), first)
+    assert np.array_equal(now(delivered), first)
     for command in commands:
-        delivered.record(command)
+        run(delivered.after(command))
     thrust, every = first.copy(), []
     for i in range(round(len(commands) * PERIOD / fine)):
         sent = int(np.floor((i * fine - dead_time) / PERIOD + 1e-9))
         acting = commands[sent] if sent >= 0 else first
         thrust = acting + (thrust - acting) * np.exp(-fine / lag) if lag else acting
         every.append(thrust)
-    assert delivered.now(measured()) == pytest.approx(thrust, rel=1e-9)
+    assert now(delivered) == pytest.approx(thrust, rel=1e-9)
     assert delivered.mean == pytest.approx(np.mean(every[-round(PERIOD / fine) :], axis=0), rel=1e-3)
 
 
@@ -43,16 +47,16 @@ def test_measured_rotor_speeds_are_believed(vehicle, rng):
     delivered.reset(np.full(4, 3.0))
     speeds = rng.uniform(200, 500, (2, 4))
     for speed in speeds:
-        assert delivered.now(measured(speed)) == pytest.approx(2e-5 * speed**2)
+        assert now(delivered, speed) == pytest.approx(2e-5 * speed**2)
         mean = delivered.mean.copy()
-        delivered.record(np.full(4, 9.0))
+        run(delivered.after(np.full(4, 9.0)))
     assert mean == pytest.approx(2e-5 * (speeds**2).mean(axis=0))
 
 
 def test_speeds_say_nothing_without_a_coefficient(vehicle):
     delivered = DeliveredThrust(vehicle, PERIOD)
     delivered.reset(np.full(4, 3.0))
-    assert delivered.now(measured(np.full(4, 400.0))) == pytest.approx(3.0)
+    assert now(delivered, np.full(4, 400.0)) == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import Belief
-from quadexp.control.dfbc.controller import DFBC
-from quadexp.control.dfbc.law import DFBCKeys
+from quadexp.control.base import Belief, Measurement, Window
+from quadexp.control.laws.dfbc import DFBC, DFBCKeys
 from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import linear_drag_residual
@@ -97,7 +95,7 @@ def test_a_believed_scale_of_the_air_is_a_model_with_so_much_more_drag(vehicle, 
     drag, still, wind = np.array([0.4, 0.3, 0.1]), np.zeros(3), np.array([1.0, -2.0, 0.5])
     x = np.concatenate([np.zeros(3), Rotation.from_rotvec([0.03, -0.05, 0.04]).as_quat(scalar_first=True), np.zeros(6)])
     x[VELOCITY], x[RATE] = (5.0, -3.0, 1.0), (0.2, -0.1, 0.1)
-    window = Window(np.tile(x, (2, 1)), np.full((2, 4), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
+    window = Window(np.tile(x, (3, 1)), np.full((2, 4), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
     window.position[0], window.position[1] = x[:3], x[VELOCITY]
 
     def command(factor, scale):

@@ -11,12 +11,13 @@ from scipy.signal import butter
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
-from quadexp.control.indi.loop import INDI
+from quadexp.control.indi import INDI, INDIKeys, indi_function, settled_memory
+from quadexp.control.instant import run
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.parts.compose import compose
 from quadexp.physics.state import N_STATE, RATE
+from tests.control.held import Held
 
 TAU = 0.03  # s, lag of the thrusts
 FAST = INDIKeys(rate=3000.0)  # near continuous time
@@ -140,42 +141,21 @@ def window(vehicle, thrust):
     return Window(state, thrust[None], np.zeros((5, 3)), np.zeros(3))
 
 
-class Held:
-    """A controller that always wants the same thrusts, and counts its steps."""
-
-    node_times, reference_period, backend, name, source, residual = np.zeros(2), 0.0, "interpreted", "held", "", None
-
-    def __init__(self, vehicle, thrust, rate=100.0):
-        self.vehicle, self.thrust, self.control_period, self.steps = vehicle, thrust, 1 / rate, 0
-
-    def forget(self): ...
-    def reset(self, x, window): ...
-    def log(self):
-        return {}
-
-    def step(self, measurement, window):
-        from quadexp.control.mpc.active_set import Status
-        from quadexp.control.mpc.mpc import StepRecord
-
-        self.steps += 1
-        return self.thrust.copy(), StepRecord(0.0, Status.RICCATI, 0, 0, 0.0)
-
-
 def test_the_controller_steps_at_its_own_rate(vehicle):
     hover = np.full(4, vehicle.hover_thrust)
-    held = Held(vehicle, hover)
+    held = Held(vehicle, hover, 0.01)
     loop = INDI(held, INDIKeys(), backend="interpreted")
     x, w = window(vehicle, hover).state[0], window(vehicle, hover)
     loop.reset(x, w)
     for k in range(7):
         u, _ = loop.step(Measurement(k / 300, x, None, None), w)
         assert u == pytest.approx(hover, rel=1e-9)  # nothing is disturbed, so nothing is changed
-    assert held.steps == 3 and loop.control_period == pytest.approx(1 / 300)
+    assert len(held.told) == 3 and loop.control_period == pytest.approx(1 / 300)
 
 
 def test_a_controller_that_asks_for_no_reference_begins_in_hover(vehicle):
     hover = np.full(4, vehicle.hover_thrust)
-    loop = INDI(Held(vehicle, hover), INDIKeys(), backend="interpreted")
+    loop = INDI(Held(vehicle, hover, 0.01), INDIKeys(), backend="interpreted")
     whole = window(vehicle, hover)
     loop.reset(whole.state[0], whole._replace(input=np.empty((0, 4))))
     u, _ = loop.step(Measurement(0.0, whole.state[0], None, None), whole)
@@ -186,9 +166,9 @@ def test_rates_that_do_not_divide_are_refused(vehicle):
     with pytest.raises(
         UsageError, match=r"inner.rate=250: must be a whole multiple of the controller's rate of 100 Hz"
     ):
-        INDI(Held(vehicle, np.zeros(4)), INDIKeys(rate=250.0))
+        INDI(Held(vehicle, np.zeros(4), 0.01), INDIKeys(rate=250.0))
     with pytest.raises(UsageError, match="inner.cutoff=200: must be below half"):
-        INDI(Held(vehicle, np.zeros(4)), INDIKeys(cutoff=200.0), backend="interpreted")
+        INDI(Held(vehicle, np.zeros(4), 0.01), INDIKeys(cutoff=200.0), backend="interpreted")
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, 15.0])
@@ -213,7 +193,7 @@ def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
     measuring = replace(vehicle, thrust_coefficient=1e-5)
     hover, rng = np.full(4, vehicle.hover_thrust), np.random.default_rng(0)
     keys = INDIKeys(motor_lag=TAU)
-    loops = [INDI(Held(v, hover, 300.0), keys, backend="interpreted") for v in (measuring, vehicle)]
+    loops = [INDI(Held(v, hover, 1 / 300), keys, backend="interpreted") for v in (measuring, vehicle)]
     motors, w = DeliveredThrust(vehicle, 1 / 300, lag=TAU), window(vehicle, hover)
     motors.reset(hover)
     for loop in loops:
@@ -225,7 +205,7 @@ def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
         one, _ = loops[0].step(Measurement(k / 300, x, None, speeds), w)
         other, _ = loops[1].step(Measurement(k / 300, x, None, None), w)
         assert one == pytest.approx(other, abs=1e-6)
-        motors.record(one)
+        run(motors.after(one))
 
 
 def test_the_spin_up_torque_is_part_of_the_answer(vehicle):

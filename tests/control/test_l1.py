@@ -11,38 +11,15 @@ from quadexp.control.base import Measurement
 from quadexp.control.l1 import LOGGED, L1Controller, L1Keys
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.laws.geometric import GeometricController, GeometricKeys
-from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.mpc import StepRecord
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
+from tests.control.held import Held
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 
 INTERPRETED = {"backend": "interpreted"}
-
-
-class Held:
-    """A controller that always commands the same thrusts."""
-
-    residual, reference_period, backend, name, source = None, 0.0, "interpreted", "none", ""
-
-    def __init__(self, vehicle, period, thrust):
-        self.vehicle, self.control_period, self.thrust = vehicle, period, np.array(thrust, float)
-        self.node_times = np.zeros(1)
-
-    def forget(self):
-        pass
-
-    def reset(self, x, window):
-        pass
-
-    def step(self, measurement, window):
-        return self.thrust.copy(), StepRecord(0.0, Status.RICCATI, 0, 0, 0.0)
-
-    def log(self):
-        return {}
 
 
 def geometric(vehicle, rate=100.0, **keys):
@@ -63,7 +40,7 @@ def test_the_estimate_is_the_mean_disturbance_of_the_last_period(name, pole):
     weight, J = vehicle.mass * 9.81, np.diag(vehicle.inertia_matrix)
     force = lambda t: weight * np.array([0.3 * np.sin(9 * t), 0.2, 0.4 * np.cos(23 * t)])  # noqa: E731
     torque = lambda t: J * np.array([3 * np.sin(17 * t), -2.0, np.cos(31 * t)])  # noqa: E731
-    inner = Held(vehicle, period, np.full(4, vehicle.hover_thrust))
+    inner = Held(vehicle, np.full(4, vehicle.hover_thrust), period)
     keys = L1Keys(velocity_pole=pole, rate_pole=pole, force_limit=0.0, torque_limit=0.0)
     controller, body, found = L1Controller(inner, keys), Body(vehicle, force, torque), []
     x = at_rest()
@@ -91,7 +68,7 @@ def test_the_command_is_the_low_pass_of_the_disturbance(frequency):
     vehicle, period = vehicle_of("torrente", torque_coefficient=0.5), 0.01
     J, keys = vehicle.inertia[2][2], L1Keys(velocity_pole=0.2, rate_pole=0.2, bandwidth=12.0)
     body = Body(vehicle, torque=lambda t: np.array([0, 0, J * np.sin(frequency * t)]))
-    inner = Held(vehicle, period, np.full(4, vehicle.hover_thrust))
+    inner = Held(vehicle, np.full(4, vehicle.hover_thrust), period)
     controller = L1Controller(inner, keys)
     duration = 2 * math.pi / frequency * max(3, round(frequency / 2)) + 1.0
     _, commands = fly(body, controller, at_rest(), duration, lambda t: hovering(vehicle))
@@ -134,7 +111,7 @@ def test_what_rotors_can_cancel_is_cancelled_and_what_they_cannot_is_only_estima
 def test_it_adds_no_more_thrust_than_its_limit(name, sense):
     """A fifth of the weight, of the three fifths that are missing or too much."""
     vehicle = vehicle_of(name)
-    weight, inner = vehicle.mass * vehicle.gravity, Held(vehicle, 0.01, np.full(4, vehicle.hover_thrust))
+    weight, inner = vehicle.mass * vehicle.gravity, Held(vehicle, np.full(4, vehicle.hover_thrust), 0.01)
     body = Body(vehicle, lambda t: np.array([0, 0, -0.6 * sense * weight]))
     controller = L1Controller(inner, L1Keys(force_limit=0.2))
     _, commands = fly(body, controller, at_rest(), 0.3, lambda t: hovering(vehicle))
@@ -144,7 +121,7 @@ def test_it_adds_no_more_thrust_than_its_limit(name, sense):
 def test_the_predictor_sees_the_command_as_it_was_clipped():
     """A base beyond what the rotors give: nothing is missing, so nothing is estimated."""
     vehicle, period = vehicle_of("torrente"), 0.01
-    inner = Held(vehicle, period, [30.0, 30.0, 30.0, 30.0])
+    inner = Held(vehicle, [30.0, 30.0, 30.0, 30.0], period)
     controller = L1Controller(inner, L1Keys())
     states, commands = fly(Body(vehicle), controller, at_rest(), 0.3, lambda t: hovering(vehicle))
     assert commands == pytest.approx(vehicle.thrust_max)
@@ -156,7 +133,7 @@ def test_a_known_lag_and_dead_time_are_no_disturbance(lag, dead_time):
     """Commands that change all the time, through the lag and the delay, integrated finely here."""
     vehicle, period, fine = vehicle_of("torrente"), 0.01, 100
     rng = np.random.default_rng(5)
-    inner = Held(vehicle, period, np.full(4, vehicle.hover_thrust))
+    inner = Held(vehicle, np.full(4, vehicle.hover_thrust), period)
     controller = L1Controller(inner, L1Keys(force_limit=0.0, torque_limit=0.0), lag, dead_time)
     window, body = hovering(vehicle), Body(vehicle)
     x = at_rest()
@@ -244,7 +221,6 @@ def test_around_every_controller(controller):
 def test_what_it_cannot_be_put_around_is_said():
     with pytest.raises(UsageError, match="adaptive.unmatched=true: this controller cannot be told of a force"):
         fly_one(compose(["controller=pid", "adaptive=l1", "adaptive.unmatched=true"]))
-    from quadexp.control.l1 import l1
     from quadexp.control.wrapped import WrappedController
 
     with pytest.raises(UsageError, match="explains the same error by what it learns in flight"):
@@ -252,7 +228,7 @@ def test_what_it_cannot_be_put_around_is_said():
     vehicle = vehicle_of("torrente")
     inner = WrappedController(GeometricController(vehicle, GeometricKeys(), **INTERPRETED))
     with pytest.raises(UsageError, match="an observer estimates the same disturbance"):
-        l1(inner, compose(["adaptive=l1"]).adaptive)
+        compose(["adaptive=l1"]).adaptive.around(inner)
 
 
 def test_a_second_flight_begins_anew():

@@ -10,17 +10,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Measurement, Window
-from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.observers import disturbance as disturbance_module
 from quadexp.control.observers import observer as observer_module
 from quadexp.control.observers import wind as wind_module
-from quadexp.control.observers.disturbance import DisturbanceObserver, with_disturbance_observer
+from quadexp.control.observers.disturbance import DisturbanceObserver
+from quadexp.control.observers.filters import N_SCALED_STATE, SURPRISE, scaled_force_update
 from quadexp.control.observers.observer import COLUMNS
-from quadexp.control.observers.scaled_force import N_SCALED_STATE, SURPRISE, scaled_force_update
-from quadexp.control.observers.wind import WindObserver, with_wind_observer
+from quadexp.control.observers.wind import WindObserver
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
 from quadexp.models.linear_drag import linear_drag_residual
@@ -30,6 +29,7 @@ from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
+from tests.control.held import Held
 from tests.models.residuals import make_residual
 from tests.states import random_state
 
@@ -81,11 +81,11 @@ def mpc_of(vehicle, residual, backend="auto", **settings) -> PredictiveControlle
 
 
 def disturbance(controller, **settings):
-    return with_disturbance_observer(controller, DisturbanceObserver(name="disturbance", **settings))
+    return DisturbanceObserver(name="disturbance", **settings).around(controller)
 
 
 def wind(controller, **settings):
-    return with_wind_observer(controller, WindObserver(name="wind", **settings))
+    return WindObserver(name="wind", **settings).around(controller)
 
 
 def flown(truth, observer, reference, steps, noise=0.0, rng=None):
@@ -126,8 +126,7 @@ def hover_error(vehicle, believed, residual, observed, push, seed, **form):
     return np.linalg.norm(states[-1, :3] - [0, 0, 1]), beliefs[-1]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("name", ["none", "linear_drag"])
+@pytest.mark.parametrize(("name", "seed"), [("none", 1), ("linear_drag", 2), ("linear_drag", 3)])
 def test_a_constant_force_and_torque_leave_no_error(vehicle, name, seed):
     force, torque = (1.5, -2.0, -3.0), (0.05, -0.08, 0.01)
     residual = make_residual(name, vehicle)
@@ -238,32 +237,6 @@ def test_scales_need_the_accelerometer_and_a_model_that_has_them(vehicle):
 
 
 # ---------------------------------------------------------------------------------------------- filters as designed
-class Told:
-    """A controller that sends what it is given, and can be told: what an observer does under any controller."""
-
-    reference_period, backend, name, source = 0.0, "interpreted", "told", ""
-    control_period, node_times = PERIOD, np.zeros(1)
-
-    def __init__(self, vehicle, residual, thrust):
-        self.vehicle, self.residual, self.thrust = vehicle, residual, thrust
-        self.settings = None
-
-    def forget(self):
-        pass
-
-    def reset(self, x, window):
-        pass
-
-    def believe(self, belief):
-        self.belief = belief
-
-    def step(self, measurement, window):
-        return self.thrust, StepRecord(0.0, Status.RICCATI, 0, 0, 0.0)
-
-    def log(self):
-        return {}
-
-
 def a_hover(vehicle) -> Window:
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])[None]
     return Window(x, np.full((1, vehicle.n_rotors), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
@@ -272,7 +245,8 @@ def a_hover(vehicle) -> Window:
 def still(vehicle, observed, reading, steps, rates=None, velocities=None, residual=None):
     """The beliefs of an observer of a hovering vehicle that reads what it is given, (steps, 3), rates and velocities
     (steps, 3) likewise."""
-    told = Told(vehicle, residual or make_residual("none", vehicle), np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    told = Held(vehicle, hover, PERIOD, residual=residual or make_residual("none", vehicle))
     controller = observed(told)
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])
     controller.reset(x, a_hover(vehicle))
@@ -407,7 +381,7 @@ def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):
         "wind_initial": 3.0,
         "scale_initial": 0.1,
     }
-    told = Told(vehicle, residual, np.zeros(4))
+    told = Held(vehicle, np.zeros(4), PERIOD, residual=residual)
     controller = wind(told, **settings)
     controller.reset(a_hover(vehicle).state[0], a_hover(vehicle))
     told.thrust = rng.uniform(2, 4, 4)
@@ -506,7 +480,7 @@ def test_drag_that_is_twice_the_models_is_found_and_planned_with(vehicle):
 def test_one_that_plans_nothing_is_told_of_drag_as_a_scale_too(vehicle):
     """Force and scales are what the reading means where the vehicle is."""
     residual, velocity = make_residual("linear_drag", vehicle), np.array([5.0, -2.0, 0.0])
-    told = Told(vehicle, residual, np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    told = Held(vehicle, np.full(4, vehicle.hover_thrust), PERIOD, residual=residual)
     controller = disturbance(told, scale_walk=0.005, air_walk=0.02)
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(3), velocity, np.zeros(3)])
     controller.reset(x, a_hover(vehicle))
@@ -519,11 +493,12 @@ def test_one_that_plans_nothing_is_told_of_drag_as_a_scale_too(vehicle):
     assert together == pytest.approx(0.5 * drag, abs=0.02)
 
 
-@pytest.mark.parametrize("observed", [disturbance, wind])
-@pytest.mark.parametrize("lag", [0.0, 0.03])
-@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize(
+    ("observed", "lag", "measured"),
+    [(disturbance, 0.03, False), (disturbance, 0.0, True), (wind, 0.03, True), (wind, 0.0, False)],
+)
 def test_as_a_part_of_the_step_or_before_it(vehicle, monkeypatch, observed, lag, measured):
-    """The update within the MPC's own function, and by itself with DeliveredThrust in Python: the same flight."""
+    """The update within the MPC's own function, and by itself with DeliveredThrust: the same flight."""
     known = replace(vehicle, thrust_coefficient=2e-5)
     residual, flights = make_residual("gp_with_mean", known), []
     settings = {"dead_time": 0.03, "motor_lag": lag}
@@ -599,13 +574,3 @@ def test_back_ends_estimate_alike(vehicle, rng):
         truth = Truth(vehicle, make_residual("linear_drag", vehicle), wind=(3, 1, 0))
         found.append(flown(truth, controller, reference, 30)[1])
     assert found[0] == pytest.approx(found[1], abs=1e-6)
-
-
-def test_an_old_reading_leaves_nothing_where_there_is_no_new_one(vehicle):
-    """At the first instant of a flight; not even the sign of a zero, or a number that is none."""
-    controller = disturbance(mpc_of(vehicle, make_residual("none", vehicle), backend="interpreted"))
-    reference = SampledReference(Hover(duration=0.1), controller)
-    controller._world._enter.arguments["reading"][...] = np.nan
-    controller.reset(reference.at(0)[0], reference.window(0))
-    controller.step(Measurement(0.0, reference.at(0)[0], None, None), reference.window(0))
-    assert [*controller.log().values()] == [0.0] * 9 + [1.0] * 2

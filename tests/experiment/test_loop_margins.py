@@ -6,9 +6,8 @@ import pytest
 
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.report.margin_line import margin_line, world_note
-from quadexp.report.page.provenance import margins as margins_of
-from quadexp.report.summary import flight_lines
+from quadexp.report.page.sections import margins as margins_of
+from quadexp.report.summary import flight_lines, margin_line, world_note
 
 HOVER = ["trajectory=hover", "trajectory.duration=0.2"]
 

@@ -101,7 +101,7 @@ def test_rows_of_an_older_table_are_unknown_not_inside():
 
 
 def test_what_an_older_table_lacks_is_unknown_after_it_is_recalled():
-    from quadexp.report.result_rows import from_columns, to_columns
+    from quadexp.report.metrics import from_columns, to_columns
     from quadexp.sweeps.sweep_table import table_row
 
     old = to_columns([{"controller": "gp_mpc", "model": "models/gp", "outcome": "ok"}] * 50)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import quadexp as qx
-from quadexp.control.dfbc.controller import DFBC
-from quadexp.control.dfbc.law import DFBCKeys
+from quadexp.control.laws.dfbc import DFBC, DFBCKeys
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.evaluate import fly_one

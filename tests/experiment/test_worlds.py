@@ -14,9 +14,9 @@ from quadexp.loop import controller
 from quadexp.parts.compose import compose, expand
 from quadexp.parts.schema import WORLD, world_parts
 from quadexp.physics.state import POSITION, STATE_COLUMNS
-from quadexp.report.margin_line import world_note
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.notes import notes
+from quadexp.report.summary import world_note
 from quadexp.world.effect import STAGES
 from quadexp.world.world import World
 

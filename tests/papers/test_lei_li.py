@@ -75,7 +75,7 @@ def test_the_families():
     assert table[2] == "| plant | trajectory | m/s | gp_mpc | rls_mpc | perfect_mpc | static_feedback |"
     assert table[4] == "| blade_element | circle | 4 | 200 |  |  |  |", "one controller is not told apart from another"
     assert table[5] == "| blade_element | circle | 8 | 6 | **2** | 1 | 1 of 3 lost |"
-    (panel,) = means_figure(means_by_place(rows, "plant"), "plant").axes
+    (panel,) = means_figure(means_by_place(rows, "plant")).axes
     lines = {one.get_label(): tuple(map(list, one.lines[0].get_data())) for one in panel.containers}
     assert lines["gp_mpc"] == ([4.0, 8.0], [200.0, pytest.approx(6.0)])
     assert lines["rls_mpc"] == ([8.0], [pytest.approx(2.0)])

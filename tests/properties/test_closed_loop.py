@@ -13,9 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.control.feedback.aerodynamics import KnownCoefficients
-from quadexp.control.feedback.controller import FeedbackController
-from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
+from quadexp.control.feedback.controller import FeedbackController, KnownCoefficients
+from quadexp.control.feedback.law import VARIANTS, FeedbackSettings
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly

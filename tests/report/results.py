@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
 from quadexp.report.draw import figure_of
 from quadexp.report.frame import SweepFrame
-from quadexp.report.metrics import flight_metrics
-from quadexp.report.result_rows import to_columns
+from quadexp.report.metrics import flight_metrics, to_columns
 from quadexp.report.view import automatic
 from tests.log.flights import straight_flight
 
@@ -52,21 +50,8 @@ def flown(controller: str, trajectory: str, speed: float, seed: int, lost: bool)
     return Flight(columns, {**flight.metadata, "config": config, "model": "", **about, **outcome})
 
 
-def weather(flight):
-    """Wind along x and its gusts, a late estimate, a battery, four rotors, each of them known."""
-    t = flight.t
-    wind = {"wind_x": 3 + np.sin(4 * t), "wind_y": 0.3 * np.cos(t), "wind_z": np.zeros_like(t)}
-    told = {f"est_p_{i}": np.interp(t - 0.1, t, flight[f"p_{i}"]) for i in "xyz"}
-    battery = {"battery_voltage": 16 - 0.2 * t, "battery_current": 10 + t, "state_of_charge": 1 - 0.1 * t}
-    return wind | told | battery | {f"rotor_speed_{n}": 500 + 10 * n + 5 * t for n in range(4)}
-
-
-def make_results(
-    root: Path, *, controllers: tuple[str, ...] = tuple(ERRORS), lost: bool = True,
-    world: str = "clean", beside: Callable[[Flight], dict[str, np.ndarray]] = lambda _: {},
-) -> Path:  # fmt: skip
-    """Write cells and results.parquet; with `lost`, one flight of linear_drag_mpc is lost. beside: further columns."""
-    plant = "simplified" if world == "clean" else f"simplified/{world}"
+def make_results(root: Path, *, controllers: tuple[str, ...] = tuple(ERRORS), lost: bool = True) -> Path:
+    """Write cells and results.parquet; with `lost`, one flight of linear_drag_mpc is lost."""
     store = CellStore(root)
     rows: list[dict[str, Any]] = []
     axes = [[f"trajectory={name}" for name in ("circle", "lemniscate")], [f"trajectory.speed={v:g}" for v in SPEEDS]]
@@ -77,8 +62,7 @@ def make_results(
                 for seed in SEEDS:
                     gone = lost and (controller, trajectory, speed, seed) == ("linear_drag_mpc", "lemniscate", 8.0, 3)
                     flight = flown(controller, trajectory, speed, seed, gone)
-                    flight.columns.update(beside(flight))
-                    row = {"plant": plant, "vehicle": "torrente", "trajectory": trajectory, "speed": speed}
+                    row = {"plant": "simplified", "vehicle": "torrente", "trajectory": trajectory, "speed": speed}
                     row |= {"controller": controller, "model": "", "variant": "", "seed": seed}
                     row |= flight_metrics(flight, 0.0, 20.0) | {"backend": "compiled", "key": f"{len(rows):020x}"}
                     row |= {"outcome": flight.outcome, "cause": flight.metadata.get("cause", "")}

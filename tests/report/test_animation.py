@@ -8,7 +8,7 @@ from PIL import Image
 
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, write_flight
+from quadexp.log.store import write_flight
 from quadexp.report.animation import animate
 from quadexp.report.style import HUES
 from tests.log.flights import straight_flight
@@ -23,24 +23,19 @@ def flight(tmp_path, controller, offset, samples=60):
     return write_flight(tmp_path / f"{controller}.parquet", Flight(made.columns, metadata))
 
 
-def near(image, colour, box):
-    """Which pixels inside a box have a colour, (height, width)."""
-    pixels = np.asarray(image.convert("RGB"), int)[box[1] : box[3], box[0] : box[2]]
-    return np.abs(pixels - [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).sum(axis=2) < 40
-
-
 def centre(image, colour, box):
-    """Mean (x, y) of the pixels of a colour inside a box, in pixels; None where there are none."""
-    found = near(image, colour, box)
-    return np.argwhere(found).mean(axis=0)[::-1] if found.any() else None
+    """Mean (x, y) of the pixels of a colour inside a box, in pixels."""
+    pixels = np.asarray(image.convert("RGB"), int)[box[1] : box[3], box[0] : box[2]]
+    near = np.abs(pixels - [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).sum(axis=2) < 40
+    return np.argwhere(near).mean(axis=0)[::-1]
 
 
-@pytest.mark.parametrize(("suffix", "rate"), [(".gif", 7), (".gif", 45), (".webp", 40)])
-def test_it_is_in_real_time(tmp_path, suffix, rate):
+@pytest.mark.parametrize("rate", [7, 45])
+def test_it_is_in_real_time(tmp_path, rate):
     """A GIF counts time in hundredths of a second: at no frame is it further off than half of one."""
     paths = [flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0)), flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0))]
-    made = animate(paths, tmp_path / f"a{suffix}", rate=rate, begin=0.1, end=0.4)
-    unit, shown = (10, []) if suffix == ".gif" else (1, [])
+    made = animate(paths, tmp_path / "a.gif", rate=rate, begin=0.1, end=0.4)
+    shown = []
     with Image.open(made["path"]) as image:
         assert image.n_frames == made["frames"] == int(0.3 * rate + 1)
         for k in range(image.n_frames - 1):
@@ -48,7 +43,7 @@ def test_it_is_in_real_time(tmp_path, suffix, rate):
             image.load()
             shown.append(image.info["duration"])
     wanted = 1000 / rate * np.arange(1, made["frames"])
-    assert np.abs(np.cumsum(shown) - wanted).max() <= unit / 2 + 1e-6
+    assert np.abs(np.cumsum(shown) - wanted).max() <= 5 + 1e-6
 
 
 def test_the_vehicles_are_to_scale_and_where_they_were(tmp_path):
@@ -59,37 +54,16 @@ def test_the_vehicles_are_to_scale_and_where_they_were(tmp_path):
         image.seek(3)
         frame = image.convert("RGB")
     window = (frame.width * 6 // 10, 20, frame.width, frame.height * 72 // 100)
-    grey, blue = (centre(frame, HUES[hue][0], window) for hue in ("grey", "blue"))
+    grey, blue = (centre(frame, HUES[hue], window) for hue in ("grey", "blue"))
     assert grey[0] > blue[0] + 40 and abs(grey[1] - blue[1]) < 6
     middle = (grey + blue) / 2
     assert abs(middle[0] - 0.5 * (window[2] - window[0])) < 30
 
 
-def test_the_wind_is_an_arrow_that_points_where_the_air_goes(tmp_path):
-    """In the corner of the window, in the colour of the flight: its head has more pixels than its tail."""
-
-    def blue(made, name):
-        path = write_flight(tmp_path / name / "gp_mpc.parquet", made)
-        with Image.open(animate([path], tmp_path / f"{name}.gif", rate=10, end=0.5)["path"]) as image:
-            image.seek(3)
-            frame = image.convert("RGB")
-        corner = frame.width * 6 // 10, 20, frame.width * 8 // 10, frame.height // 3
-        return near(frame, HUES["blue"][0], corner)
-
-    calm = read_flight(flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0)))
-    still = blue(calm, "still")
-    for name, wind, way in (("x", (3.0, 0, 0), (1, 0)), ("y", (0, 3.0, 0), (0, -1)), ("back", (-3.0, 0, 0), (-1, 0))):
-        air = {f"wind_{axis}": np.full(len(calm), float(speed)) for axis, speed in zip("xyz", wind, strict=True)}
-        added = np.argwhere(blue(Flight(calm.columns | air, calm.metadata), name) & ~still)[:, ::-1]
-        along, aside = added @ np.array(way), added @ np.array(way[::-1])
-        assert np.ptp(along) > 25 and np.ptp(along) > 2.5 * np.ptp(aside)
-        assert along.mean() > (along.min() + along.max()) / 2
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"out": "a.avi"}, "must end in .gif, .webp, .mp4"),
+        ({"out": "a.avi"}, "must end in .gif, .mp4"),
         ({"out": "a.mp4"}, "needs ffmpeg on the PATH"),
         ({"rate": 0.5}, r"--rate 0.5: must be in \[1, 50\]"),
         ({"begin": 50.0}, "0 frames from 50"),

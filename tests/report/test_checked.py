@@ -53,11 +53,8 @@ def test_edited_flights_lost_ones_and_those_of_another_sweep(results):
     assert (checked.unreadable, checked.missing, checked.other) == ([edited.stem], [gone.stem], [other.stem])
     assert checked.beside == 2 and [line.split()[0] for line in checked.lines()] == ["1", "1", "1", "2"]
     assert checked.text() == "46 of 46 files of flights checked: 43 hold what the table says"
-
-
-def test_a_table_of_another_sweep_is_not_taken_for_this_ones(results, tmp_path):
     shutil.rmtree(CellStore(results).folder)
-    (line,) = check_flights(*rows_of(results)).lines()
+    (line,) = check_flights(results, rows).lines()
     assert line.startswith("none of the flights of this table is in its folder")
 
 

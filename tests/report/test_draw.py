@@ -10,19 +10,10 @@ import pytest
 from matplotlib.colors import to_hex
 
 from quadexp.errors import UsageError
-from quadexp.report.draw import (
-    check_path,
-    figure_of,
-    heat_figure,
-    height,
-    line_figure,
-    page_of,
-    parallel_figure,
-    save_view,
-)
+from quadexp.report.draw import check_path, figure_of, heat_figure, line_figure, page_of, save_view
 from quadexp.report.frame import SweepFrame
-from quadexp.report.style import KNOWN, looks
-from quadexp.report.view import Axis, automatic, view
+from quadexp.report.style import LOOKS, looks
+from quadexp.report.view import automatic, view
 from tests.report.sweeps import noise, swept
 
 
@@ -58,7 +49,7 @@ def test_small_multiples_have_every_panel_and_every_line(frame):
         expected = {"nominal_mpc", "perfect_mpc"}
         assert set(drawn) == expected and panel.get_xscale() == "log"
         for name, line in drawn.items():
-            assert to_hex(line.get_color()) == KNOWN[name][0].lower()
+            assert to_hex(line.get_color()) == LOOKS[name].colour
             for nodes, mean in zip(*line.get_data(), strict=True):
                 assert mean == pytest.approx(1e3 * made.places[horizon, name, nodes].mean, rel=1e-12)
         assert texts(panel).count("invalid") == 3
@@ -93,19 +84,6 @@ def test_cells_of_a_heat_map_are_where_their_values_are(frame):
     assert texts(panels[2]) == ["invalid"] * 9 and len(panels[2].patches) == 9
 
 
-def test_parallel_coordinates_have_a_line_a_combination(frame):
-    made = view(frame, kind="parallel")
-    assert [axis.key for axis in made.along] == ["controller", "controller.nodes", "controller.horizon"]
-    panel = parallel_figure(made).axes[0]
-    lines = [line for line in panel.lines if len(line.get_xdata()) == 4]
-    assert len(lines) == 27 == len(made.places)
-    best = min((point.mean, place) for place, point in made.places.items() if point.is_shown)[1]
-    heights = [height(axis, value) for axis, value in zip(made.along, best, strict=True)]
-    assert any(np.allclose(line.get_ydata(), [*heights, 0.0]) for line in lines), "the least error ends lowest"
-    assert sum(line.get_ydata()[-1] < 0 for line in lines) == 10  # one lost, nine invalid
-    assert any("10 without a completed flight" in text for text in texts(panel))
-
-
 def test_names_of_ones_own_stand_at_axes_lines_panels_and_leave_the_colours(frame):
     names = {"controller.nodes": "N", "perfect_mpc": "ours", "mean_error": "error (mm)", "1": "one second"}
     figure = figure_of(replace(automatic(frame)[0].named(names), heading="Title", width=3.5))
@@ -113,13 +91,7 @@ def test_names_of_ones_own_stand_at_axes_lines_panels_and_leave_the_colours(fram
     assert (panel.get_xlabel(), figure.axes[0].get_ylabel(), panel.get_title()) == ("N", "error (mm)", "one second")
     assert figure.get_suptitle() == "Title" and figure.get_figwidth() == 3.5
     drawn = {line.get_label(): to_hex(line.lines[0].get_color()) for line in panel.containers}
-    assert drawn == {"nominal_mpc": KNOWN["nominal_mpc"][0].lower(), "ours": KNOWN["perfect_mpc"][0].lower()}
-
-
-def test_heights_follow_the_scale_of_an_axis():
-    assert height(Axis.of("a", (1, 10, 100)), 10) == pytest.approx(0.5)
-    assert height(Axis.of("a", (0, 1, 4)), 1) == pytest.approx(0.25)
-    assert height(Axis.of("a", ("x", "y", "z")), "y") == 0.5 == height(Axis.of("a", (3,)), 3)
+    assert drawn == {"nominal_mpc": LOOKS["nominal_mpc"].colour, "ours": LOOKS["perfect_mpc"].colour}
 
 
 def test_panels_beyond_the_room_are_said(tmp_path):
@@ -144,9 +116,7 @@ def test_groups_stand_side_by_side_without_lines(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    ("form", "kind"), [("png", "lines"), ("pdf", "heat"), ("svg", "parallel"), ("html", "lines"), ("svg", "heat")]
-)
+@pytest.mark.parametrize(("form", "kind"), [("png", "lines"), ("pdf", "heat"), ("html", "lines"), ("svg", "heat")])
 def test_every_format_and_twice_the_same(frame, tmp_path, form, kind):
     made = view(frame, x="controller.nodes", by=["controller.horizon"], kind=kind)
     first = save_view(made, check_path(tmp_path / f"a.{form}", False)).read_bytes()

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.report.figures import save, solve_times, tracked_paths
+from quadexp.log.schema import Flight
+from quadexp.report.flight_figures import Profile, consistency_figure, delay_figure, flights_figure, tracked_paths
+from quadexp.report.style import save
 from tests.log.flights import straight_flight
 from tests.report.results import speed_figure
 from tests.report.test_tables import row
@@ -17,7 +19,6 @@ def rows():
     errors = {"nominal_mpc": 0.2, "gp_mpc": 0.004}
     return [
         row(controller, speed=speed, seed=seed, trajectory=trajectory, error=error * speed * (1 + 0.1 * seed))
-        | {"solve_time_median": 2e-5, "solve_time_p99": 9e-5, "backend": "compiled"}
         for controller, error in errors.items()
         for trajectory in ("circle", "lemniscate")
         for speed in (4.0, 8.0)
@@ -80,9 +81,9 @@ def test_paths_have_a_row_a_controller_and_a_column_a_condition():
     assert single.get_suptitle() == "circle, 4 m/s"
 
 
-def test_an_hour_of_flight_is_a_small_file(tmp_path):
-    """Its lines are pixels, its letters are not: 70 kB; as lines of SVG they were 29 MB."""
-    flight = straight_flight(180_000)
+def test_a_long_flight_is_a_small_file(tmp_path):
+    """Its lines are pixels, its letters are not: 70 kB; as lines of SVG an hour was 29 MB."""
+    flight = straight_flight(60_000)
     noise = 1e-3 * np.random.default_rng(0).standard_normal((2, len(flight)))
     for kind, off in (("", noise), ("ref_", 0 * noise)):
         circle = {f"{kind}p_x": np.cos(flight.t) + off[0], f"{kind}p_y": np.sin(flight.t) + off[1]}
@@ -91,9 +92,37 @@ def test_an_hour_of_flight_is_a_small_file(tmp_path):
     assert path.stat().st_size < 200_000 and path.read_bytes().count(b"<image") >= 2  # one is the scale
 
 
-def test_solve_times_show_median_and_p99(rows):
-    panel = solve_times(rows).axes[0]
-    assert [text.get_text() for text in panel.texts] == ["20 / 90", "20 / 90"]
+def test_flights_are_drawn_over_the_reference_with_their_errors_and_a_log_with_its_speed():
+    near, far = (straight_flight(40, (0.0, offset, 0.0)) for offset in (0.01, 0.2))
+    above, error = flights_figure({"near": near, "far": far}).axes
+    assert [line.get_label() for line in above.lines] == ["reference", "near", "far"]
+    assert [line.get_label() for line in error.lines] == ["near: mean 10 mm", "far: mean 200 mm"]
+    np.testing.assert_allclose([line.get_ydata()[-1] for line in error.lines], [10, 200])
+    log = Flight({name: v for name, v in near.columns.items() if not name.startswith(("ref_", "u_"))}, {})
+    above, speed = flights_figure({"log": log}).axes
+    np.testing.assert_allclose(speed.lines[0].get_ydata(), np.hypot.reduce(log.stack(["v_x", "v_y", "v_z"]), axis=1))
+    assert len(above.lines) == 1 and len(flights_figure({"one": near}).axes) == 3  # and its rotor thrusts
+    with pytest.raises(UsageError, match="empty: holds no samples"):
+        flights_figure({"empty": Flight({name: v[:0] for name, v in near.columns.items()}, near.metadata)})
+
+
+def test_a_log_is_drawn_against_what_its_sensors_say_of_each_other():
+    figure = consistency_figure("a log", straight_flight(400), [])
+    assert len(figure.axes) == 9 and figure.get_suptitle().endswith("no finding that blocks or warns")
+    velocity = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}
+    np.testing.assert_allclose(velocity["v"], velocity["dp/dt"], atol=1e-6)
+
+
+def test_the_chosen_delay_and_what_was_believed_in_flight_are_drawn():
+    candidates, t = np.linspace(0.0, 0.04, 81), np.arange(4.0)
+    profile = Profile("age of the state", candidates, -(((candidates - 0.012) / 0.002) ** 2) / 2, 0.012, 0.002)
+    columns = {"t": t, "delay_known": t > 1, "delay_time": 0.01 * (t > 1)}
+    columns |= {"delay_dead_time": 0.02 * (t > 1), "delay_lag": 0.03 * (t > 1)}
+    curve, believed = delay_figure([profile], columns, {"delay_lag": 0.031}).axes
+    score, best = curve.lines
+    assert score.get_xdata()[np.argmax(score.get_ydata())] == pytest.approx(12.0) == best.get_xdata()[0]
+    assert [line.get_ydata()[-1] for line in believed.lines] == pytest.approx([10.0, 20.0, 30.0, 31.0])
+    assert "dotted: true" in believed.get_title() and len(delay_figure([profile], {"t": t}).axes) == 1
 
 
 def test_svg_and_png_are_written_and_repeatable(rows, tmp_path):

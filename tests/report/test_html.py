@@ -10,17 +10,21 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import UsageError
 from quadexp.log.store import read_table
+from quadexp.report.frame import SweepFrame
+from quadexp.report.metrics import from_columns
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
-from quadexp.report.page.pareto import pareto_front
-from quadexp.report.page.provenance import sweep_command
+from quadexp.report.page.panels import Swept, pareto_front
+from quadexp.report.page.replay import choose_cases, pack_replay
+from quadexp.report.page.sections import sweep_command
 from quadexp.report.page.source import read_comparison
-from quadexp.report.result_rows import from_columns
-from quadexp.report.tables import cell_text, error_table
+from quadexp.report.tables import error_table
 from quadexp.report.text import typeset
+from quadexp.report.view import automatic
 from tests.report.results import ERRORS, make_results, many_results
+from tests.report.sweeps import noise, swept
 
 METRICS = {"mean_error", "rmse", "max_error"}
 BARE = re.compile(r"[\s*()]")  # what is set differently on the page and in the terminal
@@ -136,10 +140,9 @@ def test_the_numbers_on_the_page_are_those_of_the_table(text, results):
     assert set(tables) > METRICS
     for metric in METRICS:
         cells, table = tables[metric], error_table(rows, metric)
-        assert len(cells) == 1 + len(table.rows)
-        for line, row in zip(cells[1:], table.rows, strict=True):
-            for text, label in zip(line[len(row) :], table.columns, strict=True):
-                assert BARE.sub("", text) == BARE.sub("", cell_text(table.entries[row, label]))
+        assert len(cells) == len(table.rows)
+        for line, row in zip(cells[1:], table.rows[1:], strict=True):
+            assert [BARE.sub("", text) for text in line] == [BARE.sub("", text) for text in row]
 
 
 def test_a_lost_flight_is_counted_and_stands_first_among_the_worst(text):
@@ -148,9 +151,9 @@ def test_a_lost_flight_is_counted_and_stands_first_among_the_worst(text):
     assert "1 lost" in text
 
 
-def test_the_replay_holds_the_flights(text):
+def test_the_replay_holds_the_flights(text, results):
     cases = json.loads(re.search(r'id="replay-data">(.*?)</script>', text, re.DOTALL)[1])
-    first = cases[0]
+    first, comparison = cases[0], read_comparison(results)
     assert first["title"].endswith("at 8 m/s, seed 0") and len(first["tracks"]) == 4
     track = next(track for track in first["tracks"] if track["label"] == "nominal_mpc")
     error = np.frombuffer(base64.b64decode(track["error"]), "<i2").reshape(-1, 3) * track["error_step"]
@@ -159,6 +162,9 @@ def test_the_replay_holds_the_flights(text):
     assert error[:, 0].max() == pytest.approx(8 * ERRORS["nominal_mpc"], rel=0.1)
     reference = np.frombuffer(base64.b64decode(first["reference"]), "<i2").reshape(-1, 3) * first["reference_step"]
     np.testing.assert_allclose(reference[:, 0] + first["centre"][0], 5 * np.cos(8 * t / 5), atol=1e-3)
+    row = next(r for r in comparison.rows if r["controller"] == "nominal_mpc" and r["speed"] == 8.0 and r["seed"] == 0)
+    attitude = np.frombuffer(base64.b64decode(track["attitude"]), "<i2").reshape(-1, 4) / 32767
+    np.testing.assert_allclose(attitude, comparison.flight(row).stack([f"q_{i}" for i in "wxyz"]), atol=1e-4)
     assert any(track["outcome"] == "lost" and track["samples"] == 60 for case in cases for track in case["tracks"])
 
 
@@ -188,16 +194,19 @@ def test_the_same_results_give_the_same_page(results, text, tmp_path):
     assert again["path"].read_text(encoding="utf-8") == text
 
 
-def test_both_themes_and_both_motions_are_provided_for(text):
-    for wanted in ("prefers-color-scheme:dark", "prefers-reduced-motion", "@media print", ":focus-visible"):
-        assert wanted in text
-    assert "var(--series-grey-0)" in text
+def test_the_size_of_the_replay_is_bounded(results):
+    comparison = read_comparison(results)
+    cases = choose_cases(comparison, [])
+    packed, _ = pack_replay(comparison, cases)
+    size = sum(len(text) for case in packed for part in (case, *case["tracks"]) for text in part.values()
+               if isinstance(text, str) and len(text) > 200)  # fmt: skip
+    assert len(pack_replay(comparison, cases, size)[1]) == len(cases)
+    assert len(pack_replay(comparison, cases, size - 1)[1]) == len(cases) - 1
 
 
 def test_the_front_is_nobody_beaten_in_both():
-    points = {"a": (1.0, 9.0, 0, 0), "b": (2.0, 3.0, 0, 0), "c": (3.0, 4.0, 0, 0), "d": (4.0, 1.0, 0, 0)}
+    points = {"a": (1.0, 9.0), "b": (2.0, 3.0), "c": (3.0, 4.0), "d": (4.0, 1.0)}
     assert pareto_front(points) == ["a", "b", "d"]
-    assert pareto_front(points, ["d"]) == ["a", "b"]
 
 
 @pytest.mark.parametrize("controllers", [("gp_mpc",), ("nominal_mpc",), ("perfect_mpc", "linear_drag_mpc")])
@@ -214,47 +223,88 @@ def test_an_absent_cell_leaves_the_numbers(tmp_path):
     assert Page(text).tables["rmse"] and 'id="replay"' not in text
 
 
-class TestSize:
-    """Results of any size make a page of at most two megabytes that says what it leaves out."""
+def test_nothing_is_left_out_of_a_small_page(made, text):
+    assert made["left_out"] == [] and "leaves out" not in text
 
-    def test_nothing_is_left_out_of_a_small_one(self, made, text):
-        assert made["left_out"] == [] and "leaves out" not in text
 
-    def test_first_the_replay_goes_and_the_files_inside(self, results, made, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.report.page.build.LIMIT", made["bytes"] - 100_000)
-        smaller = make_report(results, tmp_path / "report.html")
-        assert smaller["bytes"] < made["bytes"] - 100_000
-        assert smaller["left_out"][0] == "the replay of 4 of 4 conditions"
-        text = smaller["path"].read_text(encoding="utf-8")
-        assert set(Page(text).tables) > METRICS and 'id="replay"' not in text
+def test_a_large_page_says_what_it_leaves_out(tmp_path, monkeypatch):
+    monkeypatch.setattr("quadexp.report.page.MOST_LINES", 10)
+    made = make_report(many_results(tmp_path / "many", 20, seeds=8), tmp_path / "report.html")
+    text = made["path"].read_text(encoding="utf-8")
+    assert len(Page(text).tables["mean_error"]) == 1 + 10
+    assert made["left_out"][:2] == ["the replay of 20 of 20 conditions", "10 of 20 lines of the tables"]
+    assert all(text.count(entry) == 2 for entry in made["left_out"]), "where the page begins and where it comes from"
+    assert "gp_mpc: 95.0" in made["answer"][0], "the answer is made from all of them"
 
-    @pytest.mark.slow  # half a minute
-    def test_a_thousand_conditions(self, tmp_path):
-        made = make_report(many_results(tmp_path / "many", 1000, seeds=8), tmp_path / "report.html")
-        text = made["path"].read_text(encoding="utf-8")
-        assert made["bytes"] == made["path"].stat().st_size < 2_000_000
-        page = Page(text)
-        assert page.open == [] and METRICS & set(page.tables) == {"mean_error"}
-        assert len(page.tables["mean_error"]) == 1 + 1000
-        assert "the replay of 1000 of 1000 conditions" in made["left_out"]
-        assert "the table of the RMSE" in made["left_out"]
-        for entry in made["left_out"]:
-            assert text.count(entry) == 2, "said where the page begins and where it comes from"
-        assert "gp_mpc: 95.0" in made["answer"][0]
 
-    def test_then_lines_of_the_tables(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 130_000)
-        made = make_report(many_results(tmp_path / "many", 80, seeds=8), tmp_path / "report.html")
-        shown = len(Page(made["path"].read_text(encoding="utf-8")).tables["mean_error"]) - 1
-        assert made["bytes"] < 130_000 and shown == 40
-        assert f"{80 - shown} of 80 lines of the tables" in made["left_out"]
-        assert "gp_mpc: 95.0" in made["answer"][0], "the answer is made from all of them"
+@pytest.mark.slow  # half a minute
+def test_a_thousand_conditions_make_a_small_page(tmp_path):
+    made = make_report(many_results(tmp_path / "many", 1000, seeds=8), tmp_path / "report.html")
+    assert made["bytes"] == made["path"].stat().st_size < 2_000_000
 
-    def test_a_page_that_cannot_be_small_is_refused(self, results, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 1000)
-        with pytest.raises(QuadexpError, match="report on fewer conditions"):
-            make_report(results, tmp_path / "report.html")
-        assert list(tmp_path.iterdir()) == []
+
+def test_of_many_flights_some_are_looked_at_and_tables_are_complete(tmp_path, monkeypatch):
+    """The work is bounded: so many files are read, whatever the number of flights."""
+    root, read = many_results(tmp_path / "many", 1, seeds=300), []
+
+    def counted(reader):
+        return lambda path, *words, **options: read.append(path) or reader(path, *words, **options)
+
+    for place in ("frame.read_metadata", "page.source.read_record", "page.source.read_flight"):
+        room, _, name = place.rpartition(".")
+        module = __import__(f"quadexp.report.{room}", fromlist=[name])
+        monkeypatch.setattr(module, name, counted(getattr(module, name)))
+    made = make_report(root, tmp_path / "page.html")
+    text = made["path"].read_text(encoding="utf-8")
+    assert len(read) < 1000 and made["bytes"] < 2_000_000
+    assert text.count("300 of 300") >= 4 and "1200 flights" in text, "every flight is in the tables"
+    assert "settings of flights beyond 400 of 1200, evenly chosen" in made["left_out"]
+
+
+class TestSwept:
+    """The figures over what was swept are those of `quadexp plot` without keys."""
+
+    TWO = ("controller=nominal_mpc,perfect_mpc", "controller.nodes=5,10,20", "truth.mass=1,1.1,1.2", "seed=0,1")
+
+    @pytest.fixture(scope="class")
+    def two(self, tmp_path_factory):
+        def error(config):
+            lost = (config.controller.name, config.controller.nodes, config.seed) == ("nominal_mpc", 5, 1)
+            return None if lost else 0.2 / config.controller.nodes * config.truth.mass * (1 + 0.1 * noise(config.seed))
+
+        return swept(tmp_path_factory.mktemp("swept") / "two", list(self.TWO), error)
+
+    def test_two_keys_are_lines_in_panels_and_a_map_for_every_quantity(self, two):
+        made = Swept.of(read_comparison(two))
+        assert [view.kind for view in automatic(SweepFrame.read(two))] == [view.kind for view in made.views]
+        assert [name for name, _, _ in made.tabs] == ["mean_error", "rmse", "max_error", "success"] and not made.left
+        assert all(figure.count("<img alt=") == 1 for _, _, figures in made.tabs for figure in figures)
+        assert [len(figures) for _, _, figures in made.tabs] == [2] * 4
+        assert set(made.figures()) == {"mean_error_against_nodes", "mean_error_map_of_nodes_and_mass"}
+
+    def test_what_has_too_many_marks_is_a_picture_and_what_has_no_room_is_said(self, two, monkeypatch):
+        comparison = read_comparison(two)
+        monkeypatch.setattr("quadexp.report.page.panels.TABLED", ())  # the mean error and success
+        monkeypatch.setattr("quadexp.report.style.LARGEST_DRAWING", 1000)
+        made = Swept.of(comparison)
+        assert all("data:image/png" in figure for _, _, figures in made.tabs for figure in figures)
+        monkeypatch.setattr("quadexp.report.page.panels.BUDGET", len(made.tabs[0][2][0]) + 10)
+        less = Swept.of(comparison)
+        assert [len(figures) for _, _, figures in less.tabs] == [1] and len(less.left) == 3
+        assert less.left[0] == "mean error (mm) map of nodes and mass, which `quadexp plot` draws"
+
+    @pytest.mark.parametrize(
+        ("asked", "x", "facet"),
+        [
+            (["controller=nominal_mpc,perfect_mpc", "seed=0,1"], "controller", ()),
+            (["world=clean,outdoor_breeze", "controller=nominal_mpc,perfect_mpc"], "world", ()),
+            (["controller.nodes=5,10,20", "vehicle.mass=1,2", "truth.mass=1,2"], "controller.nodes", ("truth.mass",)),
+        ],
+    )
+    def test_any_number_of_keys(self, tmp_path, asked, x, facet):
+        root = swept(tmp_path / "r", asked, lambda config: 0.01 * (1 + noise(config.seed, repr(config))))
+        (first, *_) = Swept.of(read_comparison(root)).views
+        assert (first.kind, first.x.key, first.facet) == ("lines", x, facet)
 
 
 def test_refusals(results, tmp_path):

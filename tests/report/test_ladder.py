@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.report.ladder import draw, ladder_table, means_by_place, means_figure, world_of
+from quadexp.report.ladder import draw, ladder_table, means_by_place, means_figure
 from quadexp.report.metrics import METRICS
 
 ERRORS = {"clean": (0.2, 0.001), "only_late_estimate": (0.21, 0.04), "wind=constant": (0.4, 0.28)}  # m
@@ -28,12 +28,6 @@ def result(plant, controller, seed, error):
     return {**named, "speed": 8.0, "variant": "", "seed": seed, "outcome": "ok", "cause": "", **metrics}
 
 
-def test_names_of_worlds():
-    assert [world_of(name) for name in ("simplified", "simplified/race", "ideal/wind=dryden,link=latency")] == [
-        "clean", "race", "wind=dryden,link=latency",
-    ]  # fmt: skip
-
-
 def test_means_over_seeds_by_world_and_controller(rows):
     assert [place for place, _, _ in means_by_place(rows, "world").places] == list(ERRORS)
     for line, (world, errors) in zip(ladder_table(rows).rows, ERRORS.items(), strict=True):
@@ -47,7 +41,7 @@ def test_a_flight_that_is_lost_has_no_marker_and_is_named(rows):
     victim["outcome"] = "lost"
     (line,) = (line for line in ladder_table(hurt).rows if line[0] == "only_late_estimate")
     assert line[-1] == "1 of 3 lost"
-    panel = means_figure(means_by_place(hurt, "world"), "world").axes[0]
+    panel = means_figure(means_by_place(hurt, "world")).axes[0]
     drawn = {one.get_label(): len(one.lines[0].get_xdata()) for one in panel.containers}
     assert drawn == {"nominal_mpc": 3, "perfect_mpc": 2} and [text.get_text() for text in panel.texts] == ["2/3"]
 
@@ -56,10 +50,3 @@ def test_files(rows, tmp_path):
     files = draw(rows, tmp_path)
     assert (tmp_path / "ladder.md").read_text().count("\n| ") >= 4 and files["figure_ladder"].endswith("ladder.svg")
     assert (tmp_path / "figures" / "ladder.png").stat().st_size > 5_000
-
-
-def test_settings_of_a_controller_and_of_a_condition_are_not_merged(rows):
-    more = [row | {"variant": f"controller.nodes={n} wind.x={x}"} for row in rows for n in (10, 30) for x in (0, 1)]
-    table = ladder_table(more)
-    assert set(table.columns[3:]) == {f"{name} nodes={n}" for n in (10, 30) for name in CONTROLLERS}
-    assert len(table.rows) == 2 * len(ERRORS) and all(all(line) for line in table.rows)

@@ -12,8 +12,18 @@ from scipy.spatial.transform import Rotation
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table, write_table
-from quadexp.report.metrics import ERRORS, METRICS, attitude_error, flight_metrics, position_error, saturated_share
-from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
+from quadexp.report.metrics import (
+    ERRORS,
+    METRICS,
+    ROW_COLUMNS,
+    attitude_error,
+    flight_metrics,
+    from_columns,
+    position_error,
+    saturated_share,
+    to_columns,
+    to_csv,
+)
 from quadexp.report.tables import error_table
 from quadexp.report.text import shown
 from quadexp.sweeps.results import select
@@ -100,7 +110,7 @@ def test_rows_have_no_count_of_last_resorts_and_tables_of_earlier_versions_are_r
     write_table(tmp_path / "results.parquet", columns, {}, "results")
     (old,) = from_columns(read_table(tmp_path / "results.parquet", "results")[0])
     assert old["last_resort_count"] == 3 and "resort" not in to_csv([old])
-    assert error_table([old]).columns == ("nominal_mpc",)
+    assert error_table([old]).columns[2:] == ["nominal_mpc"]
 
 
 def test_a_flight_that_did_not_happen_has_no_errors_but_every_column():

@@ -15,8 +15,8 @@ import pytest
 
 from quadexp.bench.ranking import standings
 from quadexp.report.frame import SweepFrame
-from quadexp.report.points import points
 from quadexp.report.statistics import compute_statistics, overall
+from quadexp.report.view import points
 from quadexp.report.winner import verdicts
 from tests.bench.rows import row as bench_row
 from tests.report.test_tables import row

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.report.frame import SweepFrame
-from quadexp.report.query import chosen
+from quadexp.report.frame import SweepFrame, chosen
 
 NAMES = ("nominal_mpc", "gp_mpc", "perfect_mpc")
 

@@ -11,9 +11,9 @@ import pytest
 
 from quadexp.log.store import read_metadata, read_table
 from quadexp.report import inference
-from quadexp.report.pairing import contestant_labels, split_variant, variant_parts
-from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics, overall
-from quadexp.report.statistics_file import comparison_texts, results_statistics, write_comparison
+from quadexp.report.pairing import condition_of, contestant_of
+from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics, overall, results_statistics
+from quadexp.report.tables import comparison_texts, write_comparison
 from tests.report.test_tables import row
 
 
@@ -116,12 +116,9 @@ class TestFailures:
 
 class TestConditions:
     def test_settings_of_the_plant_make_conditions_those_of_the_controller_contestants(self):
-        assert split_variant("controller.nodes=20 plant.payload=0.1") == ("controller.nodes=20", "plant.payload=0.1")
-        assert split_variant("") == ("", "") and split_variant("trajectory.path=a b.csv") == (
-            "",
-            "trajectory.path=a b.csv",
-        )
-        assert variant_parts("controller.position_weight=0.5") == ["position_weight=0.5"]
+        both = row(variant="controller.nodes=20 plant.payload=0.1 trajectory.path=a b.csv")
+        assert contestant_of(both)[2] == "controller.nodes=20"
+        assert condition_of(both)[4] == "plant.payload=0.1 trajectory.path=a b.csv" and condition_of(row())[4] == ""
         rows = []
         for payload, scale in (("0", 1.0), ("0.1", 2.0)):
             rows += errors("nominal_mpc", [0.2 * scale, 0.22 * scale], variant=f"plant.payload={payload}")
@@ -152,22 +149,8 @@ class TestConditions:
             if statistic.baseline:
                 assert statistic.p == 1 / 8 and statistic.p_holm == 1 / 4 and statistic.comparisons == 2
 
-    def test_labels_say_the_checkpoint_where_there_are_several(self):
-        labels = contestant_labels([("gp_mpc", "models/a", ""), ("gp_mpc", "models/b", ""), ("nominal_mpc", "", "")])
-        assert list(labels.values()) == ["gp_mpc a", "gp_mpc b", "nominal_mpc"]
-
 
 class TestOverall:
-    @staticmethod
-    def rows(rng, reduction, seeds=5, scales=(0.1, 0.2, 0.5)):
-        made = []
-        for speed, scale in enumerate(scales, 4):
-            base = scale * np.exp(0.1 * rng.normal(size=seeds))
-            own = base * (1 - reduction) * np.exp(0.05 * rng.normal(size=seeds))
-            made += errors("nominal_mpc", list(base), speed=float(speed))
-            made += errors("gp_mpc", list(own), speed=float(speed))
-        return made
-
     def test_a_ratio_that_is_the_same_everywhere(self):
         rows = errors("nominal_mpc", [0.1, 0.2], speed=4.0) + errors("gp_mpc", [0.02, 0.04], speed=4.0)
         rows += errors("nominal_mpc", [1.0, 2.0], speed=8.0) + errors("gp_mpc", [0.2, 0.4], speed=8.0)
@@ -202,25 +185,15 @@ class TestOverall:
         assert (gp.conditions, gp.units) == (1, 8) and gp.left_out == "2 not completed by all"
         assert gp.own_pairs == 10 and "over all 10 that both completed" in gp.text()
 
-    def test_worse_is_said_as_more(self):
-        rows = errors("nominal_mpc", [0.1, 0.1]) + errors("gp_mpc", [0.12, 0.12])
-        assert overall(rows)[0].text().startswith("gp_mpc: 20.0 % more than nominal_mpc over 1 condition (2 seeds")
-
     def test_failures_are_counted(self):
         rows = errors("nominal_mpc", [0.2, 0.3, "lost"]) + errors("gp_mpc", [0.1, "lost", 0.1])
         (gp,) = overall(rows)
         assert gp.pairs == 1 and gp.lost == 1 and gp.success == pytest.approx(2 / 3)
         assert gp.text().endswith("at least 6 are needed; left out: 1 lost, 1 lost by nominal_mpc)")
+        (gp,) = overall(errors("nominal_mpc", [0.1, 0.1]) + errors("gp_mpc", [0.12, 0.12]))
+        assert gp.text().startswith("gp_mpc: 20.0 % more than nominal_mpc over 1 condition (2 seeds")
         (gp,) = overall(errors("nominal_mpc", ["lost"]) + errors("gp_mpc", [0.1]))
         assert gp.text() == "gp_mpc: no pair with nominal_mpc (1 lost by nominal_mpc)"
-
-    def test_coverage_and_error_rate(self):
-        rng = np.random.default_rng(29)
-        made = [overall(self.rows(rng, 0.4))[0] for _ in range(400)]
-        covered = np.mean([one.reduction_low <= 40 <= one.reduction_high for one in made])
-        assert 0.917 <= covered <= 0.983  # 95 % and 3 standard errors
-        p = np.array([overall(self.rows(rng, 0.0))[0].p for _ in range(400)])
-        assert np.mean(p <= 0.05) <= 0.083
 
     def test_an_error_of_zero_has_no_ratio(self):
         (gp,) = overall(errors("nominal_mpc", [0.0, 0.2]) + errors("gp_mpc", [0.1, 0.1]))

@@ -101,7 +101,7 @@ def test_the_terminal(stacked):
     text = console.file.getvalue()
     for word in ("1.2", "[1.1, 1.3]*", "a_b & c", "<x>"):
         assert word in text
-    assert "**" not in text and ("1.2 [1.1" in text) == (not stacked)
+    assert "**" not in text and ("1.2 [1.1" in text) == (not stacked)  # the interval below its value
 
 
 def test_a_table_without_rows_has_its_heading():

@@ -6,18 +6,8 @@ import math
 
 import pytest
 
-from quadexp.report.text import (
-    count,
-    duration,
-    listed,
-    number,
-    p_value,
-    percent,
-    probability,
-    relative,
-    speed_text,
-    typeset,
-)
+from quadexp.report import text
+from quadexp.report.text import count, duration, listed, number, percent, relative, speed_text, typeset
 
 
 @pytest.mark.parametrize("value", [0.0, 3e-7, 0.0123, 1.234, 99.96, 1234.5, -0.5, -7e-6])
@@ -29,17 +19,16 @@ def test_a_number_read_back_has_three_digits_or_one_decimal(value):
 def test_percentages_have_the_decimals_of_their_interval():
     assert percent(98.6123, 98.58, 98.64) == ("98.61 %", " [98.58, 98.64]")
     assert percent(50.0, 20.0, 80.0) == ("50.0 %", " [20.0, 80.0]")
-    assert (
-        percent(99.9713) == ("99.971 %", "")
-        and percent(95.2, least=0) == ("95 %", "")
-        and percent(0.1) == ("0.1 %", "")
-    )
-    assert percent(math.nan) == ("-", "")
+    texts = [percent(99.9713), percent(95.2, least=0), percent(0.1), percent(math.nan)]
+    assert texts == [("99.971 %", ""), ("95 %", ""), ("0.1 %", ""), ("-", "")]
+    assert text.with_interval(240.57, 239.91, 241.22) == ("240.6", " [239.9, 241.2]")
+    assert text.with_interval(0.8291, 0.7331, 0.9247) == ("0.829", " [0.733, 0.925]")
+    assert text.with_interval(12.3) == ("12.3", "") and text.with_interval(5.0, 5.0, 5.0) == ("5.00", " [5.00, 5.00]")
 
 
 def test_p_values():
-    assert [p_value(p) for p in (0.0312, 1e-5, 1.0, math.nan)] == ["0.031", "< 0.0001", "1", "-"]
-    assert [probability(p) for p in (0.0312, 1e-5, math.nan)] == ["p = 0.031", "p < 0.0001", ""]
+    assert [text.p_value(p) for p in (0.0312, 1e-5, 1.0, math.nan)] == ["0.031", "< 0.0001", "1", "-"]
+    assert [text.probability(p) for p in (0.0312, 1e-5, math.nan)] == ["p = 0.031", "p < 0.0001", ""]
 
 
 def test_times_speeds_and_counts():

@@ -1,4 +1,4 @@
-"""Figures of a sweep: drawn beside the tables, only where what they show has changed, each whole or not at all."""
+"""Figures of a sweep: drawn beside the tables, each whole or not at all."""
 
 from __future__ import annotations
 
@@ -14,32 +14,23 @@ from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
 
 ASKED = ["controller=nominal_mpc,perfect_mpc", "trajectory.speed=3,4", "trajectory.acceleration=1.5"]
-CIRCLE = {"mean_error_against_speed", "path_circle", "solve_time"}
+CIRCLE = {"mean_error_against_speed", "path_circle"}
 
 
-def fly(out, trajectories="circle", seeds=1):
-    return run_sweep(expand([*ASKED, f"trajectory={trajectories}", f"seed=range({seeds})"]), out, isolate=False).rows
-
-
-def draw(out, rows, processes=None, metric="mean_error"):
-    with SweepFigures(out, processes, metric, 0.95) as figures:
+def draw(out, rows, processes=None):
+    with SweepFigures(out, processes, "mean_error", 0.95) as figures:
         figures.begin(rows)
         return figures.end(), figures.failed
 
 
 def drawn(out):
-    """Name of a file -> when it was written."""
-    return {file.name: file.stat().st_mtime_ns for file in (out / "figures").iterdir()}
-
-
-def redrawn(out, before):
-    return {name.partition(".")[0] for name, at in drawn(out).items() if before.get(name) != at}
+    return {file.name for file in (out / "figures").iterdir()}
 
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
     out = tmp_path_factory.mktemp("figures") / "results"
-    rows = fly(out)
+    rows = run_sweep(expand([*ASKED, "trajectory=circle", "seed=0"]), out, isolate=False).rows
     files, failed = draw(out, rows)
     assert not failed and set(files) == {f"figure_{name}" for name in CIRCLE}
     return out, rows
@@ -57,47 +48,10 @@ def test_processes_draw_the_same_to_the_last_bit(first, tmp_path):
     shutil.copytree(first[0] / "cells", out / "cells")
     with Workers(2) as processes:
         files, failed = draw(out, rows, processes)
-    assert not failed and len(files) == 3
-    assert set(drawn(out)) == set(drawn(first[0])) == {f"{name}.{form}" for name in CIRCLE for form in ("svg", "png")}
+    assert not failed and len(files) == 2
+    assert drawn(out) == drawn(first[0]) == {f"{name}.{form}" for name in CIRCLE for form in ("svg", "png")}
     for name in drawn(out):
         assert (out / "figures" / name).read_bytes() == (first[0] / "figures" / name).read_bytes(), name
-
-
-def test_what_has_not_changed_is_not_drawn(flown):
-    out, rows = flown
-    before = drawn(out)
-    assert set(draw(out, rows)[0]) == {f"figure_{name}" for name in CIRCLE} and not redrawn(out, before)
-    again = fly(out)  # the rows as they come from the files
-    assert draw(out, again)[1] == {} and not redrawn(out, before)
-
-
-def test_only_what_shows_something_else_is_drawn(flown):
-    out, _ = flown
-    before = drawn(out)
-    rows = fly(out, "circle,lemniscate")
-    draw(out, rows)
-    assert redrawn(out, before) == {"mean_error_against_speed", "path_lemniscate", "solve_time"}
-    before = drawn(out)
-    slower = [row | {"solve_time_median": 2 * row["solve_time_median"]} if row["seed"] == 0 else row for row in rows]
-    other = [slow if row["speed"] == 3.0 else row for row, slow in zip(rows, slower, strict=True)]
-    draw(out, other)  # paths of two trajectories are of the speeds that were flown, this one among them
-    assert redrawn(out, before) == {"mean_error_against_speed", "solve_time", "path_circle", "path_lemniscate"}
-
-
-def test_a_file_that_is_gone_or_has_no_digest_is_drawn_again(flown):
-    out, rows = flown
-    before = drawn(out)
-    (out / "figures" / "path_circle.png").unlink()
-    (out / "figures" / "solve_time.svg").write_text("<svg> of an earlier version")
-    draw(out, rows)
-    assert redrawn(out, before) == {"path_circle", "solve_time"} and set(drawn(out)) == set(before)
-
-
-def test_another_metric_is_another_figure(flown):
-    out, rows = flown
-    before = drawn(out)
-    assert "figure_rmse_error_against_speed" in draw(out, rows, metric="rmse")[0]
-    assert redrawn(out, before) == {"rmse_error_against_speed"}
 
 
 @pytest.mark.parametrize("apart", [False, True], ids=["here", "in processes"])
@@ -105,14 +59,11 @@ def test_a_figure_that_fails_costs_no_other(flown, apart):
     """And the earlier one goes, which would show other rows."""
     out, rows = flown
     CellStore(out).path(rows[-1]["key"]).unlink()
-    changed = [row | {"max_error": 2 * row["max_error"]} for row in rows]
-    before = drawn(out)
     with Workers(2) as processes:
-        files, failed = draw(out, changed, processes if apart else None)
+        files, failed = draw(out, rows, processes if apart else None)
     assert list(failed) == ["path_circle"] and "no such file" in failed["path_circle"]
-    assert set(files) == {"figure_mean_error_against_speed", "figure_solve_time"}
-    assert redrawn(out, before) == {"mean_error_against_speed", "solve_time"}
-    assert not [name for name in drawn(out) if "path_circle" in name]
+    assert set(files) == {"figure_mean_error_against_speed"}
+    assert drawn(out) == {f"mean_error_against_speed.{form}" for form in ("svg", "png")}
 
 
 def test_an_interrupt_leaves_whole_figures_and_the_next_run_draws_the_others(flown):
@@ -131,7 +82,7 @@ def test_an_interrupt_leaves_whole_figures_and_the_next_run_draws_the_others(flo
     (out / "figures").mkdir(exist_ok=True)
     (out / "figures" / ".quadexp-0123456789abcdef.tmp").write_text("<svg> of a process that was killed")
     assert draw(out, rows)[1] == {}
-    assert set(drawn(out)) == {f"{name}.{form}" for name in CIRCLE for form in ("svg", "png")}
+    assert drawn(out) == {f"{name}.{form}" for name in CIRCLE for form in ("svg", "png")}
 
 
 def test_the_command_says_what_was_not_drawn_and_its_tables_are_there(tmp_path):
@@ -144,7 +95,7 @@ def test_the_command_says_what_was_not_drawn_and_its_tables_are_there(tmp_path):
     code, shown, said = run("evaluate", "--sweep", *asked)
     wrong = [line for line in said.splitlines() if line.startswith("error: ")]
     assert code == 1 and f"error: path_step: not drawn: {out / 'figures' / 'path_step.png'}: cannot be written" in said
-    assert len(wrong) == 3 and all(line.endswith("; the tables are not affected") for line in wrong)
+    assert len(wrong) == 2 and all(line.endswith("; the tables are not affected") for line in wrong)
     assert (
         str(out) in shown and {path.name: path.read_bytes() for path in out.iterdir() if path.name in tables} == tables
     )

@@ -11,7 +11,7 @@ from quadexp import provenance
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_metadata, write_flight
-from quadexp.report.flown_by import flown_by, versions_of
+from quadexp.report.checked import flown_by, versions_of
 from quadexp.report.summary import summarise
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import SweepInterrupted

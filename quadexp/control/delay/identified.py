@@ -23,20 +23,22 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.built import built
 from quadexp.control.delay.moments import Moments
-from quadexp.control.delay.prediction import STEP, Prediction, prediction_on
-from quadexp.control.delay.sent_commands import SETTLED, SentCommands
+from quadexp.control.delay.prediction import STEP, Prediction, prediction
 from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.delay.timing import LEAST, Delays, Search
+from quadexp.control.delivered import SETTLED, SentCommands
+from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python, run
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.dead_time import DeadTimePredictor
-from quadexp.control.mpc.motor_lead import MotorLead
+from quadexp.control.mpc.dead_time import DeadTimePredictor, MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, layers
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key
+from quadexp.physics.state import N_STATE
 
 LARGEST = 0.08  # s, of an age and of a dead time that are made good
 LARGEST_LAG = 0.1  # s
@@ -64,6 +66,9 @@ class Identified(WrappedController):
         self._prediction = Prediction(inner, 0.0, 0.0, 0.0, (LARGEST, memory))
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         self._ahead = CommandsAhead(self._core.mpc)
+        self._thrust, self._fresh = np.zeros(inner.vehicle.n_rotors), np.zeros(1)
+        if self._core.believed is not None:
+            self._core.believed.thrust = self._thrust
         self._observers = [one for one in layers(inner) if hasattr(one, "be_cautious")]
         longest = LARGEST + max(self._own.horizon, self._soft.horizon)
         self._spacing = self.control_period / GRID
@@ -82,7 +87,8 @@ class Identified(WrappedController):
         self._moments = Moments(self.vehicle, self.control_period)
         self._search: Search | None = None
         self._next: float = round(self._config.after / self.control_period)
-        self._strapdown.delay, self._made_good = 0.0, (0.0, 0.0, 0.0, 0.0)
+        self._strapdown.delay, self._fresh[0], self._made_good = 0.0, 0.0, (0.0, 0.0, 0.0, 0.0)
+        self._running = None
         self._aim()
         inside = self._inside(window)
         for one in (self._prediction, self._strapdown):
@@ -93,15 +99,23 @@ class Identified(WrappedController):
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
         self._look(measurement.state)
-        self._tell_thrusts()
-        now = self._prediction.now(measurement.state)
-        fresh = self._strapdown.now(measurement)
-        state = fresh if self._strapdown.delay else now
-        thrust, record = self.inner.step(measurement._replace(state=state), self._inside(window))
-        self._prediction.commands.record(thrust)
-        if self._next < math.inf and measurement.specific_force is not None:
-            self._moments.add(measurement.t, measurement.state, measurement.specific_force, thrust)
-        return thrust, record
+        return super().step(measurement, self._inside(window))
+
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        prediction, strapdown, commands = self._prediction, self._strapdown, self._prediction.commands
+        predicted, by_model = prediction.before(told, state)
+        propagated, by_readings = strapdown.before(told, state)
+        now = np.zeros(N_STATE)
+        inner = instant_of(self.inner, told, now)
+
+        def add() -> None:
+            if self._next < math.inf:
+                self._moments.add(told.t, state, told.force, inner.command)
+
+        operations = [python(self._tell_thrusts), *predicted, *propagated, copy(now, by_model)]
+        operations += [copy(now, by_readings, self._fresh), *inner.operations, *commands.after(inner.command)]
+        return inner._replace(operations=[*operations, python(add, told.read)])
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
@@ -116,8 +130,7 @@ class Identified(WrappedController):
 
     def _tell_thrusts(self) -> None:
         """What the rotors deliver now, for an observer in the MPC's step."""
-        if self._core.believed is not None:
-            self._core.believed.thrust = self._delivered @ self._prediction.commands.values
+        self._thrust[...] = self._delivered @ self._prediction.commands.values
 
     def _be_cautious(self, cautious: bool, x: np.ndarray | None) -> None:
         """Observers inside: whether they rely on the time of the thrusts."""
@@ -156,6 +169,7 @@ class Identified(WrappedController):
     def _make_young(self, found: Delays) -> None:
         age = min(found.age, LARGEST)
         self._strapdown.delay = age if found.gyro_fresh else 0.0
+        self._fresh[0] = self._strapdown.delay > 0
         self._prediction.tune(0.0 if found.gyro_fresh else age, self._prediction.dead_time, self._prediction.lag)
 
     def _make_early(self, found: Delays) -> None:
@@ -163,15 +177,11 @@ class Identified(WrappedController):
         lag = min(found.lag, LARGEST_LAG)
         settings = replace(self._own if found.age_known else self._soft, dead_time=dead_time, motor_lead=lag)
         self._prediction.tune(self._prediction.delay, found.dead_time, lag)
-        self._ahead.tune(dead_time, lag, self._prediction.commands.values * self._scale())
+        self._ahead.tune(dead_time, lag, self._prediction.commands.values)
         self._core.use(settings, self._ahead, MotorLead(self.vehicle, settings) if lag else None)
         self._made_good = (self._made_good[0], self._made_good[1], dead_time, lag)
+        self.recompose()
         self._aim()
-
-    def _scale(self) -> float:
-        """What the rotors are believed to give of a command."""
-        world = self._core.believed
-        return 1.0 if world is None else float(world.belief.thrust_scale)
 
 
 class CommandsAhead:
@@ -181,13 +191,13 @@ class CommandsAhead:
         n = mpc.vehicle.n_rotors
         parts = math.ceil(LARGEST / STEP - 1e-9)
         self._sent = SentCommands(n, mpc.settings.control_period, LARGEST + SETTLED * LARGEST_LAG)
-        function = prediction_on(mpc.vehicle, mpc.residual, parts, len(self._sent.values), mpc.backend)
+        function = built(mpc.backend, prediction, mpc.vehicle, mpc.residual, parts, len(self._sent.values))
         shared = {"theta": mpc.parameters, "commands": self._sent.values}
         shared |= {} if mpc.disturbance is None else {"push": mpc.disturbance}
         self._predict = BufferedFunction(function, shared)
         self._predict.arguments["scale"][0] = 1.0
         self._x, self._now = self._predict.arguments["x"], self._predict.results["now"]
-        self._parts, self._lag = parts, 0.0
+        self._parts, self._lag, self._thrust = parts, 0.0, np.zeros(n)
 
     def tune(self, dead_time: float, lag: float, commands: np.ndarray) -> None:
         """Dead time and lag (s) from now on, and the commands before, (k, n) (N), the oldest first."""
@@ -206,15 +216,25 @@ class CommandsAhead:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See DeadTimePredictor.predict."""
-        self._x[...] = x
-        self._predict()
-        if self._lag:
-            return np.concatenate([self._now, self._last @ self._sent.values])
-        return self._now.copy()
+        operations, predicted = self.before(x)
+        run(operations)
+        return predicted.copy()
 
-    def record(self, command: np.ndarray) -> None:
-        """See DeadTimePredictor.record."""
-        self._sent.record(command)
+    def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """See DeadTimePredictor.before."""
+        operations = [copy(self._x, state), call(self._predict)]
+        if not self._lag:
+            return operations, self._now
+        full = np.zeros(len(self._now) + len(self._thrust))
+        operations += [python(self._deliver), copy(full[:N_STATE], self._now), copy(full[N_STATE:], self._thrust)]
+        return operations, full
+
+    def after(self, command: np.ndarray) -> list[Operation]:
+        """See DeadTimePredictor.after."""
+        return self._sent.after(command)
+
+    def _deliver(self) -> None:
+        self._thrust[...] = self._last @ self._sent.values
 
 
 def soft(settings: MPCSettings, dead_time: float) -> MPCSettings:

@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.delay.sent_commands import SETTLED, SentCommands
+from quadexp.control.base import Controller, Window
+from quadexp.control.built import built
 from quadexp.control.delay.strapdown import KnownDelay
-from quadexp.control.instant import Instant, Told, call, copy, instant_of
-from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.delivered import SETTLED, SentCommands
+from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import key
@@ -67,65 +67,58 @@ class Prediction(WrappedController):
             if world is not None and model is not None:
                 shared |= {"push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:10]}
                 self._observer = None  # nothing is to be told
-            function = prediction_on(self.vehicle, residual, parts, len(self.commands.values), inner.backend)
+            function = built(inner.backend, prediction, self.vehicle, residual, parts, len(self.commands.values))
             self._predict = BufferedFunction(function, shared)
             self._arguments, self._now = self._predict.arguments, self._predict.results["now"]
             self._x = self._arguments["x"]
             self._arguments["scale"][0] = 1.0
             if model is None:
                 self._arguments["theta"][...] = residual.theta
-        self._since, self._shown = 0, -1.0
+        self._since, self._shown, self._tuned = 0, -1.0, reach is not None
+        self._young, self._moves = np.ones(1), np.zeros(1)  # whether `late` is to change, and is not 0
         self._inverse_inertia = np.linalg.inv(self.vehicle.inertia_matrix)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self._since, self._shown = 0, -1.0
+        self._young[0], self._moves[0] = 1.0, 0.0
         self.commands.reset(thrust_at_start(window, self.vehicle))
         super().reset(x, self._later(window) if self.ahead else window)
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step."""
-        t, x, force, speed = measurement
-        now = Measurement(t, self.now(x), force, speed)
-        thrust, record = self.inner.step(now, self._later(window) if self.ahead else window)
-        self.commands.record(thrust)
-        return thrust, record
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        operations, now = self.before(told, state)
+        if self.ahead:
+            operations.append(python(lambda: told.look(self._later(told.window))))
+        inner = instant_of(self.inner, told, now)
+        return inner._replace(operations=[*operations, *inner.operations, *self.commands.after(inner.command)])
 
-    def instant(self, told: Told) -> Instant | None:
-        """See control.instant; not where the reference is another one, or the belief that of an observer in Python."""
-        if self.ahead or self._observer is not None:
-            return None
+    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """Predicts from the state that is found there, (13,), and the array that has the state of now then."""
         if self._predict is None:
-            inner = instant_of(self.inner, told)
-        else:
-            inner = instant_of(self.inner, told._replace(state=self._now))
-        if inner is None:
-            return None
-        operations = [] if self._predict is None else [copy(self._x, told.state), call(self._predict)]
-        after = self.commands.operations(inner.command)
-        ready = (*inner.ready, lambda: self._predict is None or self._shown == self.delay)
-        return inner._replace(operations=[*operations, *inner.operations, *after], ready=ready)
+            return [], state
+        operations = [python(self._grow, self._young), copy(self._x, state), copy(self._now, state)]
+        if self._observer is not None:
+            operations.append(python(self._tell_belief))
+        return [*operations, call(self._predict, self._moves)], self._now
 
     def tune(self, delay: float, dead_time: float, lag: float) -> None:
         """Go on with others."""
         self.delay, self.dead_time, self.lag, self._shown = delay, dead_time, lag, -1.0
 
-    def now(self, x: np.ndarray) -> np.ndarray:
-        """The state of this instant, (13,), of the measured one; to be called once an instant."""
+    def _grow(self) -> None:
+        """Until `delay` has passed since the start, the measured state is that of the start."""
         late = min(self.delay, self._since * self.control_period)
         self._since += 1
-        if self._predict is None or not late + self.ahead:
-            return x
-        if late != self._shown:
+        self._young[0], self._moves[0] = self._tuned or late < self.delay, late + self.ahead > 0
+        if late + self.ahead and late != self._shown:
             self._divide(late)
-        self._x[...] = x
-        if self._observer is not None:
-            belief, told = self._observer.belief, self._arguments
-            told["wind"][:], told["scale"][0] = belief.wind, belief.thrust_scale
-            told["push"][:3] = belief.force / self.vehicle.mass
-            told["push"][3:] = self._inverse_inertia @ belief.torque
-        self._predict()
-        return self._now.copy()
+
+    def _tell_belief(self) -> None:
+        belief, told = self._observer.belief, self._arguments
+        told["wind"][:], told["scale"][0] = belief.wind, belief.thrust_scale
+        told["push"][:3] = belief.force / self.vehicle.mass
+        told["push"][3:] = self._inverse_inertia @ belief.torque
 
     def _later(self, window: Window) -> Window:
         """The reference when a command of now begins to act; states and inputs are asked for then."""
@@ -143,17 +136,6 @@ class Prediction(WrappedController):
         weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
         self._arguments["weights"].reshape(weights.shape)[...] = weights
         self._arguments["dt"][:], self._shown = starts - ends, late
-
-
-_built: dict[tuple[Any, ...], ca.Function] = {}
-
-
-def prediction_on(vehicle: Vehicle, residual: Residual, parts: int, commands: int, backend: str) -> ca.Function:
-    """`prediction` on a back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), parts, commands, backend)
-    if key not in _built:
-        _built[key] = realise(prediction(vehicle, residual, parts, commands), resolve(backend))
-    return _built[key]
 
 
 def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) -> ca.Function:

@@ -22,11 +22,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.instant import Instant, Told, call, copy, instant_of, move
-from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.base import Controller, Window
+from quadexp.control.built import built
+from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, move, python
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
 from quadexp.parts.settings import key
@@ -52,10 +52,10 @@ class Strapdown(WrappedController):
         super().__init__(inner)
         self.delay = delay  # may change in flight, up to `largest`
         self._periods = math.ceil((largest or delay) / self.control_period - 1e-9)
-        self._since = 0
+        self._since, self._young, self._tuned = 0, np.ones(1), largest is not None
         if self._periods:
-            function = _function(self._periods, self.vehicle.gravity, self.control_period, inner.backend)
-            self._propagate = BufferedFunction(function)
+            given = self._periods, self.vehicle.gravity, self.control_period
+            self._propagate = BufferedFunction(built(inner.backend, propagation, *given))
             arguments = self._propagate.arguments
             self._state, self._late = arguments["x"], arguments["late"]
             self._rates, self._forces = arguments["rates"], arguments["forces"]  # (K + 1, 3), the oldest first
@@ -66,57 +66,37 @@ class Strapdown(WrappedController):
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
-        self._since = 0
+        self._since, self._young[0] = 0, 1.0
         super().reset(x, window)
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step."""
-        t, _, force, speed = measurement
-        return self.inner.step(Measurement(t, self.now(measurement), force, speed), window)
-
-    def instant(self, told: Told) -> Instant | None:
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
+        operations, now = self.before(told, state)
+        inner = instant_of(self.inner, told, now)
+        return inner._replace(operations=[*operations, *inner.operations])
+
+    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """Brings the state that is found there, (13,), whose rate is of now as the specific force is, to now; and the
+        array that has it then."""
         if not self._periods:
-            return instant_of(self.inner, told)
-        inner = instant_of(self.inner, told._replace(state=self._now))
-        if inner is None:
-            return None
-        (older_rates, older_forces), (newer_rates, newer_forces) = self._older, self._newer
-        operations = [move(older_rates, newer_rates), move(older_forces, newer_forces)]
-        operations += [move(self._rate, told.state[RATE]), move(self._force, told.force)]
-        operations += [copy(self._state, told.state), call(self._propagate)]
-        ready = (*inner.ready, lambda: self._since * self.control_period >= self.delay)
-        return inner._replace(operations=[*operations, *inner.operations], ready=ready)
+            return [], state
 
-    def now(self, measurement: Measurement) -> np.ndarray:
-        """The state at this instant, (13,), of a measurement whose rate and specific force are of now; to be called
-        once an instant. Until `delay` has passed since the start, the measured state is that of the start."""
-        x, force = measurement.state, measurement.specific_force
-        if not self._periods:
-            return x
-        if force is None:  # nothing has been flown yet
-            self._rates[...] = x[RATE]
-            return x
-        if not self._since:
-            self._forces[...] = force
-        self._since += 1
-        (older_rates, older_forces), (newer_rates, newer_forces) = self._older, self._newer
-        older_rates[...], older_forces[...] = newer_rates, newer_forces
-        self._rate[...], self._force[...], self._state[...] = x[RATE], force, x
-        self._late[0] = min(self.delay, self._since * self.control_period)
-        self._propagate()
-        return self._now.copy()
+        def begin() -> None:
+            """Until `delay` has passed since the start, the measured state is that of the start."""
+            if not told.read[0]:  # nothing has been flown yet
+                self._rates[...] = state[RATE]
+                return
+            if not self._since:
+                self._forces[...] = told.force
+            self._since += 1
+            self._late[0] = min(self.delay, self._since * self.control_period)
+            self._young[0] = self._tuned or self._late[0] < self.delay
 
-
-_built: dict[tuple[Any, ...], ca.Function] = {}
-
-
-def _function(periods: int, gravity: float, period: float, backend: str) -> ca.Function:
-    """`propagation` on a back end; built once per process and structure."""
-    key = (periods, gravity, period, backend)
-    if key not in _built:
-        _built[key] = realise(propagation(periods, gravity, period), resolve(backend))
-    return _built[key]
+        read, (older_rates, older_forces), (newer_rates, newer_forces) = told.read, self._older, self._newer
+        operations = [python(begin, self._young), move(older_rates, newer_rates, read)]
+        operations += [move(older_forces, newer_forces, read), move(self._rate, state[RATE], read)]
+        operations += [move(self._force, told.force, read), copy(self._state, state), copy(self._now, state)]
+        return [*operations, call(self._propagate, read)], self._now
 
 
 def propagation(periods: int, gravity: float, period: float) -> ca.Function:

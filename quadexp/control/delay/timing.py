@@ -33,7 +33,7 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
-from quadexp.control.delay.sent_commands import INSTANT, SentCommands, command_weights
+from quadexp.control.delivered import INSTANT, SentCommands, command_weights
 from quadexp.errors import DataError
 from quadexp.physics.vehicle import Vehicle
 

@@ -31,16 +31,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
 
-from quadexp.compile.backend import realise, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.control.allocation import held, prioritised
 from quadexp.control.base import Window
+from quadexp.control.built import built
 from quadexp.control.laws.attitude import attitude_of
-from quadexp.control.laws.desaturation import held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
@@ -111,7 +110,7 @@ class CascadeController(ExplicitController):
     """A Controller (see control.base). backend: see compile/backend.py."""
 
     def __init__(self, vehicle: Vehicle, keys: CascadeKeys, *, backend: str = "auto") -> None:
-        function = _function(vehicle, keys, resolve(backend))
+        function = built(backend, cascade_function, vehicle, keys)
         super().__init__(vehicle, function, keys.rate, logged=LOGGED, backend=backend)
         self.keys = keys
 
@@ -119,11 +118,6 @@ class CascadeController(ExplicitController):
         """Integrals and derivatives are zero; see MEMORY."""
         zero = np.zeros(3)
         return np.concatenate([zero, x[VELOCITY], zero, zero, x[RATE], zero])
-
-
-@lru_cache(maxsize=64)
-def _function(vehicle: Vehicle, keys: CascadeKeys, backend: str) -> ca.Function:
-    return realise(cascade_function(vehicle, keys), backend)
 
 
 def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:

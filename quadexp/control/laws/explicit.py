@@ -1,13 +1,12 @@
 """A control law in closed form as a Controller: one compiled function a step.
 
 The function names what it reads: x (13,), state and input (thrusts) of the reference now (13,), (n,), its thrusts in
-the middle of the control period, path (3, 5), yaw (3,), belief (11,), theta, memory; and what it gives: command (n,),
-memory_next, held (rotors at a limit), log. Only what it names is filled.
+the middle of the control period, path (3, 5), yaw (3,), delivered thrusts (n,), belief (11,), theta, memory; and what
+it gives: command (n,), memory_next, held (rotors at a limit), log. Only what it names is filled.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -15,11 +14,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import no_belief
-from quadexp.control.instant import Instant, Operation, Told, call, copy, move
-from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.base import Belief, Window, no_belief
+from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.instant import YES, InOperations, Instant, Operation, Told, call, copy, law_record, move
+from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
 from quadexp.physics.state import N_STATE
@@ -30,7 +28,7 @@ Rate = Annotated[float, Setting("control rate", "[1, 1000]", "Hz")]
 NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale, air scale
 
 
-class ExplicitController:
+class ExplicitController(InOperations):
     """A Controller (see control.base) whose step is a CasADi function.
 
     function: see the module. rate: of control (Hz). residual: what it knows of the air, for its references too; None
@@ -49,18 +47,21 @@ class ExplicitController:
         logged: Sequence[str] = (),
         backend: str = "auto",
     ) -> None:
-        self.vehicle, self.control_period, self.residual = vehicle, 1.0 / rate, residual
+        self.vehicle, self.control_period = vehicle, 1.0 / rate
+        self.residual = self.air = residual
         self.backend = resolve(backend)
         self.node_times = np.array([0.0, 0.5, 1.0]) * self.control_period
         self.name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
         self._logged, self._law = tuple(logged), BufferedFunction(function)
         arguments = self._law.arguments
+        self._delivered: DeliveredThrust | None = None
+        if "delivered" in arguments:
+            self._delivered = DeliveredThrust(vehicle, self.control_period, backend=self.backend)
         if residual is not None:
             arguments["theta"].ravel()[:] = residual.theta
         if "belief" in arguments:
             arguments["belief"][:] = NO_BELIEF
-        self._sources = [name for name in ("x", "state", "input", "middle", "path", "yaw") if name in arguments]
-        self._memory, self._begun = "memory" in arguments, False
+        self._begun = np.zeros(1)
 
     def forget(self) -> None:
         """See Controller.forget; nothing is learned that outlives a flight."""
@@ -71,56 +72,51 @@ class ExplicitController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
+        super().reset(x, window)
         arguments = self._law.arguments
         if "belief" in arguments:
             arguments["belief"][:] = NO_BELIEF
-        self._begun = False
-        if self._memory:
+        self._begun[0] = 0.0
+        if self._delivered is not None:
+            self._delivered.reset(thrust_at_start(window, self.vehicle))
+        if "memory" in arguments:
             arguments["memory"][:] = self.initial(x, window)
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step; a command that is not finite has status FAILED."""
-        began = time.perf_counter()
-        arguments, results = self._law.arguments, self._law.results
-        if self._memory and self._begun:
-            arguments["memory"][:] = results["memory_next"]
-        self._begun = True
-        given = {
-            "x": measurement.state,
-            "state": window.state[0],
-            "input": window.input[0],
-            "middle": window.input[1],
-            "path": window.position,
-            "yaw": window.yaw,
-        }
-        for name in self._sources:
-            arguments[name][...] = given[name]
-        self._law()
-        thrust = results["command"].copy()
-        status = Status.RICCATI if np.isfinite(thrust).all() else Status.FAILED
-        return thrust, StepRecord(time.perf_counter() - began, status, 0, int(results["held"][0]), 0.0)
-
-    def instant(self, told: Told) -> Instant:
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         arguments, results, n = self._law.arguments, self._law.results, self.vehicle.n_rotors
-        operations = []
-        if {"state", "input", "middle"} & set(self._sources):
-            states, thrusts = np.empty((len(self.node_times), N_STATE)), np.empty((len(self.node_times) - 1, n))
-            operations.append(Operation("window", states, other=thrusts))
-            places = {"state": states[0], "input": thrusts[0], "middle": thrusts[1]}
-            operations += [copy(arguments[name], places[name]) for name in places if name in self._sources]
-        if "x" in self._sources:
-            operations.append(copy(arguments["x"], told.state))
-        rows = {"path": told.position, "yaw": told.yaw}
-        operations += [Operation("row", arguments[name], rows[name]) for name in rows if name in self._sources]
-        if self._memory:
-            operations.append(move(arguments["memory"], results["memory_next"]))
+        states, thrusts = np.empty((len(self.node_times), N_STATE)), np.empty((len(self.node_times) - 1, n))
+        delivered, places = self._delivered, {"x": state, "path": told.path, "yaw": told.yaw[:3]}
+        ahead = {"state": states[0], "input": thrusts[0], "middle": thrusts[-1]}
+        operations = [Operation("window", states, other=thrusts)] if ahead.keys() & arguments.keys() else []
+        if delivered is not None:
+            operations += delivered.before(told)
+            places["delivered"] = delivered.thrust
+        operations += [copy(arguments[name], place) for name, place in (ahead | places).items() if name in arguments]
+        if "memory" in arguments:
+            operations.append(move(arguments["memory"], results["memory_next"], self._begun))
             operations.append(move(results["memory_next"], results["memory_next"]))  # the call may be taken back
+            operations.append(move(self._begun, YES))
         operations += [call(self._law), Operation("finite", source=results["command"])]
+        operations += [] if delivered is None else delivered.after(results["command"])
         logged = (results["log"],) if self._logged else ()
-        begun = (lambda: self._begun,)
-        return Instant(operations, results["command"], held=results["held"], logged=logged, ready=begun)
+        record = law_record(self._law)
+        return Instant(operations, results["command"], record, held=results["held"], logged=logged)
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
         return dict(zip(self._logged, self._law.results["log"].tolist(), strict=True)) if self._logged else {}
+
+
+class BelievingController(ExplicitController):
+    """One whose function reads a belief."""
+
+    @property
+    def believed_numbers(self) -> np.ndarray:
+        """What is believed, in the order of Belief; (11,)."""
+        numbers: np.ndarray = self._law.arguments["belief"]
+        return numbers
+
+    def believe(self, belief: Belief) -> None:
+        """Take this for what acts beside the model, from the next step on."""
+        self.believed_numbers[:] = np.hstack([*belief])

@@ -32,17 +32,17 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from quadexp.compile.backend import realise, resolve
+from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.belief import N_BELIEF, Belief
+from quadexp.control.allocation import clipped, held, prioritised
+from quadexp.control.base import N_BELIEF
+from quadexp.control.built import built
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
-from quadexp.control.laws.desaturation import clipped, held, prioritised
-from quadexp.control.laws.explicit import ExplicitController, Rate
+from quadexp.control.laws.explicit import BelievingController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
@@ -91,46 +91,17 @@ class GeometricKeys(Settings):
     torque_limit: float = key(50.0, "largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")
 
 
-class GeometricController(ExplicitController):
+class GeometricController(BelievingController):
     """A Controller (see control.base). residual: its model of the air, None for none."""
 
     def __init__(
         self, vehicle: Vehicle, keys: GeometricKeys, residual: Residual | None = None, *, backend: str = "auto"
     ) -> None:
         known = None if residual is None or residual.is_zero else residual
-        function = _function(vehicle, keys, _Air(known, resolve(backend)))
+        compiled = resolve(backend) == "compiled"
+        function = built(backend, geometric_function, vehicle, keys, known, compiled=compiled)
         super().__init__(vehicle, function, keys.rate, residual=known, logged=LOGGED, backend=backend)
         self.keys = keys
-
-    def believe(self, belief: Belief) -> None:
-        """Take this for what acts beside the model, from the next step on."""
-        believed = self._law.arguments["belief"]
-        believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE], believed[AIR] = belief
-
-    @property
-    def believed_numbers(self) -> np.ndarray:
-        """What is believed, in the order of Belief; (11,)."""
-        numbers: np.ndarray = self._law.arguments["belief"]
-        return numbers
-
-
-class _Air:
-    """A residual on a back end, equal to another by its structure."""
-
-    def __init__(self, residual: Residual | None, backend: str) -> None:
-        self.residual, self.backend = residual, backend
-        self._key = (backend, residual and residual.function.serialize())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Air) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-
-@lru_cache(maxsize=64)
-def _function(vehicle: Vehicle, keys: GeometricKeys, air: _Air) -> ca.Function:
-    return realise(geometric_function(vehicle, keys, air.residual, compiled=air.backend == "compiled"), air.backend)
 
 
 def geometric_function(

@@ -24,11 +24,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from quadexp.compile.backend import realise, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.control.allocation import held
 from quadexp.control.base import Window
+from quadexp.control.built import built
 from quadexp.control.laws.attitude import heading_of
-from quadexp.control.laws.desaturation import held
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
@@ -61,16 +61,11 @@ class RaptorController(ExplicitController):
     """A Controller (see control.base); raises UsageError where the package is missing, or for a layout that is no X."""
 
     def __init__(self, vehicle: Vehicle, keys: RaptorKeys, *, backend: str = "auto") -> None:
-        super().__init__(vehicle, _function(vehicle, keys, resolve(backend)), keys.rate, backend=backend)
+        super().__init__(vehicle, built(backend, raptor_function, vehicle, keys), keys.rate, backend=backend)
 
     def initial(self, x: np.ndarray, window: Window) -> np.ndarray:
         """The policy's first hidden state, and no action."""
         return np.concatenate([policy().layers[1].initial_hidden_state.ravel(), np.zeros(ACTIONS)])
-
-
-@lru_cache(maxsize=64)
-def _function(vehicle: Vehicle, keys: RaptorKeys, backend: str) -> ca.Function:
-    return realise(raptor_function(vehicle, keys, policy()), backend)
 
 
 @lru_cache(maxsize=1)
@@ -108,7 +103,7 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float]:
     )
 
 
-def raptor_function(vehicle: Vehicle, keys: RaptorKeys, made: Any) -> ca.Function:
+def raptor_function(vehicle: Vehicle, keys: RaptorKeys) -> ca.Function:
     """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,)."""
     x, state, memory = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE), ca.SX.sym("memory", HIDDEN + ACTIONS)
     order, turn = layout(vehicle)
@@ -120,7 +115,7 @@ def raptor_function(vehicle: Vehicle, keys: RaptorKeys, made: Any) -> ca.Functio
         for part, limit in ((POSITION, keys.position_limit), (VELOCITY, keys.velocity_limit))
     )
     observation = ca.vertcat(position, ca.vec(R.T), velocity, ca.mtimes(turned.T, x[RATE]), memory[HIDDEN:])
-    action, hidden = evaluated(made, observation, memory[:HIDDEN])
+    action, hidden = evaluated(policy(), observation, memory[:HIDDEN])
     speed = ca.fmin(ca.fmax((action + 1) / 2, 0), 1)
     places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
     u = ca.fmin(ca.fmax(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min), vehicle.thrust_max)

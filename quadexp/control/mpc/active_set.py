@@ -6,11 +6,12 @@ node j propagates backwards to h_k in the nodes k <= j (later ones are zero), an
 
     h_k = e_i [k = j] + B_k' p_{k+1},     p_k = A_k' p_{k+1} - K_k' h_k,     M_(i,l) = sum_k h_k(i)' H_k^-1 h_k(l)
 
-A dual active-set method (control.mpc.dual_active_set) then finds the inputs at a bound, starting with the active set of
-the last control step. The optimality conditions of the result are checked in the subproblem itself; where they do not
-hold to 1e-7 N the step has status FAILED. An input is never just clipped.
+A dual active-set method then finds the inputs at a bound, starting with the active set of the last control step. The
+optimality conditions of the result are checked in the subproblem itself; where they do not hold to 1e-7 N the step has
+status FAILED. An input is never just clipped.
 
-The compiled form is one function (active_set.c); this file is the same method in numpy, for the interpreted back end.
+That is the compiled form, one function (active_set.c). The interpreted one makes H from the dynamics and has CasADi's
+`conic` find the inputs at a bound (DAQP: Arnstroem, Bemporad, Axehill 2022); with these the others follow exactly.
 """
 
 from __future__ import annotations
@@ -18,14 +19,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from enum import IntEnum
+from functools import cache
 from typing import Protocol
 
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.mpc.dual_active_set import bounded_minimum
 from quadexp.physics.state import ATTITUDE
+
+TOLERANCE, LOOSE = 1e-10, 1e-7  # N: violation that changes the active set; error with which a result is accepted
+ROUNDS = 10  # of the active set, at most, after DAQP's
 
 
 class Status(IntEnum):
@@ -82,21 +86,22 @@ class ActiveSet:
         return Status.ACTIVE_SET
 
 
-def make_active_set(bounded: ca.Function | None, step: BufferedFunction) -> ActiveSet:
-    """The solver on the arrays of `step`. bounded: the compiled function, or None for numpy."""
+def make_active_set(step: BufferedFunction, bounded: ca.Function | None = None) -> ActiveSet:
+    """The solver on the arrays of `step`. bounded: the compiled function; None: without a compiler."""
     shared = step.arguments | step.results | {"U_free": step.results["U_new"]}
     return ActiveSet(InterpretedSolver(step.function, shared) if bounded is None else BufferedFunction(bounded, shared))
 
 
 class InterpretedSolver:
-    """`subproblem.bounded_function` in numpy, with the same arguments and results.
+    """`subproblem.bounded_function` without a compiler, with the same arguments and results but for `exchanges`, which
+    counts what is another than in the guess.
 
     step: the control step; data: its arguments and results by name, read at every call.
     """
 
     def __init__(self, step: ca.Function, data: Mapping[str, np.ndarray]) -> None:
         self._data = data
-        self._places = {name: _places(step.sparsity_out(step.index_out(name))) for name in ("A", "B")}
+        self._patterns = {name: step.sparsity_out(name) for name in ("A", "B")}
         nodes, n = data["U_lin"].shape
         self._states = states = data["Q"].shape[1]
         self.arguments = {"guess": np.zeros((nodes, n))}
@@ -105,73 +110,67 @@ class InterpretedSolver:
 
     def __call__(self) -> None:
         """Solve; data that are not finite give `solved` = 0."""
+        data, results = self._data, self.results
         with np.errstate(all="ignore"):
-            self._solve()
-
-    def _solve(self) -> None:
-        data, (nodes, n) = self._data, self.arguments["guess"].shape
-        A, B = (self._transposed(name) for name in ("A", "B"))
-        U, weights = data["U_lin"], np.vstack([data["Q"][1:], data["Q_end"]])
-
-        d_state = np.zeros((nodes, self._states))
-
-        def gradient(flat: np.ndarray) -> np.ndarray:
-            """Gradient of the cost in the changes of all inputs; the states that follow are left in d_state."""
-            d_input, d = flat.reshape(nodes, n), np.zeros(self._states)
-            pushed = np.einsum("ki,kij->kj", d_input, B) + data["b"]
-            for k in range(nodes):
-                d_state[k] = d = d @ A[k] + pushed[k]
-            slopes = data["q"][1:] + weights * d_state
-            result, p = data["r"] + data["R"] * d_input, np.zeros(self._states)
-            for k in range(nodes - 1, -1, -1):
-                p += slopes[k]
-                result[k] += B[k] @ p
-                p = A[k] @ p
-            return result.ravel()
-
-        found = bounded_minimum(
-            self._inverse_hessian(A, B),
-            (data["U_free"] - U).ravel(),
-            (data["u_min"] - U).ravel(),
-            (data["u_max"] - U).ravel(),
-            self.arguments["guess"].ravel(),
-            gradient,
-        )
-        d_input, results = found.u.reshape(nodes, n), self.results
+            maps, offsets = self._condensed()
+            weights = np.concatenate([*data["Q"][1:], data["Q_end"]])
+            H = np.diag(data["R"].ravel()) + maps.T @ (weights[:, None] * maps)
+            g = data["r"].ravel() + maps.T @ (weights * offsets + data["q"][1:].ravel())
+            U, guess = data["U_lin"], self.arguments["guess"]
+            low, high = (data["u_min"] - U).ravel(), (data["u_max"] - U).ravel()
+            used = [data[name] for name in ("K", "factor", "U_free")]  # of the unbounded solution
+            d_input, side, error = np.zeros(g.size), np.zeros(g.size), np.inf
+            if all(np.isfinite(part).all() for part in (H, g, *used)):
+                d_input, side, error = bounded_minimum(H, g, low, high)
+            d_state = (offsets + maps @ d_input).reshape(len(U), self._states)
         turn = np.linalg.norm(d_state[:, ATTITUDE], axis=1).max()
         if "frames" in data:  # from the cost's coordinates, see control.attitude_error: dq = L de
-            frames = data["frames"].reshape(nodes + 1, 4, 4)
+            frames = data["frames"].reshape(-1, 4, 4)
             d_state[:, ATTITUDE] = np.einsum("kcr,kc->kr", frames[1:], d_state[:, ATTITUDE])
         results["X_new"][...] = data["X_lin"]
         results["X_new"][1:] += d_state
-        results["U_new"][...] = np.clip(U + d_input, data["u_min"], data["u_max"])  # rounding only
-        results["side"][...] = found.side.reshape(nodes, n)
-        results["checks"][...] = found.solved, found.exchanges, np.count_nonzero(found.side), found.error, turn
+        results["U_new"][...] = np.clip(U + d_input.reshape(U.shape), data["u_min"], data["u_max"])  # rounding only
+        results["side"][...] = side.reshape(U.shape)
+        exchanges = np.count_nonzero(results["side"] != guess)
+        results["checks"][...] = error <= LOOSE, exchanges, np.count_nonzero(side), error, turn
 
-    def _transposed(self, name: str) -> np.ndarray:
-        """A' or B' of every node, dense: (N, m, m) or (N, n, m)."""
-        nodes = len(self._data["U_lin"])
-        dense = np.zeros((self._places[name][1], self._states))
-        dense.ravel()[self._places[name][0]] = self._data[name].ravel()
-        return dense.reshape(nodes, -1, self._states)
-
-    def _inverse_hessian(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """M = H^-1, (n N, n N), from A', B' and the step's factorisation."""
-        nodes, n = self.arguments["guess"].shape
-        K = self._data["K"].reshape(nodes, self._states, n)  # transposed, as it is stored
-        factors = self._data["factor"].reshape(nodes, n, n).transpose(0, 2, 1)
-        from_L = np.linalg.inv(np.tril(factors, -1) + np.eye(n))
-        from_D = np.diagonal(factors, axis1=1, axis2=2)
-        at_nodes = from_L.transpose(0, 2, 1) @ (from_D[:, :, None] * from_L)  # H_k^-1
-        inverse, p = np.zeros((nodes * n, nodes * n)), np.zeros((self._states, 0))
-        for k in range(nodes - 1, -1, -1):
-            h = np.hstack([np.eye(n), B[k] @ p])
-            inverse[k * n :, k * n :] += h.T @ (at_nodes[k] @ h)
-            p = np.hstack([np.zeros((self._states, n)), A[k] @ p]) - K[k] @ h
-        return inverse
+    def _condensed(self) -> tuple[np.ndarray, np.ndarray]:
+        """The states' changes as maps (m N, n N) of all inputs' changes, and offsets (m N,)."""
+        nodes, n = self._data["U_lin"].shape
+        A, B = (
+            np.split(ca.DM(pattern, self._data[name].ravel()).full(), nodes, axis=1)
+            for name, pattern in self._patterns.items()
+        )
+        maps, offsets = np.zeros((nodes, self._states, nodes * n)), np.zeros((nodes, self._states))
+        for k in range(nodes):
+            offsets[k] = self._data["b"][k]
+            if k:
+                maps[k], offsets[k] = A[k] @ maps[k - 1], offsets[k] + A[k] @ offsets[k - 1]
+            maps[k, :, k * n : (k + 1) * n] = B[k]
+        return maps.reshape(-1, nodes * n), offsets.ravel()
 
 
-def _places(pattern: ca.Sparsity) -> tuple[np.ndarray, int]:
-    """Positions of the structural non-zeros of a matrix stored by columns, and its number of columns."""
-    rows, columns = pattern.get_triplet()
-    return np.array(columns) * pattern.size1() + np.array(rows), pattern.size2()
+def bounded_minimum(
+    H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Minimum of 1/2 u'Hu + g'u with low <= u <= high: u (m,); side, -1 at the lower, 1 at the upper bound,
+    0 free; and the estimated error of u."""
+    found = _daqp(g.size)(h=H, g=g, lbx=low, ubx=high)
+    side, scale, fixed = np.sign(np.array(found["lam_x"]).ravel()), np.diag(H), low == high
+    for _ in range(ROUNDS):
+        side = np.where(fixed, 1.0, side)
+        free = side == 0
+        u = np.where(side > 0, high, low)
+        u[free] = np.linalg.solve(H[np.ix_(free, free)], -g[free] - H[np.ix_(free, ~free)] @ u[~free])
+        wrong = np.where(free | fixed, 0.0, side * (H @ u + g) / scale)  # multipliers of the other sign
+        excess = np.where(free, np.maximum(u - high, low - u), 0.0)
+        if max(wrong.max(), excess.max()) <= TOLERANCE:
+            break
+        side = np.where(wrong > TOLERANCE, 0.0, side)
+        side = np.where(excess > TOLERANCE, np.where(u > high, 1.0, -1.0), side)
+    return np.clip(u, low, high), np.where(fixed, 1.0, side), float(max(wrong.max(), excess.max(), 0.0))
+
+
+@cache
+def _daqp(size: int) -> ca.Function:
+    return ca.conic("daqp", "daqp", {"h": ca.Sparsity.dense(size, size)}, {"error_on_fail": False})

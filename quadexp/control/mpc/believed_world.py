@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import N_BELIEF, Belief, no_belief
+from quadexp.control.base import N_BELIEF, no_belief
+from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_by_commands
-from quadexp.control.instant import Operation, Told, call, copy, move
+from quadexp.control.instant import YES, Operation, Told, call, copy, move
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.models.residual import Residual
@@ -51,8 +51,8 @@ class BelievedWorld:
 
     mpc: made with disturbed=True. node_times: of the reference, from the measurement on, (k,) (s). targets: whether
     they are made anew. air: the model that references are made with; None: without.
-    estimator: finds the belief in `enter`; without one, set `belief` before. thrust: what the rotors deliver, (n,) (N),
-    where somebody else knows it; set it before each `enter`.
+    estimator: finds the belief; without one, it is `told`, (11,). numbers: what is believed since the last step, (11,).
+    thrust: an array with what the rotors deliver, (n,) (N), where somebody else knows it.
     """
 
     def __init__(
@@ -64,8 +64,7 @@ class BelievedWorld:
         air: Residual | None,
         estimator: Estimator | None = None,
     ) -> None:
-        self._mpc, settings, self._estimator, self._scale = mpc, mpc.settings, estimator, 1.0
-        self.finite = False  # whether what `enter` left is
+        self._mpc, settings, self._estimator = mpc, mpc.settings, estimator
         self.thrust: np.ndarray | None = None
         model = None
         self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
@@ -73,29 +72,34 @@ class BelievedWorld:
             air = air.unscaled or air
             model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
-        sizes = (settings.nodes, settings.samples)
-        function = _function(mpc.vehicle, model, estimator, mpc.backend, *sizes, targets, mpc.parameters.size)
+        pending = None if estimator is None else estimator.delays.pending
+        form = {"targets": targets, "parameters": mpc.parameters.size, "delays": pending}
+        sizes = settings.nodes, settings.samples
+        observe = estimator and estimator.update
+        function = built(mpc.backend, enter_function, mpc.vehicle, model, observe, *sizes, **form)
         assert mpc.disturbance is not None
         step, _ = mpc.functions
         into = {"disturbance": mpc.disturbance, "low": step.arguments["u_min"], "high": step.arguments["u_max"]}
-        in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
-        into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if in_place else {}
+        self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
+        into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if self._in_place else {}
         self._enter = BufferedFunction(function, {"theta": mpc.parameters}, into)
-        self._given = given = self._enter.arguments
-        left = self._enter.results
+        self._given, self._left = self._enter.arguments, self._enter.results
+        given = self._given
         given["times"][...], given["period"][...] = node_times, settings.control_period
-        self._x, self._X_ref, self._U_ref, self._memory = (given[name] for name in ("x", "X_ref", "U_ref", "memory"))
-        self._x_in, self._X_in, self._U_in = left["x_in"], left["X_in"], left["U_in"]
-        if in_place:
-            self._X_in, self._U_in = mpc.reference
-        self._next, self._found, self._change = left["memory_next"], left["found"], left["change"]
+        self._memory, self.numbers = given["memory"], self._left["found"]
         self._since = (settings.dead_time + settings.node_times)[:, None]
         self._coefficient = mpc.vehicle.thrust_coefficient
-        self._told = [given.get(name, np.empty(0)) for name in ("known", "reading", "measured", "sent")]
+        self._sent = given.get("sent", np.zeros(mpc.vehicle.n_rotors))
         if estimator is not None:
             given["settings"].ravel()[:], given["delays"][...] = estimator.settings, estimator.delays.numbers
-            self._layout = Layout(mpc.vehicle, settings.nodes, estimator)
+            self._layout = Layout(mpc.vehicle, settings.nodes, observe, pending)
         self.reset(None)
+
+    @property
+    def told(self) -> np.ndarray:
+        """The belief for the next step, (11,), where no estimator finds it."""
+        told: np.ndarray = self._given["belief"]
+        return told
 
     def retime(self, node_times: np.ndarray) -> None:
         """Use other times of the reference, (k,) (s) from the measurement on, from the next step on."""
@@ -104,14 +108,13 @@ class BelievedWorld:
 
     def reset(self, begin: np.ndarray | None) -> None:
         """Begin a flight in the world of the model, after the MPC did. begin: first state of the estimator."""
-        self.belief = no_belief()
         self._mpc.set_disturbance(np.zeros(6))
-        self._memory[...] = self._found[...] = 0.0
-        self._found[-2:] = 1.0
+        self._memory[...], self.numbers[...] = 0.0, np.hstack([*no_belief()])
+        if self._estimator is None:
+            self.told[...] = self.numbers
         if self._air_scale is not None:
             self._air_scale[:] = 1.0
         self._mpc.set_thrust_scale(1.0)
-        self._scale = 1.0
         if self._estimator is None or begin is None:
             return
         given, thrust = self._enter.arguments, self._mpc.prediction[1][0]
@@ -125,93 +128,42 @@ class BelievedWorld:
         self._given["settings"].ravel()[:] = settings
         self._memory[self._layout.slices["estimate"]] = state
 
-    @property
-    def estimates(self) -> bool:
-        """Whether an estimator finds the belief, and this program's own arrays what it needs."""
-        return self._estimator is not None and self.thrust is None
-
-    @property
-    def in_place(self) -> bool:
-        """Whether `enter` leaves the reference where the MPC's step reads it."""
-        return self._X_in is self._mpc.reference[0]
-
-    @property
-    def found(self) -> Belief:
-        """What the estimator believes since the last step."""
-        b = self._found
-        return Belief(b[0:3], b[3:6], b[6:9], float(b[9]), float(b[10]))
-
-    @property
-    def numbers(self) -> np.ndarray:
-        """What is believed, (10,), as `enter` left it: force, torque, wind, thrust scale; the same array always."""
-        return self._found
-
-    def enter(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """State (13,) and the window's states and inputs in the plan's frame; the MPC is told of the rest.
-
-        The arrays are overwritten by the next call.
-        """
-        self._x[...], self._X_ref[...], self._U_ref[...] = measurement.state, window.state, window.input
-        if self._estimator is None:
-            told = self._given["belief"]
-            told[:3], told[3:6], told[6:9], told[9], told[10] = self.belief
-        else:
-            _, _, reading, speed = measurement
-            known, read, measured, _ = self._told
-            if reading is None:
-                known[0] = 0.0
-            else:
-                known[0], read[...] = 1.0, reading
+    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the
+        state (13,) in the array that is returned; the MPC is told of the rest."""
+        given, left, (X, U) = self._given, self._left, self._mpc.reference
+        operations = [copy(given["x"], state), Operation("window", given["X_ref"], other=given["U_ref"])]
+        if self._estimator is not None:
+            operations += [copy(given["known"][:1], told.read), copy(given["reading"], told.force)]
+            if self.thrust is not None:
+                operations += [copy(given["known"][1:], YES), copy(given["measured"], self.thrust)]
+            elif self._coefficient is not None:
+                operations.append(copy(given["known"][1:], told.turning))
             if self._coefficient is not None:
-                known[1] = speed is not None
-                if speed is not None:
-                    measured[...] = self._coefficient * speed**2
-            if self.thrust is not None and (speed is None or self._coefficient is None):
-                known[1], measured[...] = 1.0, self.thrust
-        self._enter()
-        self._mpc.prepared = False  # the disturbance is another
-        self._memory[...] = self._next
-        self._scale, self.finite = self._found.item(9), math.isfinite(self._change.item(4))
+                measured = Operation("square", given["measured"], told.speed, factor=self._coefficient)
+                operations.append(measured._replace(when=told.turning))
+        change = left["change"]
+        operations += [call(self._enter), Operation("finite", source=change)]
+        operations.append(Operation("below", source=change[3:4], factor=MOVED, act=self._move))
+        operations.append(move(self._memory, left["memory_next"]))
         if self._air_scale is not None:
-            self._air_scale[:] = self._found[10:]
-        if self._change.item(3) > MOVED:
-            self._move(self._change[:3])
-        return self._x_in, self._X_in, self._U_in
-
-    def before(self, told: Told) -> tuple[list[Operation], np.ndarray]:
-        """`enter` for C, with an estimator; and the array that has the state in the plan's frame then."""
-        known, read, measured, _ = self._told
-        known[:] = 1.0, told.speed is not None and self._coefficient is not None
-        operations = [copy(self._x, told.state), Operation("window", self._X_ref, other=self._U_ref)]
-        operations.append(copy(read, told.force))
-        if told.speed is not None and self._coefficient is not None:
-            operations.append(Operation("square", measured, told.speed, factor=self._coefficient))
-        operations += [call(self._enter), Operation("finite", source=self._change)]
-        operations += [Operation("below", source=self._change[3:4], factor=MOVED), move(self._memory, self._next)]
-        if self._air_scale is not None:
-            operations.append(move(self._air_scale, self._found[10:]))
-        return operations, self._x_in
+            operations.append(move(self._air_scale, self.numbers[10:]))
+        if not self._in_place:
+            operations += [copy(X[:, :N_STATE], left["X_in"]), copy(U, left["U_in"])]
+        return operations, left["x_in"]
 
     def after(self, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
-        """`leave` for C, and the array that has the command then."""
-        sent = self._told[3]
-        return [Operation("divide", sent, thrust, self._found[9:10])], sent
+        """The command that delivers a planned thrust, (n,) (N), and the array that has it then."""
+        return [Operation("divide", self._sent, thrust, self.numbers[9:10])], self._sent
 
-    def go_on(self, k: int, record: Any) -> None:
-        """Go on after operations in C."""
-        self._mpc.prepared, self._scale = False, self._found.item(9)
+    @property
+    def finite(self) -> bool:
+        """Whether what `before` left is."""
+        return math.isfinite(self._left["change"].item(4))
 
-    def leave(self, thrust: np.ndarray) -> np.ndarray:
-        """The command, (n,) (N), that delivers a planned thrust."""
-        if self._scale != 1.0:
-            thrust = thrust / self._scale
-        if self._estimator is not None:
-            self._told[3][...] = thrust
-        return thrust
-
-    def _move(self, change: np.ndarray) -> None:
+    def _move(self) -> None:
         """Bring the last solution into a frame that is the faster by `change` (m/s) from now on."""
-        X = self._mpc.prediction[0]
+        X, change = self._mpc.prediction[0], self._left["change"][:3]
         X[:, VELOCITY] -= change
         X[:, POSITION] -= change * (self._since - self._mpc.settings.control_period)
 
@@ -220,50 +172,29 @@ class Layout:
     """Places in the memory, by name: the frame's origin, the wind, `air` of control.mpc.targets at the nodes; with an
     estimator what commands gave, and its state."""
 
-    def __init__(self, vehicle: Vehicle, nodes: int, estimator: Estimator | None) -> None:
+    def __init__(self, vehicle: Vehicle, nodes: int, update: ca.Function | None, pending: int | None) -> None:
         n = vehicle.n_rotors
         sizes = {"origin": 3, "wind": 3, "air": 6 * (nodes + 1)}
-        if estimator is not None:
-            sizes |= {"commands": n * estimator.delays.pending, "thrust": n, "before": n + 1}
-            sizes |= {"estimate": estimator.update.size1_in("s")}
+        if update is not None and pending is not None:
+            sizes |= {"commands": n * pending, "thrust": n, "before": n + 1, "estimate": update.size1_in("s")}
         ends = [*accumulate(sizes.values())]
         self.size = ends[-1]
         self.slices = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
-_built: dict[tuple[Any, ...], ca.Function] = {}
-
-
-def _function(
-    vehicle: Vehicle,
-    model: ca.Function | None,
-    estimator: Estimator | None,
-    backend: str,
-    nodes: int,
-    samples: int,
-    targets: bool,
-    parameters: int,
-) -> ca.Function:
-    """`enter_function` on a resolved back end; built once per process and structure."""
-    observed = estimator and (estimator.update.serialize(), estimator.delays.pending)
-    key = (vehicle.fingerprint, model and model.serialize(), observed, backend, nodes, samples, targets, parameters)
-    if key not in _built:
-        function = enter_function(vehicle, model, estimator, nodes, samples, targets=targets, parameters=parameters)
-        _built[key] = realise(function, backend)
-    return _built[key]
-
-
 def enter_function(
     vehicle: Vehicle,
     model: ca.Function | None,
-    estimator: Estimator | None,
+    update: ca.Function | None,
     nodes: int,
     samples: int,
     *,
     targets: bool,
     parameters: int,
+    delays: int | None = None,
 ) -> ca.Function:
-    """What `BelievedWorld.enter` computes, for N = nodes with s = samples of the reference in each.
+    """What a BelievedWorld computes before the plan, for N = nodes with s = samples of the reference in each;
+    update: of an estimator, which knows of `delays` pending commands.
 
     Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); times (s N + 1,) of the reference from now, period (s);
     memory, see Layout; belief (11,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
@@ -273,22 +204,21 @@ def enter_function(
     thrusts (N); found (11,), the belief; change (5,): of
     the wind, its size (m/s), and the sum of the squares of x_in, X_in and U_in; memory_next.
     """
-    n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, estimator)
+    n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, update, delays)
     shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
     shapes |= {"period": (1, 1), "memory": (layout.size, 1)}
-    if estimator is None:
+    if update is None:
         shapes |= {"belief": (N_BELIEF, 1)}
     else:
-        update = estimator.update
         shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "sent": (n, 1)}
-        shapes |= {"settings": update.size_in("settings"), "delays": (len(estimator.delays.numbers), 1)}
-    shapes |= {"theta": (parameters, 1)} if estimator is not None or model is not None else {}
+        shapes |= {"settings": update.size_in("settings"), "delays": (6, 1)}
+    shapes |= {"theta": (parameters, 1)} if update is not None or model is not None else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
     kept = {name: a["memory"][place] for name, place in layout.slices.items()}
     left: dict[str, Any] = {}
     found = a.get("belief")
-    if estimator is not None:
-        found, left = _estimated(a, kept, estimator, n)
+    if update is not None and delays is not None:
+        found, left = _estimated(a, kept, update, delays, n)
     force, torque, wind, scale, air_scale = ca.vertsplit(found, [0, 3, 6, 9, 10, 11])
     spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
     disturbance = ca.vertcat(force / vehicle.mass, spin)
@@ -323,12 +253,12 @@ def enter_function(
 
 
 def _estimated(
-    a: dict[str, ca.MX], kept: dict[str, ca.MX], estimator: Estimator, n: int
+    a: dict[str, ca.MX], kept: dict[str, ca.MX], update: ca.Function, pending: int, n: int
 ) -> tuple[ca.MX, dict[str, ca.MX]]:
     """The belief (11,) by an estimator, and what is to be remembered of commands and estimates."""
     read, turning = a["known"][0], a["known"][1]
     commands, thrust, mean = delivered_by_commands(
-        ca.reshape(kept["commands"], n, estimator.delays.pending), kept["thrust"], a["sent"], a["delays"]
+        ca.reshape(kept["commands"], n, pending), kept["thrust"], a["sent"], a["delays"]
     )
     before, had = kept["before"][:n], kept["before"][n]
     lags = a["delays"][-1]
@@ -336,7 +266,7 @@ def _estimated(
     share = turning * had * lags / 2  # of the thrusts a period ago
     mean = turning * (share * before + (1 - share) * a["measured"]) + (1 - turning) * mean
     given = [kept["estimate"], a["x"], a["reading"], now, mean, a["theta"], a["settings"]]
-    estimate, belief = estimator.update(*given)
+    estimate, belief = update(*given)
     nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
     left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}
     left |= {"estimate": ca.if_else(read, estimate, kept["estimate"])}  # without a reading, `reading` is an old one

@@ -7,27 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.belief import Belief
-from quadexp.control.instant import Instant, Operation, Told, copy
+from quadexp.control.base import Belief, Controller, Measurement, Window
+from quadexp.control.instant import InOperations, Instant, Operation, Told, copy
 from quadexp.control.mpc.believed_world import BelievedWorld, Estimator
-from quadexp.control.mpc.dead_time import DeadTimePredictor
-from quadexp.control.mpc.motor_lead import MotorLead
+from quadexp.control.mpc.dead_time import DeadTimePredictor, MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE, POSITION
 
+SURELY = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 
-class PredictiveController:
-    """A ModelPredictiveController as a Controller (see control.base)."""
+
+class PredictiveController(InOperations):
+    """A ModelPredictiveController as a Controller (see control.base). record: of its last step."""
 
     reference_period = 0.0
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.mpc = mpc
-        self.believed: BelievedWorld | None = None  # made by the first `believe`
+        self.believed: BelievedWorld | None = None  # made by the first belief
         self.targets = False  # whether references are recomputed to hold the path in the believed world
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
@@ -35,6 +35,8 @@ class PredictiveController:
         self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
         self.lead = MotorLead(mpc.vehicle, mpc.settings, mpc.backend) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
+        self._unprepared = np.ones(1)  # whether the reference is to be looked up
+        self.record: StepRecord
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
     @property
@@ -48,6 +50,7 @@ class PredictiveController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
+        super().reset(x, window)
         if self.believed is not None:
             self.mpc.set_disturbance(np.zeros(N_DISTURBANCE))
         if self.predictor is not None:
@@ -55,21 +58,30 @@ class PredictiveController:
             x = self.predictor.predict(x)
         if self.lead is not None:
             x = x[:N_STATE]
-        self.mpc.reset(x, self._within_reach(x, window.state), window.input)
+        states = window.state.copy()
+        self._within_reach(x, states)
+        self.mpc.reset(x, states, window.input)
         if self.believed is not None:
             self.believed.reset(None)
 
-    def believe(self, belief: Belief) -> None:
-        """Plan the next step, and all after it until told otherwise, in the world of a belief.
+    @property
+    def believed_numbers(self) -> np.ndarray:
+        """The belief in whose world every step is planned from now on, in the order of Belief; (11,).
 
         Raises QuadexpError where the MPC was made without `disturbed`.
         """
         if self.believed is None:
             self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
-        self.believed.belief = belief
+            self._running = None
+        return self.believed.told
+
+    def believe(self, belief: Belief) -> None:
+        """Plan the next step, and all after it until told otherwise, in the world of a belief."""
+        self.believed_numbers[:] = np.hstack([*belief])
 
     def use(self, settings: MPCSettings, predictor: Any, lead: MotorLead | None) -> None:
-        """Go on with other settings, see ModelPredictiveController.use, and what they know of dead time and lag.
+        """Go on with other settings, see ModelPredictiveController.use, and what they know of dead time and lag; what
+        is around it must be composed anew.
 
         predictor: as DeadTimePredictor, for settings.dead_time and settings.motor_lead; None: there is neither.
         """
@@ -99,86 +111,65 @@ class PredictiveController:
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        x, world, predictor = measurement.state, self.believed, self.predictor
-        if world is None and predictor is None:
-            return self._answer(x, window)
-        if world is not None:
-            x, states, inputs = world.enter(measurement, window)
-        if predictor is not None:
-            x = predictor.predict(x)
-        if self.lead is not None:
-            x, acting = x[:N_STATE], x[N_STATE:]
-        if world is None:
-            thrust, record = self._answer(x, window)
-        else:
-            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs, finite=world.finite)
-        if self.lead is not None:
-            thrust = self.lead.command(thrust, acting)
-        if predictor is not None:
-            predictor.record(thrust)  # in a believed world: what is delivered of the command
-        if world is not None:
-            thrust = world.leave(thrust)
-        return thrust, record
+        self.mpc.prepared = self.mpc.prepared and self._prepared is window and self.believed is None
+        self._unprepared[0], self._prepared = not self.mpc.prepared, None
+        return super().step(measurement, window)
 
-    def instant(self, told: Told) -> Instant | None:
-        """See control.instant; none with thrusts among the states of the plan, or a belief that somebody else has."""
-        world, mpc, lead = self.believed, self.mpc, self.lead
-        step, _ = mpc.functions
-        x0, X_ref = step.arguments["x0"], mpc.reference[0]
-        if (
-            type(mpc) is not ModelPredictiveController
-            or len(x0) != N_STATE
-            or (world is not None and not (world.estimates and world.in_place))
-        ):
-            return None
-        if self.predictor is not None and type(self.predictor) is not DeadTimePredictor:
-            return None
-        if world is None:
-            operations, x = [Operation("window", X_ref, other=mpc.reference[1])], told.state
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self.mpc.reference
+        if self.believed is None:
+            look = Operation("window", X_ref[:, :N_STATE], other=U_ref, when=self._unprepared)
+            operations, x = [look], state
         else:
-            operations, x = world.before(told)
+            operations, x = self.believed.before(told, state)
         if self.predictor is not None:
             predicted, x = self.predictor.before(x)
             operations += predicted
-        acting = x[N_STATE:]
-        operations += [copy(x0, x[:N_STATE]), Operation("finite", source=x0)]
-        limit = self.settings.distance_limit * (1 - 1e-9)
-        operations += [Operation("near", source=x0, other=X_ref, factor=limit), Operation("plan")]
-        thrust = mpc.prediction[1][0]
-        if lead is not None:
-            inverted, thrust = lead.operations(thrust, acting)
+        operations += [copy(x0, x[: len(x0)]), Operation("finite", source=x0)]
+        limit = self.settings.distance_limit * SURELY
+        operations += [Operation("near", source=x0, other=X_ref, factor=limit), Operation("plan", act=self._plan)]
+        command = mpc.prediction[1][0]
+        if self.lead is not None:
+            inverted, command = self.lead.after(command, x[N_STATE:])
             operations += inverted
         if self.predictor is not None:
-            operations += self.predictor.after(thrust)
-        if world is not None:
-            left, thrust = world.after(thrust)
-            operations += left
-        resumed = () if world is None else (world.go_on,)
-        return Instant(operations, thrust, mpc=mpc, resumed=resumed, ready=(lambda: not mpc.cold,))
+            operations += self.predictor.after(command)  # in a believed world: what is delivered of the command
+        if self.believed is not None:
+            delivering, command = self.believed.after(command)
+            operations += delivering
+        return Instant(operations, command, lambda _: self.record, plan=self)
 
-    def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """x: predicted state when the command begins to act; window: the reference from then on."""
-        prepared, self._prepared = self._prepared, None
-        if prepared is window and self.mpc.prepared and not self._too_far(x, window.state):
-            return self.mpc.feedback(x)
-        return self.mpc.command(x, self._within_reach(x, window.state), window.input)
+    @property
+    def _x0(self) -> np.ndarray:
+        x0: np.ndarray = self.mpc.functions[0].arguments["x0"]
+        return x0
 
-    def _within_reach(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
-        """The reference, shifted towards the vehicle where it is further away than distance_limit L.
+    def _plan(self) -> None:
+        """The MPC's step from what lies in its arrays; what is out of the ordinary is here, and not in C."""
+        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self.mpc.reference
+        if self._within_reach(x0, X_ref):
+            mpc.prepared = False
+        if mpc.prepared:
+            _, self.record = mpc.feedback(x0.copy())
+        else:
+            finite = self.believed is not None and self.believed.finite
+            _, self.record = mpc.command(x0, X_ref, U_ref, finite=finite)
+
+    def _within_reach(self, x: np.ndarray, reference: np.ndarray) -> bool:
+        """Shift the reference, (k, 13 ..), towards the vehicle where it is further away than distance_limit L, and
+        whether it was.
 
         With e = p - p*_0 and |e| > L every position is shifted by e (1 - L / |e|), as flight stacks limit the position
         error. Without a limit the quadratic cost demands a speed that grows with the distance: from 28 m away the
         vehicle arrives at 30 m/s, which one iteration per step cannot brake in time.
         """
-        if not self._too_far(x, reference):
-            return reference
-        error, near = x[POSITION] - reference[0, POSITION], reference.copy()
-        near[:, POSITION] += error * (1 - self.settings.distance_limit / math.sqrt(error.dot(error)))
-        return near
-
-    def _too_far(self, x: np.ndarray, reference: np.ndarray) -> bool:
-        at, to = x.item, reference.item
-        return math.dist((at(0), at(1), at(2)), (to(0), to(1), to(2))) > self.settings.distance_limit
+        at, to, limit = x.item, reference.item, self.settings.distance_limit
+        if not math.dist((at(0), at(1), at(2)), (to(0), to(1), to(2))) > limit:
+            return False
+        error = x[POSITION] - reference[0, POSITION]
+        reference[:, POSITION] += error * (1 - limit / math.sqrt(error.dot(error)))
+        return True
 
     def log(self) -> dict[str, float]:
         """See Controller.log; everything is in the step record."""

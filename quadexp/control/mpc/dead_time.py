@@ -14,16 +14,18 @@ not measured but computed from the commands by the same lag (physics.motor).
 
 from __future__ import annotations
 
-from typing import Any
+import math
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.delivered import Delays, commands_function
-from quadexp.control.instant import Operation, call, copy
+from quadexp.control.instant import Operation, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
+from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import ATTITUDE, N_STATE
@@ -33,8 +35,8 @@ from quadexp.physics.vehicle import Vehicle
 class DeadTimePredictor:
     """Predicts the state after the dead time from the commands that have been sent but have not acted yet.
 
-    mpc: its model, parameters, dead_time and known lag are used. Call `reset`, then at every control instant `predict`
-    and `record`, in this order.
+    mpc: its model, parameters, dead_time and known lag are used. `reset` begins a flight; its operations stand `before`
+    and `after` the plan, at every control instant.
 
     commands: sent and not yet fully acting, (K, n) (N), the oldest first. thrust: of the rotors at the control instant,
     (n,) (N), with a known lag only.
@@ -50,7 +52,7 @@ class DeadTimePredictor:
         commands = np.zeros((pending, n))
         if pending:
             form = {"lag": bool(self._lag), "disturbed": mpc.disturbance is not None}
-            function = _function(mpc.vehicle, mpc.residual, pending, mpc.backend, **form)
+            function = built(mpc.backend, prediction_function, mpc.vehicle, mpc.residual, pending, **form)
             shared = {"theta": mpc.parameters}
             shared |= {} if mpc.disturbance is None else {"disturbance": mpc.disturbance}
             self._predict = BufferedFunction(function, shared | {"x": self._full})
@@ -74,29 +76,17 @@ class DeadTimePredictor:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """State after the dead time, (13,), with a known lag (13 + n,), from the measured state x now, (13,)."""
-        self._x[...] = x
-        if self._predict is None:
-            return self._full.copy()
-        self._predict()
-        return self._x_next.copy()
-
-    def record(self, command: np.ndarray) -> None:
-        """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
-        if self._lag:
-            self._on.arguments["sent"][...] = command
-            self._on()
-            self.thrust[...] = self._on.results["thrust_next"]
-        if self._pending:
-            self._older[...] = self._newer
-            self._newest[...] = command
+        operations, predicted = self.before(x)
+        run(operations)
+        return predicted.copy()
 
     def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
-        """`predict` for C of the state that is found there, and the array that has the predicted one then."""
+        """Predicts from the state that is found there, (13,), and the array that has the predicted one then."""
         given = copy(self._x, state)
         return ([given], self._full) if self._predict is None else ([given, call(self._predict)], self._x_next)
 
     def after(self, command: np.ndarray) -> list[Operation]:
-        """`record` for C, of the command that is found there."""
+        """Goes on by one control period under the command that is found there, (n,) (N)."""
         on = []
         if self._lag:
             on = [copy(self._on.arguments["sent"], command), call(self._on)]
@@ -104,15 +94,34 @@ class DeadTimePredictor:
         return [*on, copy(self._older, self._newer), copy(self._newest, command)] if self._pending else on
 
 
-_built: dict[tuple[Any, ...], ca.Function] = {}
+class MotorLead:
+    """The command with which lagging rotors deliver a planned thrust when the next command comes.
+
+        u = T + (T* - T) / (1 - exp(-h / tau)),    h the control period, T the thrust now, T* the planned one
+
+    clipped to the vehicle's limits: it inverts T(t + h) of physics.motor, tau being settings.motor_lead (s). Two other
+    laws are worse: a command for the mean thrust over the period amplifies noise and errors of the timing, and
+    T* + tau T*' with T*' from the plan takes damping away (docs/delays.md has the figures).
+    """
+
+    def __init__(self, vehicle: Vehicle, settings: MPCSettings, backend: str = "interpreted") -> None:
+        self._invert = BufferedFunction(built(backend, inversion_function, vehicle.n_rotors))
+        gain = -1 / math.expm1(-settings.control_period / settings.motor_lead)
+        self._invert.arguments["numbers"][...] = gain, vehicle.thrust_min, vehicle.thrust_max
+
+    def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """Inverts for the thrusts that are found there, (n,) (N), planned and now; and the array of the command."""
+        given = self._invert.arguments
+        operations = [copy(given["planned"], planned), copy(given["now"], thrust), call(self._invert)]
+        return operations, self._invert.results["command"]
 
 
-def _function(vehicle: Vehicle, residual: Residual, pending: int, backend: str, **form: bool) -> ca.Function:
-    """`prediction_function` on a resolved back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), pending, *form.values(), backend)
-    if key not in _built:
-        _built[key] = realise(prediction_function(vehicle, residual, pending, **form), backend)
-    return _built[key]
+def inversion_function(rotors: int) -> ca.Function:
+    """planned, now (n,) (N); numbers: gain, least and largest thrust (N) -> command (n,) (N)."""
+    planned, now, numbers = ca.SX.sym("planned", rotors), ca.SX.sym("now", rotors), ca.SX.sym("numbers", 3)
+    command = ca.fmin(ca.fmax(now + numbers[0] * (planned - now), numbers[1]), numbers[2])
+    names = ["planned", "now", "numbers"], ["command"]
+    return ca.Function("motor_lead", [planned, now, numbers], [command], *names)
 
 
 def prediction_function(

@@ -22,8 +22,7 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
-from quadexp.control.mpc.prediction import node_function
-from quadexp.control.mpc.reference_thrust import held_deviation
+from quadexp.control.mpc.prediction import held_deviation, node_function
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE

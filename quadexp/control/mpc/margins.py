@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadexp.control.instant import run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.physics.motor import lagging_thrust
 from quadexp.physics.rigid_body import corrected_function
@@ -105,7 +106,11 @@ class HoverLoop:
             s = x if lead is None else x[:N_STATE]
             mpc.reset(s, states, inputs)
             planned = mpc.command(s, states, inputs)[0]
-            return planned if lead is None else lead.command(planned, x[N_STATE:])
+            if lead is None:
+                return planned
+            operations, command = lead.after(planned, x[N_STATE:])
+            run(operations)
+            return command.copy()
 
         by_state = _jacobian(answer, np.concatenate([self._x, lagging]))
         predictor = controller.predictor

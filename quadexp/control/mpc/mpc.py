@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise_together, resolve
+from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
-from quadexp.control.mpc.phases import Phases
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import step_function
+from quadexp.control.mpc.step import Phases, step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.models.residual import Residual
@@ -63,10 +63,11 @@ class ModelPredictiveController:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
         self.backend, self._form = resolve(backend), _form(settings, disturbed)
-        step, bounded = _functions(vehicle, residual, settings.nodes, self._form, self.backend)
+        form = self._form | {"scalar": self.backend == "compiled"}
+        step, *bounded = built(self.backend, step_functions, vehicle, residual, settings.nodes, **form)
         self._step = BufferedFunction(step)
         arguments = self._step.arguments
-        self._active_set = make_active_set(bounded, self._step)
+        self._active_set = make_active_set(self._step, *bounded)
 
         self._weigh(settings)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
@@ -350,19 +351,7 @@ def _form(settings: MPCSettings, disturbed: bool) -> dict[str, Any]:
     return form | {"deviation": settings.input_hold == "deviation", "disturbed": disturbed}
 
 
-_built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function | None]] = {}
-
-
-def _functions(
-    vehicle: Vehicle, residual: Residual, nodes: int, form: dict[str, Any], backend: str
-) -> tuple[ca.Function, ca.Function | None]:
-    """Step and bounded subproblem on the resolved back end (None: numpy); built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), nodes, *form.values(), backend)
-    if key not in _built:
-        step = step_function(vehicle, residual, nodes, scalar=backend == "compiled", **form)
-        if backend == "compiled":
-            step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
-            _built[key] = step, bounded
-        else:
-            _built[key] = step, None
-    return _built[key]
+def step_functions(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: bool, **form: Any) -> list[ca.Function]:
+    """The control step, and where it is to be compiled its bounded subproblem."""
+    step = step_function(vehicle, residual, nodes, scalar=scalar, **form)
+    return [step, bounded_function(step, nodes)] if scalar else [step]

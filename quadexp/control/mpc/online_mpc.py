@@ -1,9 +1,10 @@
-"""Model predictive control with a model of the air whose weights adapt in flight.
+"""Model predictive control with a model of the air that is learned in flight.
 
-Before every step one compiled function (quadexp.models.online) takes the last accelerometer sample into the weights;
-they are runtime parameters of the control step, so nothing is compiled again. The last of the summed residuals adapts,
-the others are known. The reference's attitudes and thrusts are recomputed with the newest weights every
-reference_period.
+`AdaptingController`: before every step one compiled function (quadexp.models.online) takes the last accelerometer
+sample into the weights of the last of the summed residuals. `IdentifyingController`: recursive least squares identify
+the coefficients of the blade-element residual. Both are runtime parameters of the step, so nothing is compiled again.
+The reference's attitudes and thrusts depend on them too; they are recomputed with the newest every reference_period,
+which is a slower task.
 """
 
 from __future__ import annotations
@@ -15,16 +16,20 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.control.base import Measurement, Window
+from quadexp.control.base import Window
 from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.feedback.controller import IdentifiedCoefficients
+from quadexp.control.instant import Instant, Told, copy, python
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.part import PredictivePart, check_models
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.online import Adapting, Law, prior_belief, update_function
 from quadexp.models.residual import Residual, sum_residual
+from quadexp.models.rls import Identification
 from quadexp.models.settings import MAKERS
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Settings, key, part
@@ -99,8 +104,7 @@ class AdaptingController(PredictiveController):
         if fixed is not None:
             given["known_theta"][...] = fixed.theta
         self._belief, self._new_belief = given["belief"], found["new_belief"]
-        self._inputs = [given[name] for name in ("x", "f", "u")]
-        self._path, self.theta, self.innovation = given["path"], found["theta"], found["innovation"]
+        self._given, self.theta, self.innovation = given, found["theta"], found["innovation"]
         self._all = model.theta.copy()
         self._weights = self._all[len(model.theta) - len(adapting.residual.theta) :]
         self._delivered = DeliveredThrust(vehicle, self.control_period, settings.dead_time, settings.known_lag)
@@ -129,27 +133,26 @@ class AdaptingController(PredictiveController):
     def prepare(self, window: Window) -> None:
         """Does nothing: the weights of the next step depend on its measurement."""
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step; without an accelerometer reading the weights stay."""
-        thrust = self._delivered.now(measurement)
-        if measurement.specific_force is not None:
-            self._wait -= 1
-            if self._wait < 0:
-                self._wait = self.adapt.every - 1
-                self._learn(measurement, thrust, window)
-        command, record = super().step(measurement, window)
-        self._delivered.record(command)
-        return command, record
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant; without an accelerometer reading the weights stay."""
+        inner, given, delivered = super().instant(told, state), self._given, self._delivered
+        path = given["path"]
+        places = {"x": state, "f": told.force, "u": delivered.thrust}
+        learning = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
+        learning += [copy(path[:3], told.path[0]), copy(path[3:], told.path[1]), python(self._learn, told.read)]
+        operations = [*learning, *inner.operations, *delivered.after(inner.command)]
+        return inner._replace(operations=operations, logged=(self.innovation,))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: what the last sample was away from its prediction."""
         return {f"innovation_{axis}": float(value) for axis, value in zip("xyz", self.innovation, strict=True)}
 
-    def _learn(self, measurement: Measurement, thrust: np.ndarray, window: Window) -> None:
-        """One update."""
-        x, f, u = self._inputs
-        x[...], f[...], u[...] = measurement.state, measurement.specific_force, thrust
-        self._path[:3], self._path[3:] = window.position[0], window.position[1]
+    def _learn(self) -> None:
+        """One update, each `every` samples."""
+        self._wait -= 1
+        if self._wait >= 0:
+            return
+        self._wait = self.adapt.every - 1
         self._update()
         self._belief[...] = self._new_belief
         self.samples += 1
@@ -207,3 +210,84 @@ class OnlineMPC(PredictivePart):
             reference_period=self.reference_period,
             backend=self.backend,
         )
+
+
+# Changes of (C_d0, C_la, C_D) for which the reference is recomputed: each is about 0.05 m/s^2 at 10 m/s.
+NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
+
+
+class IdentifyingController(PredictiveController):
+    """See Controller.
+
+    mpc: with a blade-element residual. identified: its coefficients. reference_period: s, 0 keeps the first reference.
+    """
+
+    def __init__(
+        self, mpc: ModelPredictiveController, identified: IdentifiedCoefficients, reference_period: float
+    ) -> None:
+        super().__init__(mpc)
+        self.identified, self.reference_period = identified, reference_period
+        self._believed, self._commanded = mpc.residual, np.zeros(mpc.vehicle.n_rotors)
+
+    @property
+    def residual(self) -> Residual | None:
+        """The model with the newest coefficients; the same object while no change exceeds NOTABLE."""
+        theta = self.identified.theta
+        if np.any(np.abs(theta - self._believed.theta) > NOTABLE):
+            self._believed = replace(self._believed, theta=theta.copy())
+        return self._believed if self.settings.feedforward else None
+
+    def forget(self) -> None:
+        """See Controller.forget."""
+        self.identified.reset()
+        self._believed = self.mpc.residual
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        self.forget()
+        self._commanded[...] = thrust_at_start(window, self.vehicle)
+
+    def prepare(self, window: Window) -> None:
+        """Does nothing: the coefficients of the next step depend on its measurement."""
+
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant; rotor speeds that are not measured are replaced by the commanded ones."""
+        inner = super().instant(told, state)
+
+        def identify() -> None:
+            speed = told.speed
+            if not told.turning[0]:
+                speed = np.sqrt(np.maximum(self._commanded, 0.0) / self.vehicle.static_thrust_coefficient)
+            self.identified.update(state, told.force, speed)
+
+        use = python(lambda: self.mpc.set_parameters(self.identified.theta))
+        operations = [python(identify, told.read), use, *inner.operations, copy(self._commanded, inner.command)]
+        return inner._replace(operations=operations)
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log: the coefficients in use."""
+        return self.identified.log()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RLSMPC(PredictivePart):
+    """MPC whose blade-element model is identified in flight.
+    reference_period: s between new references from the identified coefficients; 0: never."""
+
+    former_kind = "rls_mpc"
+    residual: Literal["blade_element"] = key("blade_element", RESIDUAL)
+    reference_period: float = key(
+        REQUIRED, "time between new references from the identified coefficients; 0: never", "[0, 3600]", "s"
+    )
+    rls: Identification = key(REQUIRED, "recursive least squares in flight", tuned=".noise=0.01..1:log")
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        from quadexp.models.blade_element import blade_element_residual
+
+        estimator = self.rls.build(given.vehicle, self.backend)
+        identified = IdentifiedCoefficients(estimator, self.rls.change_threshold)
+        residual = blade_element_residual(given.vehicle, estimator.initial, identified.source)
+        mpc = ModelPredictiveController(given.vehicle, residual, part(MPCSettings, self), backend=self.backend)
+        return IdentifyingController(mpc, identified, self.reference_period)

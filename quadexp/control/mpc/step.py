@@ -10,16 +10,22 @@ the factorisation.
 The iteration has two phases (Diehl, Bock and Schloeder 2005). `prepare` is what does not depend on the measured state:
 the shift, the linearisation of the nodes 1 .. N - 1 and the backward Riccati pass over them. `feedback` linearises node
 0 at the measured state and runs forwards. `step_function` is both in one; in exact arithmetic the results are the same.
+`Phases` calls the two on the arrays of the whole step, so that the bounded subproblem, the last solution and a whole
+step at any time go on from there.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.mpc.attitude_error import AttitudeError, attitude_error_in, reference_frames
-from quadexp.control.mpc.reference_thrust import held_deviation
+from quadexp.control.mpc.prediction import held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.control.mpc.subproblem import backward_pass, forward_pass, input_gradient
@@ -184,7 +190,7 @@ def step_function(
 
     attitude_error: what Q weighs of the attitude, see control.mpc.attitude_error.
     lag: rotors lag behind their commands, and their thrusts are states: m = 13 + n of them; otherwise m = 13.
-    deviation: nodes hold the deviation from the reference's thrust, see control.mpc.reference_thrust.
+    deviation: nodes hold the deviation from the reference's thrust, see control.mpc.prediction.
     disturbed: the model has a disturbance, see physics.rigid_body: an input like the others, constant over the horizon.
 
     Inputs: X (m, N + 1), U (n, N) last solution; x0 (m,) measured; X_ref (m, s N + 1), U_ref (n, s N) the reference at
@@ -274,3 +280,33 @@ def _attitude_guard(m: int) -> ca.Function:
     length = ca.norm_2(x[ATTITUDE])
     scale = ca.fmin(ca.fmax(length, LENGTH_MIN), LENGTH_MAX) / length
     return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])
+
+
+FROM_NODE_1 = ("X_lin", "A", "B", "b", "q", "K", "factor")  # what the preparation leaves of the subproblem's arrays
+AT_NODE_0 = ("X_lin", "A", "B", "b", "q", "factor")  # and the feedback
+
+
+class Phases:
+    """prepare, then feedback: called one after the other they leave in the step's results what the step leaves.
+
+    step: the whole step, whose arguments and results they share. form: of its structure, see `step_function`.
+    """
+
+    def __init__(
+        self, step: BufferedFunction, vehicle: Vehicle, residual: Residual, nodes: int, backend: str, **form: Any
+    ) -> None:
+        form |= {"scalar": backend == "compiled"}
+        prepare, feedback = built(backend, phase_functions, vehicle, residual, nodes, **form)
+        given, results = step.arguments, step.results
+
+        def place(function: ca.Function, name: str, *, last: bool) -> np.ndarray:
+            size = function.nnz_out(name)
+            return results[name].ravel()[-size:] if last else results[name].ravel()[:size]
+
+        whole = {name: results[name] for name in ("U_lin", "r", "frames") if name in results}
+        into = whole | {name: place(prepare, name, last=True) for name in FROM_NODE_1}
+        self.prepare = BufferedFunction(prepare, given, into)
+        known = {f"{name}_prepared": array for name, array in self.prepare.results.items()}
+        into = {name: results[name] for name in ("X_new", "U_new", "checks")}
+        into |= {name: place(feedback, name, last=False) for name in AT_NODE_0}
+        self.feedback = BufferedFunction(feedback, given | known, into)

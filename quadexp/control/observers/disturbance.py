@@ -13,7 +13,7 @@ Without an accelerometer (observer.source=velocity) from the velocity, which is 
 
     v^- = v^ + T [R (T e_z / m + a_air) + g + a^],   v^ = v^- + (1 - z^2) (v - v^-),   a^ += (1 - z)^2 / T (v - v^-)
 
-with both poles of the error at z = exp(-b T). The torque: control.observers.torque.
+with both poles of the error at z = exp(-b T). The torque: control.observers.filters.
 """
 
 from __future__ import annotations
@@ -25,11 +25,18 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller
 from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.observers.filters import (
+    APART,
+    N_SCALED,
+    N_SCALED_STATE,
+    N_TORQUE_SETTINGS,
+    N_TORQUE_STATE,
+    scaled_force_update,
+    torque_settings,
+    torque_update,
+)
 from quadexp.control.observers.observer import Observer, ObserverPart, Update, air_of, arguments, believer, callable_air
-from quadexp.control.observers.scaled_force import APART, N_SCALED, N_SCALED_STATE, scaled_force_update
-from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
@@ -43,44 +50,6 @@ from quadexp.physics.vehicle import Vehicle
 CAUTIOUS_BANDWIDTH = 3.0  # rad/s, where the time of the thrusts is not known
 N_FORCE_STATE = 7  # a^, v^, P
 N_FORCE_SETTINGS = 8
-
-
-def with_disturbance_observer(controller: Controller, config: DisturbanceObserver) -> Observer:
-    """The controller with a disturbance observer; raises UsageError where it cannot be told of a disturbance."""
-    inner = believer(controller, config.name)
-    for name in ("scale_walk", "air_walk"):
-        if config.source == "velocity" and getattr(config, name) > 0:
-            raise UsageError(f"observer.{name}: a scale is found from the accelerometer, not with source=velocity")
-    core = innermost(inner)
-    if config.air_walk > 0 and isinstance(core, PredictiveController) and core.mpc.residual.unscaled is None:
-        raise UsageError("observer.air_walk: the MPC was made without a scale of its model of the air (air.scaled)")
-    function = disturbance_function(
-        inner.vehicle,
-        air_of(core),
-        inner.control_period,
-        inner.backend,
-        velocity=config.source == "velocity",
-        scaled=config.scale_walk > 0 or config.air_walk > 0,
-    )
-    settings = disturbance_settings(config, inner.control_period)
-
-    def begin(x: np.ndarray, *, scales: bool = True) -> np.ndarray:
-        if config.scale_walk > 0 or config.air_walk > 0:
-            known = config.scale_initial if config.scale_walk and scales else 0.0
-            air = config.air_initial if config.air_walk and scales else 0.0
-            P = np.diag([config.force_initial**2] * 3 + [known**2, air**2])
-            return np.concatenate([np.zeros(N_SCALED), P.ravel(), np.zeros(3), x[RATE], np.zeros(3)])
-        return np.concatenate([np.zeros(3), x[VELOCITY], [config.force_initial**2], x[RATE], np.zeros(3)])
-
-    slow = replace(
-        config,
-        scale_walk=0.0,
-        air_walk=0.0,
-        force_bandwidth=min(config.force_bandwidth, CAUTIOUS_BANDWIDTH),
-        torque_bandwidth=0.0,
-    )
-    cautious = disturbance_settings(slow, inner.control_period)
-    return Observer(inner, Update(function, settings, begin, (cautious, partial(begin, scales=False))), config)
 
 
 def disturbance_settings(config: DisturbanceObserver, period: float) -> np.ndarray:
@@ -99,7 +68,7 @@ def disturbance_function(
     vehicle: Vehicle, residual: Residual, period: float, backend: str, *, velocity: bool = False, scaled: bool = False
 ) -> ca.Function:
     """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
-    scales, see control.observers.scaled_force, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
+    scales, see control.observers.filters, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
     model = callable_air(residual.unscaled or residual, backend)
     first = N_SCALED_STATE if scaled else N_FORCE_STATE
     a = arguments(vehicle, first + N_TORQUE_STATE, len(residual.theta), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
@@ -165,7 +134,40 @@ class DisturbanceObserver(ObserverPart):
 
     def around(self, controller: Any) -> Observer:
         """See Remedy."""
-        return with_disturbance_observer(controller, self)
+        inner = believer(controller, self.name)
+        for name in ("scale_walk", "air_walk"):
+            if self.source == "velocity" and getattr(self, name) > 0:
+                raise UsageError(f"observer.{name}: a scale is found from the accelerometer, not with source=velocity")
+        core = innermost(inner)
+        if self.air_walk > 0 and isinstance(core, PredictiveController) and core.mpc.residual.unscaled is None:
+            raise UsageError("observer.air_walk: the MPC was made without a scale of its model of the air (air.scaled)")
+        function = disturbance_function(
+            inner.vehicle,
+            air_of(core),
+            inner.control_period,
+            inner.backend,
+            velocity=self.source == "velocity",
+            scaled=self.scale_walk > 0 or self.air_walk > 0,
+        )
+        settings = disturbance_settings(self, inner.control_period)
+
+        def begin(x: np.ndarray, *, scales: bool = True) -> np.ndarray:
+            if self.scale_walk > 0 or self.air_walk > 0:
+                known = self.scale_initial if self.scale_walk and scales else 0.0
+                air = self.air_initial if self.air_walk and scales else 0.0
+                P = np.diag([self.force_initial**2] * 3 + [known**2, air**2])
+                return np.concatenate([np.zeros(N_SCALED), P.ravel(), np.zeros(3), x[RATE], np.zeros(3)])
+            return np.concatenate([np.zeros(3), x[VELOCITY], [self.force_initial**2], x[RATE], np.zeros(3)])
+
+        slow = replace(
+            self,
+            scale_walk=0.0,
+            air_walk=0.0,
+            force_bandwidth=min(self.force_bandwidth, CAUTIOUS_BANDWIDTH),
+            torque_bandwidth=0.0,
+        )
+        cautious = disturbance_settings(slow, inner.control_period)
+        return Observer(inner, Update(function, settings, begin, (cautious, partial(begin, scales=False))), self)
 
     def check(self, vehicle: Vehicle, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
         """See Remedy. A scale of the thrust or of the air is the ratio of two forces at one time. Where motors lag, the

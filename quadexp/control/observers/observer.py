@@ -17,16 +17,12 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.belief import Belief, no_belief
+from quadexp.control.base import Belief, Controller, Window, belief_of, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
-from quadexp.control.dfbc.controller import DFBC
-from quadexp.control.instant import Instant, Told, call, copy, instant_of, move
+from quadexp.control.instant import Instant, Told, believing, call, copy, instant_of, move
 from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import StepRecord
-from quadexp.control.mpc.online_mpc import AdaptingController
-from quadexp.control.mpc.rls_mpc import IdentifyingController
+from quadexp.control.mpc.online_mpc import AdaptingController, IdentifyingController
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
@@ -97,8 +93,8 @@ class Observer(WrappedController):
             inner.targets = config.targets
             delays = Delays(inner.control_period, *known)
             self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
+            self._belief = self._world.numbers
             return
-        self._told: Any = inner
         self._delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
         self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(inner)})
         self._given, self._result = self._update.arguments, self._update.results
@@ -116,14 +112,11 @@ class Observer(WrappedController):
     @property
     def belief(self) -> Belief:
         """What is believed since the last step."""
-        if self._world is not None:
-            return self._world.found
-        b = self._belief
-        return Belief(b[0:3], b[3:6], b[6:9], float(b[9]), float(b[10]))
+        return belief_of(self._belief)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is believed of the world yet."""
-        self.inner.reset(x, window)
+        super().reset(x, window)
         if self._world is not None:
             self._world.reset(self._begin(x))
             return
@@ -131,50 +124,23 @@ class Observer(WrappedController):
         self._given["s"].ravel()[:] = self._begin(x)
         self._belief[...] = np.hstack([*no_belief()])
 
-    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step."""
-        if self._world is not None:
-            return self.inner.step(measurement, window)
-        thrust = self._delivered.now(measurement)
-        if measurement.specific_force is not None:
-            self._observe(measurement, thrust)
-        self._told.believe(self.belief)
-        command, record = self.inner.step(measurement, window)
-        self._delivered.record(command)
-        return command, record
-
-    def _observe(self, measurement: Measurement, thrust: np.ndarray) -> None:
-        given = self._given
-        given["x"][...], given["reading"][...] = measurement.state, measurement.specific_force
-        given["thrust"][...], given["mean"][...] = thrust, self._delivered.mean
-        self._update()
-        given["s"][...] = self._result["s_next"]
-        self._belief[...] = self._result["belief"]
-
-    def instant(self, told: Told) -> Instant | None:
-        """See control.instant; around a law where this has its belief in one array."""
-        inner = instant_of(self.inner, told)
-        if inner is None:
-            return None
-        if self._world is not None:
-            return inner._replace(logged=(*inner.logged, self._world.numbers))
-        if (believed := getattr(self._told, "believed_numbers", None)) is None:
-            return None
-        given, result, delivered = self._given, self._result, self._delivered
-        operations, thrust = delivered.before(told.speed)
-        operations += [copy(given["x"], told.state), copy(given["reading"], told.force)]
-        operations += [copy(given["thrust"], thrust), copy(given["mean"], delivered.mean), call(self._update)]
-        operations += [move(given["s"], result["s_next"]), move(self._belief, result["belief"])]
-        operations.append(copy(believed, self._belief))
-        operations = [*operations, *inner.operations, *delivered.after(inner.command)]
-        ready = (*inner.ready, lambda: delivered.ready(told.speed))
-        return inner._replace(operations=operations, logged=(*inner.logged, self._belief), ready=ready)
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        believe = [] if self._world is not None else believing(self.inner, self._belief)
+        inner = instant_of(self.inner, told, state)
+        operations, logged = inner.operations, (*inner.logged, self._belief)
+        if self._world is None:
+            given, result, delivered, read = self._given, self._result, self._delivered, told.read
+            places = {"x": state, "reading": told.force, "thrust": delivered.thrust, "mean": delivered.mean}
+            observing = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
+            observing += [call(self._update, read), move(given["s"], result["s_next"], read)]
+            observing.append(move(self._belief, result["belief"], read))
+            operations = [*observing, *believe, *operations, *delivered.after(inner.command)]
+        return inner._replace(operations=operations, logged=logged)
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
-        belief = self.belief
-        values = [*belief.force, *belief.torque, *belief.wind, belief.thrust_scale, belief.air_scale]
-        return {**self.inner.log(), **dict(zip(COLUMNS, map(float, values), strict=True))}
+        return self.inner.log() | dict(zip(COLUMNS, self._belief.tolist(), strict=True))
 
 
 def believer(controller: Controller, name: str) -> Any:
@@ -199,9 +165,8 @@ def known_delay(given: float | None, controller: Any, name: str) -> float:
 
 def air_of(controller: Any) -> Residual:
     """The controller's model of the air, none where it has none."""
-    if isinstance(controller, DFBC):
-        return controller.air
-    known = controller.mpc.residual if isinstance(controller, PredictiveController) else controller.residual
+    predicts = isinstance(controller, PredictiveController)
+    known = controller.mpc.residual if predicts else getattr(controller, "air", controller.residual)
     return no_residual(controller.vehicle) if known is None else known
 
 

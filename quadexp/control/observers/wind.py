@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller
+from quadexp.control.observers.filters import N_TORQUE_SETTINGS, N_TORQUE_STATE, inverse, torque_settings, torque_update
 from quadexp.control.observers.observer import (
     Observer,
     ObserverPart,
@@ -35,8 +35,6 @@ from quadexp.control.observers.observer import (
     callable_air,
     parameters_of,
 )
-from quadexp.control.observers.scaled_force import inverse
-from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
@@ -50,39 +48,6 @@ N_FORCE = 3  # over the mass
 N_WIND_SETTINGS = 8
 CAUTIOUS_NOISE = 3.0  # m/s^2, of the z axis where the time of the thrusts is not known
 TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
-
-
-def with_wind_observer(controller: Controller, config: WindObserver) -> Observer:
-    """The controller with a wind observer.
-
-    Raises UsageError where it cannot be told of a wind, or its model has too little drag to measure one.
-    """
-    inner = believer(controller, config.name)
-    core = innermost(inner)
-    residual, period = air_of(core), inner.control_period
-    found = wind_bandwidth(inner.vehicle, residual, parameters_of(core), config, period)
-    if found < config.least_bandwidth:
-        raise UsageError(
-            f"observer={config.name}: this controller knows too little drag of vehicle={inner.vehicle.name} to measure"
-            f" the wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth is"
-            f" {config.least_bandwidth:g}); take observer=disturbance"
-        )
-    function = wind_function(inner.vehicle, residual, period, inner.backend)
-
-    def begin(x: np.ndarray) -> np.ndarray:
-        P = np.diag([config.wind_initial**2] * 3 + [config.scale_initial**2 if config.scale_walk else 0.0])
-        return np.concatenate([np.zeros(N_AIR), P.ravel(), np.zeros(N_FORCE), x[RATE], np.zeros(3)])
-
-    def begin_without_scale(x: np.ndarray) -> np.ndarray:
-        s = begin(x)
-        s[N_AIR + N_AIR**2 - 1] = 0.0
-        return s
-
-    noise = (*config.noise[:2], max(config.noise[2], CAUTIOUS_NOISE))
-    slow = replace(config, noise=noise, scale_walk=0.0, force_bandwidth=0.0, torque_bandwidth=0.0)
-    cautious = wind_settings(slow, period)
-    update = Update(function, wind_settings(config, period), begin, (cautious, begin_without_scale))
-    return Observer(inner, update, config)
 
 
 def wind_settings(config: WindObserver, period: float) -> np.ndarray:
@@ -178,5 +143,30 @@ class WindObserver(ObserverPart):
     )
 
     def around(self, controller: Any) -> Observer:
-        """See Remedy."""
-        return with_wind_observer(controller, self)
+        """See Remedy; UsageError where the model has too little drag to measure a wind."""
+        inner = believer(controller, self.name)
+        core = innermost(inner)
+        residual, period = air_of(core), inner.control_period
+        found = wind_bandwidth(inner.vehicle, residual, parameters_of(core), self, period)
+        if found < self.least_bandwidth:
+            raise UsageError(
+                f"observer={self.name}: this controller knows too little drag of vehicle={inner.vehicle.name} to"
+                f" measure the wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth"
+                f" is {self.least_bandwidth:g}); take observer=disturbance"
+            )
+        function = wind_function(inner.vehicle, residual, period, inner.backend)
+
+        def begin(x: np.ndarray) -> np.ndarray:
+            P = np.diag([self.wind_initial**2] * 3 + [self.scale_initial**2 if self.scale_walk else 0.0])
+            return np.concatenate([np.zeros(N_AIR), P.ravel(), np.zeros(N_FORCE), x[RATE], np.zeros(3)])
+
+        def begin_without_scale(x: np.ndarray) -> np.ndarray:
+            s = begin(x)
+            s[N_AIR + N_AIR**2 - 1] = 0.0
+            return s
+
+        noise = (*self.noise[:2], max(self.noise[2], CAUTIOUS_NOISE))
+        slow = replace(self, noise=noise, scale_walk=0.0, force_bandwidth=0.0, torque_bandwidth=0.0)
+        cautious = wind_settings(slow, period)
+        update = Update(function, wind_settings(self, period), begin, (cautious, begin_without_scale))
+        return Observer(inner, update, self)

@@ -16,7 +16,12 @@ FORMATS = {  # suffix of the file, module and function that write it
     "mcap": (".mcap", "mcap_file", "write"),  # poses, transforms and every column, for Foxglove
     "rerun": (".rrd", "rerun_file", "write"),  # a recording for the Rerun viewer
 }
-GONE = {"px4csv": "went: --to csv has every column with unit and frame; NED and FRD are (y, x, -z) and (x, -y, -z)"}
+_TRACKERS = "went: log the rows of results.csv, or of qx.load(FOLDER), from Python"
+GONE = {
+    "px4csv": "went: --to csv has every column with unit and frame; NED and FRD are (y, x, -z) and (x, -y, -z)",
+    "mlflow": _TRACKERS,
+    "wandb": _TRACKERS,
+}
 
 
 def export_flight(

@@ -1,4 +1,4 @@
-"""Figures of the experiments on Lei & Li's system, and tables against an independent implementation.
+"""Figures of the experiments on Lei & Li's system (theirs are 2-4), and tables against an independent implementation.
 
 `expected` is from an independent implementation of the paper's equations (Euler 1e-4 s, control at 100 Hz, means over
 five seeds if there is noise); the paper prints no table.
@@ -17,11 +17,10 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
-from quadexp.papers.lei_li import figures
 from quadexp.physics.rotor import THETA
-from quadexp.report.figures import save
 from quadexp.report.ladder import means_by_place, means_figure, means_table
 from quadexp.report.metrics import position_error
+from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, save, styled
 from quadexp.report.table import Table
 from quadexp.report.text import speed_text
 
@@ -43,6 +42,8 @@ EXPECTED = {  # time average of ||e_xi|| over 60 s, m, by trajectory, speed and 
 SHOWN = ("rls_feedback", "static_feedback", "oracle_feedback", "literal_feedback")
 PAPER_SPEED = 5.0  # of the rectangle, m/s
 WINDOWS = ((-5.0, 0.0), (0.0, 1.0), (1.0, 3.0), (3.0, 7.0), (7.0, 15.0), (15.0, 25.0))  # s from the change
+SYMBOLS = {"C_la": r"$C_{l\alpha}$ (1/rad)", "C_d0": "$C_{d0}$"} | {f"C_D{a}": f"$C_{{D{a}}}$" for a in "xyz"}
+QUIET_SHARE = 0.05  # of a flight, at its start: estimates jump and are not used for the limits of the panels
 IDENTIFIED_AT = (10.0, 60.0)  # s
 TITLES = {
     "blade_element_payload": "payload of 0.3 kg taken up",
@@ -89,14 +90,14 @@ def _examples(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
     first = flown[0][0]
     title = "Example 1, rectangle at 5 m/s" if first["trajectory"] == "rectangle" else "Example 2, circle"
     made = {
-        "example_path": figures.path_figure(by_controller, title),
-        "example_errors": figures.running_mean_figure(by_controller, title),
+        "example_path": path_figure(by_controller, title),
+        "example_errors": running_mean_figure(by_controller, title),
     }
     identified = [flight for row, flight in flown if row["controller"] == "rls_feedback"]
     if identified:
         files["table_identified"] = str(write_text(out / "identified.md", identified_table(identified)))
-        made["example_induced_velocity"] = figures.induced_velocity_figure(identified[0], f"{title}: rls_feedback")
-        made["example_parameters"] = figures.parameter_figure(identified, f"{title}: identified coefficients")
+        made["example_induced_velocity"] = induced_velocity_figure(identified[0], f"{title}: rls_feedback")
+        made["example_parameters"] = parameter_figure(identified, f"{title}: identified coefficients")
     return files | {
         f"figure_{name}": str(save(figure, out / "figures" / name, inside=out)) for name, figure in made.items()
     }
@@ -140,8 +141,7 @@ def identified_table(flights: Sequence[Flight]) -> str:
 
     flights: of one case, with identification; a clip is a sample on which a value in use was held at its bound.
     """
-    plant = flights[0].metadata["config"]["plant"]
-    truth = dict(zip(THETA, [plant["profile_drag"], plant["lift_slope"], *plant["body_drag"]], strict=True))
+    truth = _truth(flights[0])
     times = [t for t in IDENTIFIED_AT if t <= min(flight.t[-1] for flight in flights) + 1e-9]
     lines = []
     for name in THETA:
@@ -162,7 +162,7 @@ def _families(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
     means = means_by_place(rows, "plant", FAMILIES)
     return {
         "table_families": str(write_text(out / "families.md", families_table(rows).markdown())),
-        "figure_families": str(save(means_figure(means, "plant"), out / "figures" / "families")),
+        "figure_families": str(save(means_figure(means), out / "figures" / "families")),
     }
 
 
@@ -174,7 +174,7 @@ def _adaptation(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
             flights.setdefault(row["plant"], {}).setdefault(row["controller"], flight)
     if not flights:
         return {}
-    figure = figures.adaptation_figure(flights, TITLES)
+    figure = adaptation_figure(flights)
     return {
         "table_adaptation": str(write_text(out / "adaptation.md", adaptation_table(flights))),
         "figure_adaptation": str(save(figure, out / "figures" / "adaptation")),
@@ -186,7 +186,7 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
     lines = []
     for plant, by_controller in flights.items():
         for name, flight in by_controller.items():
-            t, error = flight.t - figures.change_time(flight), 1e3 * position_error(flight)
+            t, error = flight.t - change_time(flight), 1e3 * position_error(flight)
             cells = []
             for low, high in WINDOWS:
                 inside = error[(t >= low) & (t < high)]
@@ -199,4 +199,121 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
 
 def families_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Mean position error (mm) by condition and controller; bold by the rule of report/winner.py."""
-    return means_table(means_by_place(rows, "plant", FAMILIES), "plant", FAMILIES_TITLE, bold=True)
+    return means_table(means_by_place(rows, "plant", FAMILIES), FAMILIES_TITLE, bold=True)
+
+
+def _truth(flight: Flight) -> dict[str, float]:
+    """The plant's own coefficients."""
+    plant = flight.metadata["config"]["plant"]
+    return dict(zip(THETA, [plant["profile_drag"], plant["lift_slope"], *plant["body_drag"]], strict=True))
+
+
+def change_time(flight: Flight) -> float:
+    """When the vehicle of a flight changes first (s)."""
+    return min(float(change["t"]) for change in flight.metadata["config"]["plant"]["schedule"])
+
+
+@styled
+def path_figure(flights: Mapping[str, Flight], title: str) -> Figure:
+    """Path seen from above and altitude over time, the reference in grey. flights: controller -> flight."""
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    above, height = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    look = looks(list(flights))
+    first = next(iter(flights.values()))
+    above.plot(first["ref_p_x"], first["ref_p_y"], color=GREY, linewidth=3.5, alpha=0.45, label="reference")
+    height.plot(first.t, first["ref_p_z"], color=GREY, linewidth=3.5, alpha=0.45)
+    for name, flight in flights.items():
+        above.plot(flight["p_x"], flight["p_y"], label=name, **look[name].line())
+        height.plot(flight.t, flight["p_z"], **look[name].line())
+    above.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="path from above")
+    height.axhline(0.0, color="#000000", linewidth=0.8)
+    height.text(0.99, 0.0, "ground", transform=height.get_yaxis_transform(), ha="right", va="bottom")
+    height.set(xlabel="time (s)", ylabel="altitude (m)", title="altitude")
+    return _titled(figure, title)
+
+
+def _titled(figure: Figure, title: str = "") -> Figure:
+    """The figure with its title, and a legend of all panels below."""
+    handles, labels = entries(figure.axes)
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.suptitle(title)
+    return figure
+
+
+@styled
+def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
+    """Averages since the start of ||e_xi|| (m) and of ||e_eta|| (rad), the distance to the desired attitude."""
+    figure = Figure(figsize=(10.0, 3.9), layout="constrained")
+    position, attitude = figure.subplots(1, 2)
+    for name, look in looks(list(flights)).items():
+        flight = flights[name]
+        for panel, error in ((position, position_error(flight)), (attitude, flight["error_eta"])):
+            panel.plot(flight.t, np.cumsum(error) / np.arange(1, len(flight) + 1), label=name, **look.line())
+    position.set_ylabel(r"running mean of $\|e_\xi\|$ (m)", parse_math=True)
+    attitude.set_ylabel(r"running mean of $\|e_\eta\|$ (rad)", parse_math=True)
+    position.set(title="position", xlabel="time (s)")
+    attitude.set(title="attitude", yscale="log", xlabel="time (s)")
+    plain_log(attitude.yaxis)
+    return _titled(figure, title)
+
+
+@styled
+def induced_velocity_figure(flight: Flight, title: str) -> Figure:
+    """Induced velocity and speed of every rotor over time."""
+    figure = Figure(figsize=(10.0, 3.9), layout="constrained")
+    induced, speed = figure.subplots(1, 2)
+    for i, side in enumerate(("front", "right", "rear", "left")[: flight.n_rotors]):
+        look = {"color": COLOURS[i + 1], "linestyle": DASHES[i], "linewidth": 1.1, "label": f"rotor {i + 1} ({side})"}
+        induced.plot(flight.t, flight[f"induced_velocity_{i}"], **look)
+        speed.plot(flight.t, flight[f"rotor_speed_{i}"], **look)
+    induced.set(ylabel="induced velocity (m/s)", xlabel="time (s)")
+    speed.set(ylabel="rotor speed (rad/s)", xlabel="time (s)")
+    return _titled(figure, title)
+
+
+@styled
+def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
+    """Coefficients in use over time, every seed a thin line and their mean a thick one, the truth dashed."""
+    truth, samples = _truth(flights[0]), min(len(flight) for flight in flights)
+    t = flights[0].t[:samples]
+    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
+    *panels, beside = figure.subplots(2, 3, sharex=True).flat
+    for panel, (name, symbol) in zip(panels, SYMBOLS.items(), strict=True):
+        values = np.stack([flight[name][:samples] for flight in flights])
+        for line in values:
+            panel.plot(t, line, color=COLOURS[6], linewidth=0.7, alpha=0.7, label="one seed")
+        panel.plot(t, values.mean(axis=0), color=COLOURS[2], label=f"mean of {len(flights)} seeds")
+        panel.axhline(truth[name], color="#000000", linestyle="--", linewidth=1.0, label="truth")
+        panel.set_title(symbol, parse_math=True)
+        late = np.append(values[:, t > QUIET_SHARE * t[-1]], truth[name])
+        margin = 0.15 * np.ptp(late)
+        panel.set_ylim(late.min() - margin, late.max() + margin)
+    for panel in panels[2:]:
+        panel.set_xlabel("time (s)")
+        panel.xaxis.set_tick_params(labelbottom=True)
+    beyond = f"the first {QUIET_SHARE * flights[0].t[-1]:.0f} s may leave the panels"
+    beside.set_axis_off()
+    beside.legend(*entries(panels[:1]), loc="center", title=beyond, title_fontsize=9)
+    figure.suptitle(title)
+    return figure
+
+
+@styled
+def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]]) -> Figure:
+    """Position error over time around a change of the vehicle, a panel per change and a line per controller.
+
+    flights: plant -> controller -> flight.
+    """
+    figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0), layout="constrained")
+    panels = figure.subplots(1, len(flights), sharey=True, squeeze=False)[0]
+    look = looks([name for by_controller in flights.values() for name in by_controller])
+    for panel, (plant, by_controller) in zip(panels, flights.items(), strict=True):
+        for name, flight in by_controller.items():
+            panel.plot(flight.t, 1e3 * position_error(flight), label=name, linewidth=1.3, **look[name].line())
+        change = change_time(next(iter(by_controller.values())))
+        panel.axvline(change, color="#000000", linewidth=0.9, linestyle=":")
+        panel.text(change, 0.98, " change", transform=panel.get_xaxis_transform(), va="top", fontsize=8)
+        panel.set(yscale="log", title=TITLES.get(plant, plant), xlabel="time (s)", ylim=(0.05, 1000))
+    plain_log(panels[0].yaxis, minor=True)
+    panels[0].set_ylabel("position error (mm)")
+    return _titled(figure)

@@ -18,8 +18,7 @@ from quadexp.files.writer import write_text
 from quadexp.log.outcome import COMPLETED
 from quadexp.papers.sun.as_logged import with_logged
 from quadexp.papers.sun.data import CRASHED, INFEASIBLE, Ellipse, Published, ellipses, published
-from quadexp.report.figures import save
-from quadexp.report.style import Figure, looks, plain_log, styled
+from quadexp.report.style import Figure, looks, plain_log, save, styled
 from quadexp.report.table import Table
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle

@@ -1,5 +1,128 @@
 """The report of a comparison: one HTML file that opens without a network, and its figures as PDF."""
 
-from quadexp.report.page.build import make_report
+from __future__ import annotations
 
-__all__ = ["make_report"]
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from quadexp import __version__
+from quadexp.files.names import file_name
+from quadexp.files.writer import check_output, write_text
+from quadexp.messages import script
+from quadexp.report.document import Block, Section, document, template_text
+from quadexp.report.page.answer import answer
+from quadexp.report.page.panels import Pareto, Swept, pareto_section, swept_section
+from quadexp.report.page.replay import MAX_TRACKS, Case, case_of, choose_cases, pack_replay
+from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, records, scoreboard, worst, worst_rows
+from quadexp.report.page.source import Comparison, read_comparison
+from quadexp.report.pairing import condition_of
+from quadexp.report.style import Figure, save_figure
+
+MOST_LINES = 200  # of a table
+
+
+def make_report(
+    results: str | Path,
+    out: str | Path,
+    *,
+    figures: str | Path | None = None,
+    baseline: str | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Write the report of a results folder as one HTML file; returns its answer and the paths of the files.
+
+    figures: folder for the same figures as PDF. baseline: a controller.
+    Raises UsageError or DataError, before anything is written.
+    """
+    out = check_output(out, force=force)
+    if figures is not None:
+        check_output(figures, force=True, folder=True)
+    comparison = read_comparison(results, baseline=baseline)
+    swept, pareto = Swept.of(comparison), Pareto.of(comparison)
+    words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
+    words += ["--baseline", baseline] if baseline else []
+    words += ["--figures", portable(Path(figures))] if figures else []
+    page, left_out = render(comparison, swept, pareto, shlex.join(words))
+    write_text(out, page, force=force)
+    drawn: dict[str, Figure] = swept.figures() | pareto.figures() if figures else {}
+    paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
+    answered, checked = answer(comparison), comparison.checked
+    return {
+        "path": out,
+        "bytes": len(page.encode()),
+        "answer": list(answered.sentences),
+        "note": answered.note,
+        "checked": checked._asdict() | {"text": checked.text(), "lines": checked.lines()},
+        "left_out": left_out,
+        "figures": {name: save_figure(figure, paths[name]) for name, figure in drawn.items()},
+    }
+
+
+def render(comparison: Comparison, swept: Swept, pareto: Pareto, command: str) -> tuple[str, list[str]]:
+    """The page, and what is not on it for its size. command: that makes it again."""
+    bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
+    packed, cases = pack_replay(comparison, choose_cases(comparison, bad))
+    shown = _shortened(whole)
+    left_out = [*_left_out(comparison, packed, cases, whole), *swept.left]
+    sections = [
+        _replay_section(packed),
+        shown,
+        swept_section(swept),
+        pareto_section(pareto),
+        worst(comparison, bad, {case: i for i, case in enumerate(cases)}),
+        origin(comparison, flights, command, left_out),
+    ]
+    page = document(
+        f"{comparison.root.resolve().name} – quadexp report",
+        [section for section in sections if section.blocks],
+        answer=answer(comparison),
+        board=scoreboard(comparison),
+        looks=comparison.look,
+        row_notes=[*comparison.checked.lines(), *comparison.notes],
+        left_out=left_out,
+        version=__version__,
+        replay_json=script(packed) if packed else "",
+        replay_script=template_text("replay.js") if packed else "",
+    )
+    return page, left_out
+
+
+def _replay_section(packed: Sequence[Mapping[str, Any]]) -> Section:
+    note = (
+        "Vehicles are drawn larger than in reality; the grid is at the lowest point. Keys, with the picture in focus:"
+        " space plays, ← → move by 0.1 s (with shift, the arrows turn), Home and End; the wheel zooms."
+    )
+    lead = "All controllers on the same reference with the same noise. Errors can be magnified."
+    return Section("replay", "Replay", "Replay", lead, [Block(replay=True, notes=[note])] if packed else [])
+
+
+def _shortened(whole: Section) -> Section:
+    """The section of numbers with at most MOST_LINES lines a table."""
+    blocks = [
+        replace(block, tables=[replace(table, lines=table.lines[:MOST_LINES]) for table in block.tables])
+        for block in whole.blocks
+    ]
+    return replace(whole, blocks=blocks)
+
+
+def _left_out(
+    comparison: Comparison, packed: Sequence[Mapping[str, Any]], replayed: Sequence[Case], whole: Section
+) -> list[str]:
+    """What is not on the page for its size, one entry each."""
+    flown = [row for row in comparison.rows if row["outcome"] != "infeasible"]
+    conditions, cases = len({*map(condition_of, flown)}), len({*map(case_of, flown)})
+    seen, entries = len({condition for condition, _ in replayed}), []
+    if seen < conditions:
+        entries.append(f"the replay of {conditions - seen} of {conditions} conditions")
+    elif len(replayed) < cases:
+        entries.append(f"the replay of {cases - len(replayed)} of {cases} pairs of condition and seed")
+    if (lines := max((len(block.tables[0].lines) for block in whole.blocks), default=0)) > MOST_LINES:
+        entries.append(f"{lines - MOST_LINES} of {lines} lines of the tables")
+    if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
+        entries.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")
+    if crowd := max((len(case["left_out"]) for case in packed), default=0):
+        entries.append(f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}")
+    return entries

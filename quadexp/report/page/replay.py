@@ -1,13 +1,10 @@
 """Flights packed for the replay: a case is one condition and seed, flown by several controllers over one reference.
 
 A track has, on a time grid that all tracks of a case share, the position error (so that it can be magnified without
-loss), the attitude and the rotor thrusts, as integers in base64:
+loss) and the attitude, as integers in base64:
 
-    error = int16 * error_step (m)      attitude = int16 / 32767      thrust = uint8 / 255 of the range
+    error = int16 * error_step (m)      attitude = int16 / 32767
     position = reference + error        reference = centre + int16 * reference_step (m)
-    wind = int16 * wind_step (m/s)      estimated position = reference + int16 * estimate_step (m)
-
-A track has the wind where there is any, and the estimated position where it is not the true one.
 """
 
 from __future__ import annotations
@@ -21,20 +18,20 @@ import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
+from quadexp.report.animation import rotors_of
 from quadexp.report.page.source import Comparison
-from quadexp.report.pairing import condition_of
+from quadexp.report.pairing import Condition, condition_of
 from quadexp.report.text import speed_text
 
-BUDGET = 900_000  # characters of packed tracks
+BUDGET = 800_000  # characters of packed tracks
 MAX_TRACKS = 12
 MAX_CASES = 24
 MAX_FLOWN = 60  # with other seeds of these
 MAX_SAMPLES = 1500
 LEAST_STEP = 0.02  # s
 INT16 = 32767
-SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]  # m, unless recorded
 
-Case = tuple[tuple[Any, ...], int]  # condition, seed
+Case = tuple[Condition, int]  # condition, seed
 
 
 def case_of(row: Mapping[str, Any]) -> Case:
@@ -43,35 +40,26 @@ def case_of(row: Mapping[str, Any]) -> Case:
 
 def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
     """The fastest condition with the largest error first, the cases of the worst flights, then all other conditions,
-    then other seeds."""
-    cases = ordered_cases(comparison)
-    cases[1:1] = [case_of(row) for row in worst[:3]]
-    flown = dict.fromkeys(case_of(row) for row in comparison.rows if row["outcome"] == "ok")
-    place = {condition: i for i, (condition, _) in enumerate(reversed(cases))}
-    others = sorted(flown, key=lambda case: (case[1], -place[case[0]]))  # the other seeds, of the first cases first
-    return list(dict.fromkeys([*cases[:MAX_CASES], *others]))[:MAX_FLOWN]
-
-
-def ordered_cases(comparison: Comparison) -> list[Case]:
-    """Every condition that flew, with the seed that most completed: those of the main world first, then the fastest,
-    then those with the largest error."""
-    seeds: dict[tuple[Any, ...], dict[int, int]] = {}
-    largest: dict[tuple[Any, ...], float] = {}
+    then their other seeds. Conditions of the main world stand before others, and of a condition the seeds that most
+    completed."""
+    completed: dict[Case, int] = {}
+    largest: dict[Condition, float] = {}
     for row in comparison.rows:
+        if row["outcome"] != "infeasible":
+            completed[case_of(row)] = completed.get(case_of(row), 0) + (row["outcome"] == "ok")
         if row["outcome"] == "ok":
             largest[condition_of(row)] = max(largest.get(condition_of(row), 0.0), row["max_error"])
-        if row["outcome"] != "infeasible":
-            found = seeds.setdefault(condition_of(row), {})
-            found[int(row["seed"])] = found.get(int(row["seed"]), 0) + (row["outcome"] == "ok")
 
-    def first(condition: tuple[Any, ...]) -> tuple[Any, ...]:
-        return condition[:2] != comparison.world, -(condition[3] or 0.0), -largest.get(condition, 0.0)
+    def place(case: Case) -> tuple[Any, ...]:
+        condition, seed = case
+        aside, speed = condition[:2] != comparison.world, condition[3] or 0.0
+        return aside, -speed, -largest.get(condition, 0.0), str(condition), -completed[case], seed
 
-    cases: list[Case] = []
-    for condition in sorted(seeds, key=first):
-        found = seeds[condition]
-        cases.append((condition, max(found, key=lambda seed: (found[seed], -seed))))
-    return cases
+    ordered = sorted(completed, key=place)
+    leading = list({case[0]: case for case in reversed(ordered)}.values())[::-1]
+    leading[1:1] = [case_of(row) for row in worst[:3]]
+    others = sorted(ordered, key=lambda case: case[1])
+    return list(dict.fromkeys([*leading[:MAX_CASES], *others]))[:MAX_FLOWN]
 
 
 def case_title(comparison: Comparison, case: Case) -> str:
@@ -79,13 +67,6 @@ def case_title(comparison: Comparison, case: Case) -> str:
     (plant, vehicle, trajectory, speed, setting), seed = case
     rate = "" if speed is None else f" at {speed_text(speed)}"
     return f"{comparison.course_title((plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
-
-
-def by_rank(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Rows of a case: least error, baseline and bounds first, then in the order of the page."""
-    rank = {label: k for k, label in enumerate(comparison.look)}
-    first = [comparison.verdict.least, comparison.reference, *comparison.bounds]
-    return sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))
 
 
 def pack_replay(
@@ -111,9 +92,11 @@ def pack_replay(
 
 def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     rank = {label: k for k, label in enumerate(comparison.look)}
-    ordered = by_rank(comparison, rows)
-    rows = ordered[:MAX_TRACKS]
-    flights = [(comparison.label(row), flight) for row in rows if (flight := comparison.flight(row)) is not None]
+    first = [comparison.verdict.least, comparison.reference, *comparison.bounds]  # where there are too many
+    labelled = {comparison.label(row): row for row in rows}
+    ordered = sorted(labelled, key=lambda label: (label not in first, rank[label]))
+    read = [(label, comparison.flight(labelled[label])) for label in ordered[:MAX_TRACKS]]
+    flights = [(label, flight) for label, flight in read if flight is not None]
     flights = [(label, flight) for label, flight in flights if "ref_p_x" in flight.columns]
     if not flights:
         return None
@@ -123,58 +106,35 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
     t = np.arange(math.floor(duration / step + 1e-9) + 1) * step
     reference = _resample(longest, _reference(longest), t)
     centre = (reference.min(axis=0) + reference.max(axis=0)) / 2
-    config = longest.metadata.get("config", {}).get("vehicle", {})
-    tracks = [_track(comparison, label, flight, t, config) for label, flight in flights]
+    tracks = [_track(comparison, label, flight, t) for label, flight in flights]
     return {
         "title": case_title(comparison, case),
-        "course": comparison.course_title((*case[0][:3], case[0][4])),
-        "speed": case[0][3],
-        "seed": case[1],
         "step": step,
         "samples": len(t),
-        "rotors": config.get("rotor_position") or SOME_ROTORS,
+        "rotors": rotors_of(longest).tolist(),
         "centre": centre.tolist(),
         **_integers("reference", reference - centre),
-        "left_out": [comparison.label(row) for row in ordered[MAX_TRACKS:]],
+        "left_out": ordered[MAX_TRACKS:],
         "tracks": sorted(tracks, key=lambda track: rank[track["label"]]),
     }
 
 
-def _track(
-    comparison: Comparison, label: str, flight: Flight, t: np.ndarray, vehicle: Mapping[str, Any]
-) -> dict[str, Any]:
+def _track(comparison: Comparison, label: str, flight: Flight, t: np.ndarray) -> dict[str, Any]:
     t = t[t <= flight.t[-1] + 1e-9]
     error = _resample(flight, flight.stack(["p_x", "p_y", "p_z"]) - _reference(flight), t)
     attitude = _resample(flight, continuous(flight.stack(["q_w", "q_x", "q_y", "q_z"])), t)
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
-    low, high = vehicle.get("thrust_min", 0.0), vehicle.get("thrust_max") or float(flight.input.max())
-    thrust = np.clip((_resample(flight, flight.input, t) - low) / (high - low), 0, 1)
     look = comparison.look[label]
     return {
         "label": label,
-        "colour": look.token,
-        "shape": look.marker,
-        "filled": look.filled,
+        "colour": look.colour,
+        "glyph": look.glyph,
         "samples": len(t),
         "outcome": flight.outcome,
         "cause": flight.metadata.get("cause", ""),
         **_integers("error", error),
-        "attitude": _text(np.round(attitude * INT16).astype("<i2")),
-        "thrust": _text(np.round(thrust * 255).astype("u1")),
-        **_surroundings(flight, t),
+        "attitude": _text(np.round(attitude * INT16)),
     }
-
-
-def _surroundings(flight: Flight, t: np.ndarray) -> dict[str, Any]:
-    """Wind and estimated position, where there are such."""
-    found: dict[str, Any] = {}
-    if flight.wind is not None and flight.wind.any():
-        found |= _integers("wind", _resample(flight, flight.wind, t))
-    if "est_p_x" in flight.columns:
-        told = flight.stack(["est_p_x", "est_p_y", "est_p_z"])
-        if (told != flight.stack(["p_x", "p_y", "p_z"])).any():
-            found |= _integers("estimate", _resample(flight, told - _reference(flight), t))
-    return found
 
 
 def _reference(flight: Flight) -> np.ndarray:
@@ -188,13 +148,12 @@ def _resample(flight: Flight, values: np.ndarray, t: np.ndarray) -> np.ndarray:
 def _integers(name: str, values: np.ndarray) -> dict[str, Any]:
     """Values as int16 and the step between two of them."""
     step = float(np.abs(values).max()) / INT16 or 1e-9
-    return {name: _text(np.round(values / step).astype("<i2")), f"{name}_step": step}
+    return {name: _text(np.round(values / step)), f"{name}_step": step}
 
 
 def _text(values: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+    return base64.b64encode(np.ascontiguousarray(values.astype("<i2")).tobytes()).decode()
 
 
 def _size(case: Mapping[str, Any]) -> int:
-    names = ("error", "attitude", "thrust", "wind", "estimate")
-    return len(case["reference"]) + sum(len(track.get(name, "")) for track in case["tracks"] for name in names)
+    return len(case["reference"]) + sum(len(track["error"]) + len(track["attitude"]) for track in case["tracks"])

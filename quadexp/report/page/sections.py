@@ -1,35 +1,46 @@
-"""The sections of the page as records, each made by one function; one template shows them all."""
+"""The sections of words and tables of the page as records, each made by one function; one template shows them all."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.log.outcome import RULE
-from quadexp.log.schema import Flight
+from quadexp.parts.cells import Grid
+from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, PageTable, Section
+from quadexp.report.frame import flat
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
-from quadexp.report.page.provenance import redo_command
 from quadexp.report.page.replay import Case, case_of, case_title
-from quadexp.report.page.sheet import Sheet, figure_html
-from quadexp.report.page.source import TABLED, Comparison
-from quadexp.report.page.swept import Swept
-from quadexp.report.pairing import Condition, Flights, condition_of
+from quadexp.report.page.source import TABLED, Comparison, Record
+from quadexp.report.pairing import Condition, condition_of
 from quadexp.report.statistics import Statistic
-from quadexp.report.style import Figure, Look
+from quadexp.report.summary import margin_line
+from quadexp.report.table import Table
 from quadexp.report.tables import TITLES, comparison_table, error_table
 from quadexp.report.text import duration, number, percent, probability, shown
 
 WORST = 9
-MOST_WORLDS = 30
 EACH = 2  # flights of one contestant among the worst, of those that were completed
+LOOKED_AT = 500  # flights whose settings are compared
+MOST_VALUES = 12  # of a setting
 ENDS = ("failed", "solver_failed", "lost", "left_corridor", "infeasible", "ok")  # the worst first
+
+METHODS = (
+    "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds."
+    " Differences are taken seed by seed (the same noise for all), over several conditions as the mean of"
+    " a seed; p-values come from a paired permutation test of the seeds, corrected by Holm over all comparisons."
+    " Ratios over several conditions are geometric means, every condition with the same weight; their interval is for"
+    " new seeds, not for new trajectories. Lost flights are counted."
+)
 
 
 def scoreboard(comparison: Comparison) -> PageTable:
@@ -83,7 +94,7 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
     statistics, marks = comparison.select(metric), comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
-    table = error_table(comparison.rows, metric, **options).table()
+    table = error_table(comparison.rows, metric, **options)
     means = PageTable.of(table, metric)
     heads = [
         Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)
@@ -93,70 +104,6 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     if (differences := comparison_table(statistics)) is not None:
         tables.append(PageTable.of(differences, f"{metric}-differences"))
     return Block(TITLES[metric], metric, tables=tables, notes=table_notes(statistics, ()))
-
-
-def worlds(comparison: Comparison) -> Section:
-    """Success and error of every contestant in each plant, vehicle and world; empty where there is only one."""
-    factor, unit = shown(comparison.metric)
-    lines, columns = [], list(comparison.look)
-    for plant, vehicle in comparison.worlds[:MOST_WORLDS] if len(comparison.worlds) > 1 else ():
-        rows = [row for row in comparison.rows if (row["plant"], row["vehicle"]) == (plant, vehicle)]
-        there = replace(comparison, rows=rows)
-        labels = {comparison.labels[contestant]: label for contestant, label in there.labels.items()}
-        cells = []
-        for label in (labels.get(column) for column in columns):
-            flights = there.success(label) if label else Flights(0, 0)
-            mean = factor * there.geometric_mean(label) if label else math.nan
-            completed = f"{flights.text()} completed" if flights.trials else ""
-            text, lost = number(mean) if math.isfinite(mean) else "", flights.ended < flights.trials
-            cells.append(Cell(text, lost=completed) if lost else Cell(text, (completed,)))
-        sample = next((f for row in rows if row["outcome"] == "ok" and (f := comparison.flight(row)) is not None), None)
-        lines.append([Cell(f"{plant}, {vehicle}"), Cell("", surroundings(sample) if sample else ()), *cells])
-    heads = [Cell("world"), Cell("wind, estimate"), *(Cell(label, mark=label) for label in columns)]
-    metric = TITLES.get(comparison.metric, comparison.metric)
-    left = len(comparison.worlds) - MOST_WORLDS
-    notes = [f"{left} more worlds are in the results, not here"] if left > 0 else []
-    lead = (
-        f"Each plant, vehicle and world by itself: completed flights, and the {metric}, a geometric mean over the"
-        " flights that all compared controllers completed there. Wind and estimate: of one flight of that world."
-    )
-    table = PageTable("worlds", f"{metric} ({unit})", heads, lines)
-    return Section("worlds", "Worlds", "Worlds", lead, [Block(tables=[table], notes=notes)] if lines else [])
-
-
-def surroundings(flight: Flight) -> list[str]:
-    """Mean and largest wind of a flight, and how far its estimated position is off, in words."""
-    lines = []
-    if flight.wind is not None and flight.wind.any():
-        speed = np.linalg.norm(flight.wind, axis=1)
-        lines.append(f"wind {speed.mean():.1f} m/s, most {speed.max():.1f} m/s")
-    if "est_p_x" in flight.columns:
-        off = flight.stack([f"est_p_{i}" for i in "xyz"]) - flight.stack([f"p_{i}" for i in "xyz"])
-        if off.any():
-            lines.append(f"told {number(1e3 * float(np.sqrt((off**2).sum(axis=1).mean())))} mm off (rms)")
-    return lines
-
-
-def swept_section(swept: Swept, most: int | None) -> Section:
-    """most: tabs."""
-    lead = (
-        "The axes are the keys that take several values. Means are over the flights that all compared settings"
-        " completed; k/n: only k of n flights were completed; a cross: none was, or the settings contradict each other."
-        " `quadexp plot` draws other axes."
-    )
-    blocks = [Block(title, name, figures=figures) for name, title, figures in swept.tabs[:most]]
-    return Section("swept", "Swept", "What was swept", lead, blocks)
-
-
-def figure_section(anchor: str, name: str, title: str, lead: str, sheets: Sequence[Sheet]) -> Section:
-    """A block a sheet."""
-    blocks = []
-    for i, sheet in enumerate(sheets):
-        tables = [PageTable.of(sheet.scores, f"{anchor}-scores-{i}")] if sheet.scores else []
-        key = [] if sheet.lines else sheet.labels
-        figures = sheet.panels(f"{anchor}{i}")
-        blocks.append(Block(sheet.title, "", sheet.text, key, figures, sheet.lines, tables))
-    return Section(anchor, name, title, lead, blocks)
 
 
 def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, Any]]:
@@ -180,41 +127,103 @@ def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, A
 
 
 def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapping[Case, int]) -> Section:
-    """A card a flight. cases: condition and seed -> number in the replay."""
+    """A line a flight, and the commands that fly them again. cases: condition and seed -> number in the replay."""
     bad, bad_shown = (sum(row["outcome"] != "ok" for row in flights) for flights in (comparison.rows, rows))
     hidden = bad - bad_shown
     more = f"; {hidden} more were not completed (`quadexp results DIR --failures` lists them)" if hidden else ""
     lead = (
         f"Flights that were not completed, then the largest errors of every controller: {len(rows)} of"
-        f" {len(comparison.rows)} flights{more}. {RULE[:1].upper()}{RULE[1:]}. The line shows the error over the"
-        " flight, each on its own scale."
+        f" {len(comparison.rows)} flights{more}. {RULE[:1].upper()}{RULE[1:]}."
     )
-    cards = [_card(comparison, row, cases) for row in rows]
-    return Section("worst", "Worst", "Worst flights", lead, [Block(cards=cards)])
+    lines = []
+    for row in rows:
+        case, label, flight = case_of(row), comparison.label(row), comparison.flight(row)
+        largest, when = "", ""
+        if flight is not None and "ref_p_x" in flight.columns:
+            largest = f"{number(1e3 * row['max_error'])} mm"
+            if "thinned" not in flight.metadata:
+                when = f"at {flight.t[int(np.argmax(position_error(flight)))]:.1f} s"
+        why = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
+        lost = "" if row["outcome"] == "ok" else why
+        flown = Cell(case_title(comparison, case), lost=lost, replay=cases.get(case))
+        lines.append([Cell(label, mark=label), flown, Cell(largest, (when,))])
+    commands = [f"quadexp simulate {shlex.join(asked)}" for row in rows if (asked := comparison.asked(row))]
+    blocks = [Block(tables=[PageTable("worst", "", [*map(Cell, ("controller", "flight", "largest error"))], lines)])]
+    blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
+    return Section("worst", "Worst", "Worst flights", lead, blocks)
 
 
-def _card(comparison: Comparison, row: Mapping[str, Any], cases: Mapping[Case, int]) -> dict[str, Any]:
-    """where: the conditions in words with units."""
-    label, flight, where = comparison.label(row), comparison.flight(row), case_title(comparison, case_of(row))
-    card = {"label": label, "where": where, "largest": "", "spark": "", "lost": ""}
-    if row["outcome"] != "ok":
-        card["lost"] = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
-    if flight is not None and "ref_p_x" in flight.columns:
-        error = position_error(flight)
-        card["largest"] = f"{number(1e3 * row['max_error'])} mm"
-        if "thinned" not in flight.metadata:
-            card["where"] += f"; worst at {flight.t[int(np.argmax(error))]:.1f} s"
-        draw = partial(spark, flight.t, error, comparison.look[label])
-        card["spark"] = figure_html(draw, f"spark-{row['key']}", f"error of {label} over time")
-    return card | {"case": cases.get(case_of(row)), "command": redo_command(comparison.asked(row))}
+def records(comparison: Comparison) -> list[Record]:
+    """Metadata of at most LOOKED_AT flights, spread over all of them."""
+    rows = comparison.sampled(LOOKED_AT)
+    return [record for row in rows if (record := comparison.flight_record(row)) is not None]
 
 
-def spark(t: np.ndarray, error: np.ndarray, look: Look) -> Figure:
-    """The error over the flight, from zero up, without axes."""
-    figure = Figure(figsize=(3.2, 0.6))
-    panel = figure.add_axes((0, 0, 1, 1))
-    panel.set_axis_off()
-    every = max(1, len(t) // 200)
-    panel.plot(t[::every], error[::every], color=look.colour, linewidth=1.2)
-    panel.set_ylim(bottom=0.0)
-    return figure
+def origin(comparison: Comparison, flights: Sequence[Record], command: str, left_out: Sequence[str]) -> Section:
+    """Where every number comes from, and the commands that make it again. flights: metadata. command: of the page."""
+    about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
+    sweep = sweep_command(comparison.grids, portable(comparison.root))
+    blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
+    if rows := settings(flights):
+        table = PageTable.of(Table(["setting", "value"], rows), "settings")
+        blocks.append(Block("Settings of the flights, those that differ first", tables=[table], folded=True))
+    blocks.append(Block("Statistical methods", lead=METHODS.format(f"{comparison.confidence:.0%}"), folded=True))
+    lead = "Data, versions and commands that make every figure again."
+    return Section("provenance", "Provenance", "Provenance", lead, blocks)
+
+
+def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, str]]:
+    """(term, text) of the origin; several of one term."""
+    about = [flight.get("provenance", {}) for flight in flights]
+    git = [made.get("git") or {} for made in about]
+    commits = {f"{g['commit'][:12]}{' with changes' if g.get('dirty') else ''}" for g in git if g.get("commit")}
+    machines = {", ".join(str(made[k]) for k in ("cpu", "platform") if made.get(k)) for made in about} - {""}
+    models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
+    created = comparison.record.get("provenance", {}).get("created", "")
+    versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
+    entries = [
+        ("Results", f"{len(comparison.rows)} flights, sha256 {comparison.digest}"),
+        ("Files", " ".join(filter(None, (f"{comparison.checked.text()}.", *comparison.checked.lines())))),
+        ("Seeds", ", ".join(map(str, sorted({int(row["seed"]) for row in comparison.rows})))),
+        ("Made", ", commit ".join(filter(None, (created, ", ".join(sorted(commits)))))),
+        ("Machine", "; ".join(sorted(machines))),
+        *(("Loop", line) for line in margins(flights)),
+        *(("Checkpoint", model) for model in sorted(models)),
+        ("Versions", versions),
+    ]
+    return [(term, text) for term, text in entries if text]
+
+
+def margins(flights: Iterable[Record]) -> list[str]:
+    """Controller and margins of its loop; several lines for one whose settings vary."""
+    lines = ((f.get("controller", ""), margin_line(f.get("margins"))) for f in flights)
+    return list(dict.fromkeys(f"{name}: {line}" for name, line in lines if line))
+
+
+def settings(flights: Sequence[Record]) -> list[list[str]]:
+    """A line a setting with its values in order of appearance; those that differ between flights first."""
+    values: dict[str, list[str]] = {}
+    for flight in flights:
+        for key, value in flat(flight.get("config", {})).items():
+            values.setdefault(key, []).append(value if isinstance(value, str) else json.dumps(value))
+    different = {key: list(dict.fromkeys(texts)) for key, texts in values.items() if set(texts) != {"null"}}
+    lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
+    return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
+
+
+def portable(path: Path) -> str:
+    """A path for a page that is passed on: absolute ones by their name alone."""
+    return path.name if path.is_absolute() else path.as_posix()
+
+
+def sweep_command(grids: Sequence[Grid], out: str) -> str:
+    """The sweep in one line: its one grid, or the experiment of its grids; "" if there is neither."""
+    if len(grids) == 1:
+        words = []
+        for texts in grids[0]:
+            key, _, first = texts[0].partition("=")
+            words.append(f"{key}={','.join([first, *(text.partition('=')[2] for text in texts[1:])])}")
+    else:
+        named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
+        words = sorted(named) if len(named) == 1 else []
+    return f"quadexp evaluate --sweep {shlex.join(words)} --out {shlex.quote(out)}" if words else ""

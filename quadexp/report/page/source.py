@@ -19,6 +19,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_record, read_table
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.checked import Checked, check_flights
+from quadexp.report.metrics import from_columns
 from quadexp.report.notes import notes
 from quadexp.report.pairing import (
     Condition,
@@ -32,9 +33,7 @@ from quadexp.report.pairing import (
     is_bound,
     is_invalid,
 )  # fmt: skip
-from quadexp.report.result_rows import from_columns
-from quadexp.report.statistics import CONFIDENCE, Statistic, overall
-from quadexp.report.statistics_file import results_statistics
+from quadexp.report.statistics import CONFIDENCE, Statistic, overall, results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdicts
@@ -42,6 +41,7 @@ from quadexp.report.winner import Verdict, verdicts
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
 Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
+Record = Mapping[str, Any]  # metadata of a flight
 
 AIR = {  # baseline -> controllers that are the same but for what they know of the air
     "nominal_mpc": {"linear_drag_mpc", "gp_mpc", "rls_mpc", "neural_mpc", "sum_mpc", "online_mpc", "streaming_gp_mpc"},

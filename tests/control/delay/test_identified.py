@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.control.delay.identified import CommandsAhead, soft
+from quadexp.control.instant import run
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
@@ -14,7 +15,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.report.margin_line import delays_note
+from quadexp.report.summary import delays_note
 from tests.models.residuals import make_residual
 
 INTERPRETED = ["controller=nominal_mpc", "controller.backend=interpreted"]
@@ -72,7 +73,7 @@ def test_the_prediction_that_may_change_is_that_of_fixed_times(vehicle, rng, dea
     commands = vehicle.hover_thrust * (1 + 0.2 * rng.standard_normal((60, 4)))
     fixed.reset(commands[0])
     for u in commands:
-        fixed.record(u)
+        run(fixed.after(u))
     free.tune(dead_time, lag, commands)
     x = np.r_[1.0, 2, 3, 1, 0, 0, 0, 2, -1, 0.5, 0.3, 0.2, -0.4]
     ours, theirs = free.predict(x), fixed.predict(x)

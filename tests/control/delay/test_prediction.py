@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import Belief
+from quadexp.control.base import Belief, Measurement, Window
 from quadexp.control.delay.prediction import Prediction
-from quadexp.control.delay.sent_commands import SentCommands
+from quadexp.control.delivered import SentCommands
+from quadexp.control.instant import run
 from quadexp.control.mpc import mpc as landed
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
@@ -21,6 +21,7 @@ from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import no_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
+from tests.control.held import Held
 
 PERIOD = 0.02
 
@@ -44,7 +45,7 @@ def test_mean_thrusts_are_those_of_the_commands(dead_time, lag):
     history = SentCommands(2, PERIOD, 0.4)
     history.reset(np.array([3.0, 4.0]))
     for u in rng.uniform(0, 10, (30, 2)):
-        history.record(u)
+        run(history.after(u))
     spans = np.array([[-0.05, -0.041], [-0.041, -0.02], [-0.02, 0.0], [-0.033, -0.033], [0.0, 0.01]])
     found = history.weights(spans, dead_time, lag) @ history.values
     for (a, b), mean in zip(spans, found, strict=True):
@@ -117,10 +118,11 @@ def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag
         times, states = np.append(times, grid[1:]), [*states, *found.y.T]
     states = np.array(states)
     states[:, ATTITUDE] /= np.linalg.norm(states[:, ATTITUDE], axis=1)[:, None]
-    wrapped.reset(states[0], Window(None, np.full((1, n), vehicle.hover_thrust), None, None))
+    window = Window(np.zeros((2, 13)), np.full((1, n), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
+    wrapped.reset(states[0], window)
     for k in range(12):
         late = states[max(k * 20 - round(delay * 1e3), 0)]
-        wrapped.step(Measurement(k * PERIOD, late, None, None), None)
+        wrapped.step(Measurement(k * PERIOD, late, None, None), window)
     error = np.abs(np.array(told.states) - states[:240:20])
     assert error[:, POSITION].max() < 2e-5 and error[:, VELOCITY].max() < 2e-3
     assert error[:, ATTITUDE].max() < 1e-3 and error[:, 10:].max() < 5e-3
@@ -137,30 +139,12 @@ def test_dead_time_and_lag_of_the_mpc_inside_are_known(vehicle):
     assert (given.dead_time, given.lag) == (0.0, 0.01)
 
 
-class Plain:
-    """A controller that is no MPC: keeps what it is told, sends what it is given."""
-
-    control_period, node_times, reference_period, backend = PERIOD, np.array([0.0, 0.1]), 0.0, "interpreted"
-    name = source = "plain"
-    residual = None
-
-    def __init__(self, vehicle, commands):
-        self.vehicle, self.commands, self.told = vehicle, iter(commands), []
-
-    def reset(self, x, window):
-        pass
-
-    def step(self, measurement, window):
-        self.told.append((measurement.state, window))
-        return next(self.commands), StepRecord(0.0, 0, 0, 0, 0.0)
-
-
 @pytest.mark.parametrize("age", [0.0, 0.015])
 def test_another_controller_is_told_when_its_command_will_act(vehicle, age):
     """State and reference of now + dead time, by the rigid body under the commands already sent."""
     dead_time, n = 0.035, vehicle.n_rotors
     commands = vehicle.hover_thrust * (1 + 0.1 * np.random.default_rng(2).standard_normal((10, n)))
-    plain = Plain(vehicle, commands)
+    plain = Held(vehicle, iter(commands), PERIOD, (0.0, 0.1))
     wrapped = Prediction(plain, age, dead_time, 0.0)
     model = corrected_function(vehicle, no_residual(vehicle))
     sent = np.vstack([np.tile(vehicle.hover_thrust, (40, n)), commands])

@@ -7,33 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.base import Measurement
+from quadexp.control.base import Measurement, Window
 from quadexp.control.delay.strapdown import Strapdown, propagation
-from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from tests.control.held import Held
 
 PERIOD, GRAVITY = 0.02, 9.81
-
-
-class Told:
-    """The inner controller: keeps what it is told."""
-
-    control_period, node_times, reference_period, backend = PERIOD, np.zeros(1), 0.0, "interpreted"
-    name = source = "told"
-    residual = None
-
-    def __init__(self, vehicle) -> None:
-        self.vehicle, self.states = vehicle, []
-
-    def reset(self, x, window):
-        self.states = []
-
-    def step(self, measurement, window):
-        self.states.append(measurement.state)
-        return None, StepRecord(0.0, 0, 0, 0, 0.0)
-
-    def log(self):
-        return {}
+WINDOW = Window(np.zeros((1, 13)), np.zeros((0, 4)), np.zeros((5, 3)), np.zeros(3))
 
 
 class Motion:
@@ -69,14 +49,14 @@ class Motion:
 
 def flown(vehicle, motion, delay, believed=None, bias=0.0, periods=20):
     """States that the controller is told at each instant, (k, 13), and the true ones."""
-    told = Told(vehicle)
+    told = Held(vehicle, np.zeros(4), PERIOD)
     wrapped = Strapdown(told, delay if believed is None else believed)
-    wrapped.reset(motion.state(0.0), None)
+    wrapped.reset(motion.state(0.0), WINDOW)
     for k in range(periods):
         t = k * PERIOD
         force = motion.force(t) + bias if k else None
-        wrapped.step(Measurement(t, motion.late(t, delay), force, None), None)
-    return np.array(told.states), np.array([motion.state(k * PERIOD) for k in range(periods)])
+        wrapped.step(Measurement(t, motion.late(t, delay), force, None), WINDOW)
+    return told.states, np.array([motion.state(k * PERIOD) for k in range(periods)])
 
 
 @pytest.mark.parametrize("delay", [0.01, 0.02, 0.033, 0.05])
@@ -92,18 +72,17 @@ def test_the_state_of_now_is_found(vehicle, delay, seed):
     assert error[:, ATTITUDE].max() < 1e-4 and np.array_equal(told[:, RATE], true[:, RATE])
 
 
-def test_the_error_falls_with_the_square_of_the_period(vehicle, monkeypatch):
+def test_the_error_falls_with_the_square_of_the_period(vehicle):
     """Linear readings: second order in the control period, for attitude and velocity alike."""
     errors = []
     for period in (0.02, 0.01):
-        monkeypatch.setattr(Told, "control_period", period)
-        motion, told = Motion(3, 2.0, 5.0), Told(vehicle)
+        motion, told = Motion(3, 2.0, 5.0), Held(vehicle, np.zeros(4), period)
         wrapped = Strapdown(told, 0.06)
-        wrapped.reset(motion.state(0.0), None)
+        wrapped.reset(motion.state(0.0), WINDOW)
         times = np.arange(round(0.6 / period)) * period
         for t in times:
-            wrapped.step(Measurement(t, motion.late(t, 0.06), motion.force(t) if t else None, None), None)
-        errors.append(np.abs(np.array(told.states) - [motion.state(t) for t in times])[8:].max(axis=0))
+            wrapped.step(Measurement(t, motion.late(t, 0.06), motion.force(t) if t else None, None), WINDOW)
+        errors.append(np.abs(told.states - [motion.state(t) for t in times])[8:].max(axis=0))
     assert np.all(errors[1][3:10] < errors[0][3:10] / 3)
 
 
@@ -151,13 +130,13 @@ def test_a_delay_of_none_is_the_measurement_itself(vehicle):
 
 
 def test_a_flight_begins_anew(vehicle):
-    motion, told = Motion(2, 1.0, 4.0), Told(vehicle)
+    motion, told = Motion(2, 1.0, 4.0), Held(vehicle, np.zeros(4), PERIOD)
     wrapped = Strapdown(told, 0.03)
     flights = []
     for _ in range(2):
-        wrapped.reset(motion.state(0.0), None)
+        wrapped.reset(motion.state(0.0), WINDOW)
         for k in range(6):
             t = k * PERIOD
-            wrapped.step(Measurement(t, motion.late(t, 0.03), motion.force(t) if k else None, None), None)
-        flights.append(np.array(told.states))
+            wrapped.step(Measurement(t, motion.late(t, 0.03), motion.force(t) if k else None, None), WINDOW)
+        flights.append(told.states)
     assert np.array_equal(*flights)

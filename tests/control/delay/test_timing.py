@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.control.delay import identified
 from quadexp.control.delay.moments import BEGINS, KEPT, MOST, SPAN, Moments
-from quadexp.control.delay.sent_commands import SentCommands
 from quadexp.control.delay.timing import LARGEST, SMALL_STEP, Search, Stream, find_delays, moments_of
+from quadexp.control.delivered import SentCommands
+from quadexp.control.instant import run
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.identify_delays import told
@@ -55,7 +56,7 @@ def test_a_cost_by_sums_is_that_of_the_samples(vehicle, stream, at):
         needed = J @ (x[10:] - before[10:]) / PERIOD + np.cross(x[10:], J @ x[10:])
         designs.append(([*air, now, squares, now * stream.t[k]], [*air, torque[0]], [*air, torque[1]]))
         targets.append((stream.specific_force[k, 2], *needed[:2]))
-        sent.record(stream.command[k])
+        run(sent.after(stream.command[k]))
     first, cost = round(BEGINS / PERIOD), 0.0
     for i in range(3):
         X, y = np.array([one[i] for one in designs])[first:], np.array(targets)[first:, i]
@@ -71,7 +72,7 @@ def following(stream, vehicle, dead_time, lag) -> Stream:
     weights = sent.weights(np.array([[0.0, 0.0]]), dead_time, lag)[0]
     for command in stream.command:
         late.append(weights @ sent.values.sum(axis=1) / vehicle.mass)
-        sent.record(command)
+        run(sent.after(command))
     force = stream.specific_force.copy()
     force[:, 2] = late + 0.01 * np.random.default_rng(1).standard_normal(len(late))
     return replace(stream, specific_force=force)

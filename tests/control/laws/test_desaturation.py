@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from quadexp.control.laws.desaturation import clipped, prioritised
+from quadexp.control.allocation import clipped, prioritised
 from quadexp.errors import UsageError
 from tests.control.laws.flown import vehicle_of
 

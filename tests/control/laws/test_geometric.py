@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.base import Measurement
-from quadexp.control.belief import Belief
+from quadexp.control.base import Belief, Measurement
 from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose

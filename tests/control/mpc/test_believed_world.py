@@ -12,8 +12,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import Belief
+from quadexp.control.base import Belief, Measurement, Window
+from quadexp.control.instant import Told, run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
@@ -101,7 +101,7 @@ def test_the_dead_time_is_predicted_in_the_believed_world(vehicle, rng, lag):
     x, window = a_window(controller, rng)
     controller.reset(x, window)
     controller.believe(belief)
-    inside, *_ = controller.believed.enter(Measurement(0.0, x, None, None), window)
+    inside = entered(controller, x, window)
     thrust, u = np.full(4, 3.0), rng.uniform(1, 4, 4)
     controller.predictor.reset(thrust)
     controller.predictor.commands[...] = u
@@ -111,6 +111,15 @@ def test_the_dead_time_is_predicted_in_the_believed_world(vehicle, rng, lag):
     )
     back = found[:13] + np.concatenate([belief.wind * 0.02, np.zeros(4), belief.wind, np.zeros(3)])
     assert back == pytest.approx(expected[:13], abs=2e-5)
+
+
+def entered(controller, x, window) -> np.ndarray:
+    """The state (13,) in the plan's frame, where all that stands before the plan has been done."""
+    told = Told(4)
+    told.tell(Measurement(0.0, x, None, None), window)
+    operations, inside = controller.believed.before(told, told.state)
+    run(operations, window=window)
+    return inside
 
 
 def a_window(controller, rng) -> tuple[np.ndarray, Window]:
@@ -166,7 +175,7 @@ def test_a_wind_that_changes_moves_the_plan_with_it(vehicle, rng):
     controller.step(Measurement(0.0, x, None, None), window)
     X = controller.mpc.prediction[0].copy()
     controller.believe(Belief(np.zeros(3), np.zeros(3), second))
-    controller.believed.enter(Measurement(0.0, x, None, None), window)
+    entered(controller, x, window)
     moved = controller.mpc.prediction[0]
     assert moved[:, 7:10] + second == pytest.approx(X[:, 7:10] + first)
     assert moved[:, :3] + 0.02 * first + second * (times - 0.02) == pytest.approx(X[:, :3] + first * times)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from quadexp.control.instant import run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.margins import HoverLoop
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -70,7 +71,7 @@ def test_the_thrust_follows_the_commands_as_they_arrive(vehicle, rng, dead_time)
     first, commands = rng.uniform(1, 5, 4), rng.uniform(1, 5, (6, 4))
     predictor.reset(first)
     for command in commands:
-        predictor.record(command)
+        run(predictor.after(command))
     thrust, fine = first.copy(), 1e-3
     for i in range(round(len(commands) * period / fine)):
         sent = int(np.floor((i * fine - dead_time) / period + 1e-9))
@@ -191,14 +192,3 @@ def test_known_delays_cost_no_accuracy(vehicle, trajectory, settings, latency, l
     error = flight.stack(["p_x", "p_y", "p_z"]) - flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"])
     assert 1e3 * np.linalg.norm(error, axis=1).mean() < most
     assert np.abs(np.diff(flight.input, axis=0)).max() < 1  # no chatter
-
-
-@pytest.mark.parametrize("wrong", [-0.02, 0.02])
-def test_a_wrong_dead_time_is_survived_where_the_lag_is_modelled(vehicle, wrong):
-    """30 ms of lag and 20 ms of latency, the latter taken for none or for 40 ms: no lost flight and no chatter."""
-    plant = SimplifiedPlant(vehicle, QUIET)
-    settings = {"first_node": 0.04, "horizon": 0.8, "dead_time": 0.02 + wrong, "motor_lag": 0.03}
-    controller = controller_of(vehicle, plant.residual(), "auto", **settings)
-    reference = SampledReference(Circle(speed=8.0), controller)
-    flight = fly(DelayedPlant(plant, latency=0.02, lag=0.03), controller, reference, np.random.default_rng(0))
-    assert flight.metadata["outcome"] == "ok" and np.abs(np.diff(flight.input, axis=0)).max() < 1

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.control.mpc.motor_lead import MotorLead
+from quadexp.control.instant import run
+from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
@@ -13,16 +14,21 @@ from quadexp.parts.compose import compose
 from quadexp.physics.motor import lagging_thrust
 
 
+def commanded(vehicle, lag, planned, now):
+    operations, command = MotorLead(vehicle, MPCSettings(motor_lead=lag)).after(planned, now)
+    run(operations)
+    return command
+
+
 @pytest.mark.parametrize("lag", [0.005, 0.03, 0.1])
 def test_the_planned_thrust_is_reached_within_a_period(vehicle, lag):
-    settings = MPCSettings(motor_lead=lag)
     now, planned = np.array([2.0, 2.5, 3.0, 2.2]), np.array([2.1, 2.4, 3.0, 2.5])
-    command = MotorLead(vehicle, settings).command(planned, now)
-    assert np.allclose(np.array(lagging_thrust(now, command, settings.control_period, lag)).ravel(), planned)
+    command = commanded(vehicle, lag, planned, now)
+    assert np.allclose(np.array(lagging_thrust(now, command, MPCSettings().control_period, lag)).ravel(), planned)
 
 
 def test_the_command_keeps_to_the_limits(vehicle):
-    command = MotorLead(vehicle, MPCSettings(motor_lead=0.1)).command(np.array([0.0, 20, 9, 11]), np.full(4, 10.0))
+    command = commanded(vehicle, 0.1, np.array([0.0, 20, 9, 11]), np.full(4, 10.0))
     assert command.min() == vehicle.thrust_min and command.max() == vehicle.thrust_max
     assert command[2] < 9 and command[3] > 11
 

@@ -18,7 +18,7 @@ from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
 from tests.control.mpc.converged import ConvergedProblem
-from tests.models.residuals import RESIDUALS, make_residual
+from tests.models.residuals import make_residual
 
 HOVER = np.r_[np.zeros(3), 1, np.zeros(9)]
 
@@ -66,7 +66,7 @@ def test_first_input_is_near_the_converged_one_along_the_fast_circle(vehicle, re
     assert np.median(distance) < (5 * bound if first_node else bound)
 
 
-@pytest.mark.parametrize("name", RESIDUALS)
+@pytest.mark.parametrize("name", ["gp_per_axis", "neural", "blade_element_plant"])
 def test_back_ends_agree(vehicle, name):
     residual = make_residual(name, vehicle)
     thrusts = []
@@ -84,7 +84,7 @@ def test_hover_is_held_with_hover_thrust(vehicle):
     controller.reset(HOVER, state, thrust)
     u, record = controller.command(HOVER, state, thrust)
     assert u == pytest.approx(np.full(4, vehicle.hover_thrust), abs=1e-9)
-    assert record.status == Status.RICCATI and record.kkt < 1e-9
+    assert (record.status, record.sweeps, record.active) == (Status.RICCATI, 0, 0) and record.kkt < 1e-9
 
 
 @pytest.mark.parametrize("first_node", [0.0, 0.02])
@@ -102,9 +102,15 @@ def test_saturated_step_converges_to_the_bounded_optimum(vehicle, first_node):
     assert u == pytest.approx(expected, abs=1e-4)
 
 
-@pytest.mark.parametrize("hold", ["command", "deviation"])
-@pytest.mark.parametrize("attitude_error", ["plain", "body"])
-@pytest.mark.parametrize("backend", ["interpreted", "auto"])
+@pytest.mark.parametrize(
+    ("backend", "attitude_error", "hold"),  # every pair of them
+    [
+        ("interpreted", "plain", "deviation"),
+        ("interpreted", "body", "command"),
+        ("auto", "plain", "command"),
+        ("auto", "body", "deviation"),
+    ],
+)
 def test_with_lagging_rotors_the_first_step_is_the_bounded_optimum_of_17_states(
     vehicle, rng, backend, attitude_error, hold
 ):
@@ -135,14 +141,6 @@ def test_back_ends_agree_with_lagging_rotors(vehicle, name):
         assert answers[0][1].active and answers[0][1].converged
         thrusts.append([u for u, _ in answers])
     assert np.allclose(*thrusts, rtol=1e-5, atol=1e-5)
-
-
-def test_a_step_without_bounds_says_so(vehicle):
-    controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
-    state, thrust = hover_reference(controller, vehicle)
-    controller.reset(HOVER, state, thrust)
-    record = controller.command(HOVER, state, thrust)[1]
-    assert (record.status, record.sweeps, record.active) == (Status.RICCATI, 0, 0)
 
 
 def test_a_line_search_without_bounds_says_so_and_ends_where_full_steps_do(vehicle, monkeypatch):
@@ -244,7 +242,7 @@ def test_a_first_node_as_long_as_the_mean_one_is_the_published_grid():
     assert np.allclose(MPCSettings(first_node=0.1).node_periods, MPCSettings().node_periods, atol=1e-12)
 
 
-@pytest.mark.parametrize("nodes", [10, 20, 15])
+@pytest.mark.parametrize("nodes", [20, 15])
 def test_node_period_need_not_be_a_multiple_of_the_control_period(vehicle, nodes):
     plant = SimplifiedPlant(vehicle, PlantEffects.none(), backend="interpreted")
     settings = MPCSettings(nodes=nodes)
@@ -263,13 +261,3 @@ def test_hover_and_step_settle(vehicle):
         flight = fly(plant, controller, SampledReference(trajectory, controller), np.random.default_rng(0))
         assert flight.metadata["outcome"] == "ok"
         assert np.linalg.norm(position_error(flight)[-1]) < 1e-3
-
-
-def test_a_lost_flight_stops_with_its_log(vehicle):
-    plant = SimplifiedPlant(vehicle, PlantEffects.none(), backend="interpreted")
-    controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
-    reference = SampledReference(Step(start=(0, 0, 1), target=(30, 0, 1), step_time=0.5, duration=6.0), controller)
-    flight = fly(plant, controller, reference, np.random.default_rng(0))
-    assert flight.metadata["outcome"] == "lost"
-    assert "from the reference at t=0.50 s" in flight.metadata["cause"]
-    assert 20 < len(flight) < 30 and np.isfinite(flight.state).all()

@@ -10,7 +10,7 @@ from scipy.integrate import quad, solve_ivp
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.margins import margins
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.reference_thrust import held_deviation
+from quadexp.control.mpc.prediction import held_deviation
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.motor import lagging_rk4_step

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
-from quadexp.log.schema import FLIGHT_COLUMNS
 from quadexp.physics.state import ATTITUDE
 from tests.models.residuals import make_residual
 from tests.states import random_state
@@ -52,13 +50,6 @@ def test_both_errors_of_attitude_step_along_the_same_dynamics(vehicle, rng):
             assert change[:, k + 1] == pytest.approx(
                 A @ change[:, k] + B @ effort[:, k] + plain["b"][:, k], rel=1e-8, abs=1e-8
             )
-
-
-def test_the_log_says_what_its_numbers_mean():
-    """A flight's status column, as the schema of flights explains it."""
-    assert FLIGHT_COLUMNS["status"].description == ", ".join(
-        f"{status.value} {status.name.lower()}" for status in Status
-    )
 
 
 def test_the_error_in_world_axes_is_that_of_the_rotation_from_the_reference():

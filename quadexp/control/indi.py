@@ -1,4 +1,4 @@
-"""The INDI rate loop as one CasADi function (Sun et al. 2022, (32)-(35)).
+"""The INDI rate loop around a controller (Sun et al. 2022, (32)-(35)).
 
 The thrusts u that a controller wants mean a collective thrust and an angular acceleration. The torque that the rotors
 give, measured by their speeds W = sqrt(t / c_t), and the angular acceleration that came of it are known up to now; the
@@ -20,16 +20,24 @@ so that a constant d_tau and a wrong J leave no steady error of alpha, as long a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
-from quadexp.control.dfbc.law import TILT_FIRST, WRENCH_WEIGHT, Wrench
+from quadexp.control.base import Controller, Window
+from quadexp.control.built import built
+from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.instant import Instant, Told, call, copy, instant_of
+from quadexp.control.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
+from quadexp.control.part import Remedy
+from quadexp.control.wrapped import WrappedController, layers, thrust_at_start
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Settings, key
+from quadexp.parts.settings import Backend, Settings, key, part
 from quadexp.physics.expression import Expression
+from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 
 NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence
@@ -37,7 +45,7 @@ NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic conver
 
 @dataclass(frozen=True, kw_only=True)
 class INDIKeys(Settings):
-    """Incremental nonlinear dynamic inversion with the values of Sun et al. 2022; see quadexp/control/indi/law.py."""
+    """Incremental nonlinear dynamic inversion with the values of Sun et al. 2022; see quadexp/control/indi.py."""
 
     prefix: ClassVar[str] = "inner."
 
@@ -127,3 +135,66 @@ def _low_pass(keys: INDIKeys) -> tuple[np.ndarray, np.ndarray]:
 
     b, a = butter(2, keys.cutoff, fs=keys.rate)
     return b, a
+
+
+WHOLE = 1e-6  # how far a ratio of rates may be from a whole number
+
+
+class INDI(WrappedController):
+    """A Controller at inner.rate: every n-th instant the inner one, whose thrusts an INDI loop gives to the rotors.
+
+    Raises UsageError for settings that contradict each other, and where the rate is no whole multiple of the
+    controller's.
+    """
+
+    def __init__(self, inner: Controller, keys: INDIKeys, *, backend: str = "auto") -> None:
+        super().__init__(inner)
+        ratio = keys.rate * inner.control_period
+        self._every = round(ratio)
+        if self._every < 1 or abs(ratio - self._every) > WHOLE * ratio:
+            raise UsageError(
+                f"inner.rate={keys.rate:g}: must be a whole multiple of the controller's rate of"
+                f" {1 / inner.control_period:g} Hz"
+            )
+        self.control_period = inner.control_period / self._every
+        self._keys, vehicle = keys, inner.vehicle
+        self._law = BufferedFunction(built(backend, indi_function, vehicle, keys))
+        told = keys.dead_time, keys.motor_lag
+        self._delivered = DeliveredThrust(vehicle, self.control_period, *told, backend=resolve(backend))
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""
+        super().reset(x, window)
+        thrust = thrust_at_start(window, self.vehicle)
+        self._delivered.reset(thrust)
+        arguments, values = self._law.arguments, np.concatenate([x[RATE], np.sqrt(thrust)])
+        arguments["before"][:], arguments["memory"][:] = values, settled_memory(self._keys, values)
+
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant; the record is that of the controller's last step."""
+        inner = instant_of(self.inner, told, state)
+        arguments, results, delivered = self._law.arguments, self._law.results, self._delivered
+        wanted = copy(arguments["wanted"], inner.command)
+        operations = [o._replace(every=o.every * self._every) for o in (*inner.operations, wanted)]
+        operations += [*delivered.before(told), copy(arguments["rate"], state[RATE])]
+        operations += [copy(arguments["delivered"], delivered.thrust), call(self._law)]
+        operations.append(copy(arguments["before"], results["filtered"]))
+        operations.append(copy(arguments["memory"], results["memory_next"]))
+        operations += delivered.after(results["thrust"])
+        return inner._replace(operations=operations, command=results["thrust"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class INDIPart(INDIKeys, Remedy):
+    """An INDI rate loop."""
+
+    backend: Backend = "auto"
+
+    def around(self, controller: Any) -> INDI:
+        """See Remedy; UsageError where an observer inside finds the torque that the loop removes too."""
+        if any(getattr(one, "finds_torque", False) for one in layers(controller)):
+            raise UsageError(
+                f"inner={self.name}: it removes an unknown torque, which the observer inside finds too and the"
+                " controller would take away a second time; set observer.torque_bandwidth=0"
+            )
+        return INDI(controller, part(INDIKeys, self), backend=self.backend)

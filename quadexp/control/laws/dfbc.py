@@ -1,4 +1,4 @@
-"""The law of flatness-based control as one CasADi function (Sun et al. 2022, (13)-(31)).
+"""Flatness-based control (Sun et al. 2022, (13)-(31)).
 
 p_r .. s_r: position to snap of the reference, psi_r its heading; f_a, tau_a: force and torque of the air by the model
 at the present velocity; d_F, d_tau: believed disturbance; T: collective thrust that the rotors deliver now; z = R e_z.
@@ -27,13 +27,20 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
+import numpy as np
+
+from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
-from quadexp.control.belief import N_BELIEF
+from quadexp.control.base import N_BELIEF
+from quadexp.control.built import built
+from quadexp.control.laws.explicit import BelievingController
+from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.parts.settings import Setting, Settings, Triple, key
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Backend, Setting, Settings, Triple, key, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -49,12 +56,13 @@ TILT_FIRST: Wrench = (0.001, 10.0, 10.0, 0.1)  # of Sun et al. 2022
 
 AT_LIMIT = 1e-9  # of the thrust range
 OPPOSITE = 1e-6  # least 1 + r_z: a tilt error of 180 degrees has no axis
+LOGGED = ("error_tilt", "error_yaw")
 SMALL = 1e-9  # of a length, below which a direction is not determined
 
 
 @dataclass(frozen=True, kw_only=True)
 class DFBCKeys(Settings):
-    """Gains with the values of Sun et al. 2022, Table I; see quadexp/control/dfbc/law.py."""
+    """Gains with the values of Sun et al. 2022, Table I; see quadexp/control/laws/dfbc.py."""
 
     prefix: ClassVar[str] = "controller."
 
@@ -84,8 +92,7 @@ class DFBCKeys(Settings):
 
 
 def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compiled: bool) -> ca.Function:
-    """The law: x (13,), path (3, 5) position (m) .. snap, yaw (3,), delivered thrusts (n,) (N), belief (11,), theta ->
-    thrust (n,) (N); angle, (2,): errors of tilt and yaw (rad); held: rotors at a limit.
+    """The law with the inputs and outputs of explicit.py; log, (2,): errors of tilt and yaw (rad).
 
     compiled: whether the residual's form for compilation is taken.
     """
@@ -109,7 +116,7 @@ def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compil
     margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
     low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
     held = ca.sum1(ca.logic_or(thrust < low, thrust > high))
-    outputs = {"thrust": thrust, "angle": angle, "held": held}
+    outputs = {"command": thrust, "log": angle, "held": held}
     return ca.Function("dfbc", [*a.values(), theta], [*outputs.values()], [*a, "theta"], [*outputs])
 
 
@@ -156,3 +163,28 @@ def _wrench(
     alpha += ca.DM(keys.rate_gain) * (w_r - w) + alpha_r
     torque = ca.mtimes(J, alpha) + ca.cross(w, ca.mtimes(J, w)) - air[3:] - belief[3:6]
     return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(ca.fmin(ca.fmax(r[2], -1), 1)), turn)
+
+
+class DFBC(BelievingController):
+    """Tracks position and heading of the reference; see Controller. air: its model of the air."""
+
+    def __init__(self, vehicle: Vehicle, keys: DFBCKeys, model: Residual, *, backend: str = "auto") -> None:
+        compiled = resolve(backend) == "compiled"
+        law = built(backend, law_function, vehicle, keys, model, compiled=compiled)
+        super().__init__(vehicle, law, keys.rate, residual=model, logged=LOGGED, backend=backend)
+        self.settings = keys
+        self.node_times = np.array([0.0, self.control_period])  # of which the thrust now is read when a flight begins
+        self.residual = None  # the law needs no attitude, rates or thrusts of a reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatnessBased(DFBCKeys, ControllerPart):
+    """Flatness-based control (Sun et al. 2022). residual: its model of the air."""
+
+    former_kind = "dfbc"
+    backend: Backend = "auto"
+    residual: str = key("none", RESIDUAL)
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        return DFBC(given.vehicle, part(DFBCKeys, self), given.residual(*self.kinds), backend=self.backend)

@@ -1,0 +1,35 @@
+"""CasADi functions on a back end, built once per process and structure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any
+
+from quadexp.compile.backend import realise, realise_together, resolve
+
+MOST = 256  # functions that are kept
+
+_built: dict[tuple[Hashable, ...], Any] = {}
+
+
+def built(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) -> Any:
+    """What make(*arguments, **form) gives, a function or a list of functions, on a back end.
+
+    Vehicles count by their numbers, residuals and functions by their structure: parameters may be others.
+    """
+    key = (make, backend, *map(_structure, arguments), *form.items())
+    if key not in _built:
+        made = make(*arguments, **form)
+        together = isinstance(made, (list, tuple))
+        if len(_built) >= MOST:
+            del _built[next(iter(_built))]
+        _built[key] = (realise_together if together else realise)(made, resolve(backend))
+    return _built[key]
+
+
+def _structure(argument: Any) -> Hashable:
+    if hasattr(argument, "fingerprint"):
+        return str(argument.fingerprint)
+    function = getattr(argument, "function", argument)
+    structure: Hashable = function.serialize() if hasattr(function, "serialize") else argument
+    return structure

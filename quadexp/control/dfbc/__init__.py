@@ -1,1 +1,0 @@
-"""Control by differential flatness with a constrained allocation (Sun et al. 2022)."""

@@ -1,0 +1,272 @@
+"""Figures of flights and logs: paths seen from above, errors and columns over time, the quality check, the delays.
+
+Each function returns a matplotlib Figure and changes no global state. Colours and markers are in style.py.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm, Normalize
+
+from quadexp.errors import UsageError
+from quadexp.log.check import Finding
+from quadexp.log.schema import Flight
+from quadexp.log.signal.windows import STREAMS, Pair, cut, pairs
+from quadexp.report.metrics import mean_error, position_error
+from quadexp.report.style import COLOURS, ERROR_COLOURS, HUES, Figure, entries, error_bar, looks, plain_log, styled
+
+MS = 1e3
+MAX_PANELS = 36  # of tracked paths in one figure
+COMPARED = (  # relations, title, a sensor, what the others say it should be; see quadexp/log/signal/windows.py
+    (("velocity",), "velocity, world (m/s)", "v", "dp/dt"),
+    (("force", "force (p)", "thrust", "thrust (p)"), "specific force, body (m/s²)", "acc", "Rᵀ(dv/dt + g)"),
+    (("rate",), "body rate (rad/s)", "w", "from the attitude"),
+)
+MARKS = {"warning": COLOURS[1], "blocking": COLOURS[5]}
+MOST_LINES = 6
+LONGEST_LINE = 175  # letters
+HEADROOM = 0.3  # of the first row of panels, where the legends stand
+QUIET = 0.995  # quantile that sets an axis's limits: one spike must not flatten the rest
+SHOWN = 20.0  # log likelihood below the best that is drawn
+BELIEVED = {  # column -> what it is, colour
+    "delay_time": ("age of the state", HUES["blue"]),
+    "delay_dead_time": ("dead time of the commands", HUES["vermillion"]),
+    "delay_lag": ("lag of the motors", HUES["green"]),
+}
+
+
+@styled
+def tracked_paths(
+    flights: Mapping[tuple[str, str], Flight], title: str = "", missing: Mapping[tuple[str, str], str] | None = None,
+    left_out: Sequence[str] = (),
+) -> Figure:  # fmt: skip
+    """Flown paths seen from above, coloured by the position error, over the reference; one scale for all panels.
+
+    flights: (controller, condition) -> flight; a row a controller, a column a condition. missing: the reason of a place
+    without a flight, written there. left_out: what has no panel, named below the title.
+    """
+    places = dict.fromkeys([*flights, *(missing or {})])
+    controllers, conditions = (list(dict.fromkeys(place[k] for place in places)) for k in (0, 1))
+    most = max(1, MAX_PANELS // len(conditions))
+    left_out = [*left_out, *(f"{controller} (no room)" for controller in controllers[most:])]
+    panels = [(controller, condition) for controller in controllers[:most] for condition in conditions]
+    errors = {place: 1e3 * position_error(flights[place]) for place in panels if place in flights}
+    largest = max(float(error.max()) for error in errors.values())
+    smallest = max(min(float(np.percentile(error, 5)) for error in errors.values()), 1e-4 * largest)
+    norm = LogNorm(smallest, largest) if smallest < largest else Normalize(0.0, largest or 1.0)
+    single = len(conditions) == 1
+    columns = (min(len(panels), 3) if len(panels) != 4 else 2) if single else len(conditions)
+    lines = math.ceil(len(panels) / columns)
+    across, up = (max(float(np.ptp(f[name])) for f in flights.values()) for name in ("p_x", "p_y"))
+    height = 3.0 * min(1.2, max(0.35, up / max(across, 1e-9)))
+    figure = Figure(figsize=(1.4 + 3.0 * columns, 0.8 + (0.45 + height) * lines), layout="compressed")
+    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    for k, (panel, place) in enumerate(zip(grid.flat, panels, strict=False)):
+        heading = [textwrap.fill(place[0] if single else place[1], 28)] if single or k < columns else []
+        if place in flights:
+            _draw_path(panel, flights[place], np.maximum(errors[place], smallest), norm)
+            heading.append(f"mean {1e3 * mean_error(flights[place]):.3g} mm")
+        else:
+            panel.text(0.5, 0.5, (missing or {}).get(place, "not flown"), transform=panel.transAxes, ha="center")
+        panel.set_title("\n".join(heading), fontsize=9)
+        panel.set_aspect("equal")
+    for panel in grid.flat[len(panels) :]:
+        panel.set_visible(False)
+    for panel in grid[-1]:
+        panel.set_xlabel("x (m)")
+    for panel, controller in zip(grid[:, 0], controllers, strict=False):
+        panel.set_ylabel("y (m)" if single else f"{textwrap.fill(controller, 28)}\ny (m)")
+    error_bar(figure, norm, grid, "position error (mm)", shrink=0.85, aspect=20 * lines)
+    figure.legend(*entries(grid.flat), loc="outside lower center", ncols=2)
+    title = ", ".join(filter(None, (title, conditions[0] if single else "")))
+    if left_out:
+        title += "\n" + textwrap.fill(f"not drawn: {'; '.join(left_out)}", int(14 * figure.get_size_inches()[0]))
+    if title:
+        figure.suptitle(title.strip(), fontsize=10)
+    return figure
+
+
+def _draw_path(panel: Any, flight: Flight, error: np.ndarray, norm: Normalize) -> None:
+    """error: of the samples (mm)."""
+    x, y = flight["p_x"], flight["p_y"]
+    panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
+    segments = np.stack([np.column_stack([x[:-1], y[:-1]]), np.column_stack([x[1:], y[1:]])], axis=1)
+    flown = LineCollection(list(segments), cmap=ERROR_COLOURS, norm=norm, linewidth=1.6)
+    flown.set_array((error[:-1] + error[1:]) / 2)
+    panel.add_collection(flown)
+    panel.plot(x[0], y[0], marker="o", markersize=4, color="#000000", linestyle="none", label="start")
+
+
+@styled
+def flights_figure(flights: Mapping[str, Flight]) -> Figure:
+    """Left the paths from above with the first one's reference, right the distance to it over time, of a log without
+    one the speed; below that of one flight the rotor thrusts. flights: by name."""
+    if empty := next((name for name, flight in flights.items() if not len(flight)), None):
+        raise UsageError(f"{empty}: holds no samples ({flights[empty].outcome}), there is nothing to draw")
+    first = next(iter(flights.values()))
+    thrusts = [name for name in first.columns if name.startswith("u_")] if len(flights) == 1 else []
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    places: Any = figure.subplot_mosaic([["above", "course"], ["above", "thrusts" if thrusts else "course"]])
+    above, course = places["above"], places["course"]
+    referred = "ref_p_x" in first.columns
+    if referred:
+        above.plot(first["ref_p_x"], first["ref_p_y"], color="#888888", linewidth=3.5, alpha=0.45, label="reference")
+    look = looks([f"{flight.metadata.get('controller', '')} {name}".strip() for name, flight in flights.items()])
+    for (name, flight), worn in zip(flights.items(), look.values(), strict=True):
+        above.plot(flight["p_x"], flight["p_y"], label=name, **worn.line())
+        if referred:
+            values, name = (
+                np.maximum(MS * position_error(flight), 1e-6),
+                f"{name}: mean {MS * mean_error(flight):.3g} mm",
+            )
+        else:
+            values = np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1)
+        course.plot(flight.t, values, label=name, **worn.line())
+    above.set(xlabel="x (m)", ylabel="y (m)")
+    above.set_aspect("equal", adjustable="datalim")
+    course.set(xlabel="" if thrusts else "time (s)", ylabel="position error (mm)" if referred else "speed (m/s)")
+    if referred and len(flights) > 1:
+        drawn = [line.get_ydata() for line in course.get_lines()]
+        least, largest = min(float(np.percentile(values, 2)) for values in drawn), max(map(np.max, drawn))
+        course.set(yscale="log")
+        course.set_ylim(bottom=max(1e-4 * largest, 0.5 * least))
+        plain_log(course.yaxis, minor=True)
+    for i, name in enumerate(thrusts):
+        places["thrusts"].plot(first.t, first[name], color=COLOURS[i % len(COLOURS)], label=name, linewidth=0.8)
+    if thrusts:
+        places["thrusts"].set(xlabel="time (s)", ylabel="rotor thrusts (N)")
+    for panel in (above, course):
+        panel.legend(fontsize=8)
+    return figure
+
+
+@styled
+def over_time(flight: Flight, columns: Sequence[str], units: Mapping[str, str]) -> Figure:
+    """Columns over time; those that share a unit share a panel. units: by column."""
+    groups: dict[str, list[str]] = {}
+    for name in columns:
+        groups.setdefault(units.get(name, ""), []).append(name)
+    figure = Figure(figsize=(7.2, 0.6 + 1.8 * len(groups)), layout="constrained")
+    panels = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, (unit, names) in zip(panels, groups.items(), strict=True):
+        for i, name in enumerate(names):
+            panel.plot(flight.t, flight[name], color=COLOURS[i % len(COLOURS)], label=name)
+        panel.set_ylabel(f"({unit})" if unit else "")
+        panel.legend(loc="upper right", ncols=4)
+    panels[-1].set_xlabel("t (s)")
+    return figure
+
+
+@styled
+def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -> Figure:
+    """Each sensor against its value computed from the others, as means over windows of 0.1 s; findings in the title,
+    their time spans shaded. Columns: velocity, specific force, body rate; rows: the axes."""
+    t, relations = _relations(flight)
+    shown = [finding for finding in findings if finding.severity in MARKS]
+    figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)), layout="constrained")
+    grid = figure.subplots(3, 3, sharex=True)
+    for column, (names, title, sensor, computed) in zip(grid.T, COMPARED, strict=True):
+        pair = next((relations[relation] for relation in names if relation in relations), None)
+        for row, panel in enumerate(column):
+            if pair is None:
+                panel.annotate("not in the flight", (0.5, 0.5), xycoords="axes fraction", ha="center", color="#777777")
+                panel.set_yticks([])
+            else:
+                _overlay(panel, t, pair, row, sensor, computed)
+            for finding in shown:
+                if finding.span is not None:
+                    end = max(finding.span[1], finding.span[0] + 0.02)
+                    panel.axvspan(finding.span[0], end, color=MARKS[finding.severity], alpha=0.3, lw=0)
+        column[0].set_title(title)
+        column[2].set_xlabel("t (s)")
+        if pair is not None:
+            column[0].legend(loc="upper right", ncols=2, fontsize=8)
+    for panel, axis in zip(grid[:, 0], "xyz", strict=True):
+        panel.set_ylabel(axis)
+    lines = [f"{f.severity}: {f.name}: {f.where}: {f.measured}" for f in shown[:MOST_LINES]]
+    lines = [line if len(line) < LONGEST_LINE else line[: LONGEST_LINE - 3] + "..." for line in lines]
+    lines += [f"and {len(shown) - MOST_LINES} more"] if len(shown) > MOST_LINES else []
+    figure.suptitle("\n".join([name, *(lines or ["no finding that blocks or warns"])]), fontsize=9, ha="left", x=0.01)
+    return figure
+
+
+def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
+    """Times of the windows, (n, k) (s), and what two streams say of the same quantity in each, by relation."""
+    t = np.asarray(flight.t, float)
+    there = {name: columns for name, columns in STREAMS.items() if set(columns) <= set(flight.columns)}
+    streams = {name: flight.stack(columns).astype(float) for name, columns in there.items()}
+    streams = {name: values for name, values in streams.items() if np.isfinite(values).all(axis=1).mean() > 0.5}
+    good = np.isfinite(t) & np.all([np.isfinite(values).all(axis=1) for values in streams.values()], axis=0)
+    windows = cut(t, streams, good, flight.columns.get("segment"))
+    return windows.t, {pair.relation: pair for pair in pairs(windows)} if len(windows.t) else {}
+
+
+def _overlay(panel: Any, t: np.ndarray, pair: Pair, row: int, sensor: str, computed: str) -> None:
+    """The two lines of a panel, and its limits."""
+    half = t.shape[1] // 2
+    halves = len(pair.found) == 2 * len(t)  # both halves of a window were compared
+    time = np.concatenate([t[:, half // 2], t[:, half + half // 2]]) if halves else t[:, half]
+    order = np.argsort(time, kind="stable")
+    time, expected, measured = time[order], pair.expected[order, row], pair.found[order, row]
+    gaps = np.diff(time)
+    broken = np.flatnonzero(gaps > 3 * np.median(gaps)) + 1 if len(time) > 2 else np.zeros(0, int)
+    time, expected, measured = (np.insert(x, broken, np.nan) for x in (time, expected, measured))
+    panel.plot(time, expected, color=COLOURS[1], lw=1.6, label=computed)
+    if not pair.relation.startswith("thrust"):
+        panel.plot(time, measured, color=COLOURS[2], lw=0.8, label=sensor)
+    low, high = np.nanquantile(np.concatenate([expected, measured]), [1 - QUIET, QUIET])
+    margin = max(0.15 * (high - low), 3 * pair.floor)
+    above = HEADROOM * (high - low + 2 * margin) if row == 0 else 0.0
+    panel.set_ylim(low - margin, high + margin + above)
+
+
+class Profile(NamedTuple):
+    """One delay. candidates: (k,) (s). score: log likelihood of each less that of the best, (k,). best, error: the
+    delay and its standard error (s)."""
+
+    name: str
+    candidates: np.ndarray
+    score: np.ndarray
+    best: float
+    error: float
+
+
+@styled
+def delay_figure(
+    profiles: Sequence[Profile], columns: Mapping[str, np.ndarray], true: Mapping[str, float] | None = None
+) -> Figure:
+    """A panel for each profile: what every candidate leaves unexplained; below them, where the flight had
+    delay=identified, what was believed over time.
+
+    columns: of the flight. true: by column of BELIEVED, what the flight's world states (s).
+    """
+    known = "delay_known" in columns
+    figure = Figure(figsize=(9.0, 5.6 if known else 2.8), layout="constrained")
+    rows: list[Any] = [[profile.name for profile in profiles], *([["believed"] * len(profiles)] if known else [])]
+    places: Any = figure.subplot_mosaic(rows)
+    for profile in profiles:
+        panel = places[profile.name]
+        panel.plot(MS * profile.candidates, profile.score, color=HUES["blue"])
+        ends = (MS * max(profile.best + side * profile.error, 0.0) for side in (-1, 1))
+        panel.axvspan(*ends, color=HUES["vermillion"], alpha=0.15, linewidth=0)
+        panel.axvline(MS * profile.best, color=HUES["vermillion"], linestyle="--")
+        result = f"found {MS * profile.best:.1f} ms, standard error {MS * profile.error:.1f}"
+        panel.set(title=profile.name, xlabel=f"candidate, ms\n{result}", ylim=(-SHOWN, 0.05 * SHOWN))
+        panel.set_xlim(MS * profile.candidates[0], MS * profile.candidates[-1])
+    places[profiles[0].name].set_ylabel("log likelihood, less the best")
+    if known:
+        panel = places["believed"]
+        for column, (name, colour) in BELIEVED.items():
+            panel.step(columns["t"], MS * columns[column], where="post", label=name, color=colour)
+            if true and column in true:
+                panel.axhline(MS * true[column], linestyle=":", linewidth=1.0, color=colour)
+        title = "made good in flight; dotted: true" if true else "made good in flight"
+        panel.set(title=title, xlabel="time, s", ylabel="ms")
+        panel.legend(loc="center right")
+    return figure
