@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight as Log
@@ -24,6 +23,7 @@ from quadexp.log.schema import describe
 from quadexp.log.store import read_flight, write_table
 from quadexp.messages import html
 from quadexp.models.checkpoint import load_model, load_report
+from quadexp.writer import check_output
 
 if TYPE_CHECKING:
     from quadexp.report.frame import SweepFrame

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from quadexp.bench import Bench as Bench
 from quadexp.errors import DataError, UsageError
-from quadexp.files.names import file_name
-from quadexp.files.writer import check_output
+from quadexp.names import file_name
 from quadexp.tune import Tune as Tune
+from quadexp.writer import check_output
 
 if TYPE_CHECKING:
     from quadexp.log.schema import Flight

@@ -15,9 +15,9 @@ from tests.test_layout import PACKAGE, ROOT, imports, modules
 # Imported by what flies a cell, and not among the sources that decide a flight: name -> why.
 ASIDE = {
     "quadexp": "the version, which a row names beside the sources",
-    "quadexp.files.cache": "where compiled functions lie",
-    "quadexp.files.names": "refuses files whose names are none",
-    "quadexp.files.writer": "how files are written",
+    "quadexp.cache": "where compiled functions lie",
+    "quadexp.names": "refuses files whose names are none",
+    "quadexp.writer": "how files are written",
     "quadexp.errors": "words",
     "quadexp.messages": "words",
     "quadexp.progress": "words",

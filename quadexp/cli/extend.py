@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output, write_text
+from quadexp.writer import check_output, write_text
 
 
 @command
@@ -52,7 +52,7 @@ def cache(clear: Annotated[bool, Ask("Remove all of it; it is made again when ne
     quadexp cache
     quadexp cache --clear
     """
-    from quadexp.files import cache as kept
+    from quadexp import cache as kept
 
     folder = kept.cache_folder()
     if clear:

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 from quadexp.cli.command import Answer, Ask, Force, OptionalOut, Out, command, single_values
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output, write_text
 from quadexp.progress import Progress
+from quadexp.writer import check_output, write_text
 
 COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "mean_error", "rmse")
 FAILED_COLUMNS = (*COLUMNS[:-2], "cause")

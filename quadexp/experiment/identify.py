@@ -17,7 +17,6 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.files.writer import check_output
 from quadexp.log.schema import Flight
 from quadexp.log.store import (
     check_attitude,
@@ -35,6 +34,7 @@ from quadexp.models.samples import QUATERNION, rotor_columns
 from quadexp.parts.settings import made
 from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
 from quadexp.provenance import provenance, versions
+from quadexp.writer import check_output
 
 METHODS = ("rls", "regression", "delays")
 

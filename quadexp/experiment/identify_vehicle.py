@@ -13,7 +13,6 @@ from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
-from quadexp.files.writer import check_output
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
 from quadexp.models.lumped import momentum_of
@@ -23,6 +22,7 @@ from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import FitSettings, VehicleModel, curve_beside_quadratic, fit_level, fit_vehicle_model
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
+from quadexp.writer import check_output
 
 LEAST_IMPROVEMENT = 0.02  # relative, of the held-out error along z: another thrust curve replaces c_1, c_2 from here on
 EXPONENT_IMPROVEMENT = 0.1  # the same, for a fitted voltage exponent to replace 1

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.files.writer import check_output
 from quadexp.log.check import Finding, check_flight
 from quadexp.log.importers import Options, checked, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.physics.vehicle import Vehicle
 from quadexp.progress import doing
+from quadexp.writer import check_output
 
 
 @dataclass

@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError, WrongFileError
-from quadexp.files.names import check_names
-from quadexp.files.writer import written
 from quadexp.log.declared import check_declared, check_numbers
 from quadexp.log.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
 from quadexp.log.schema import Flight, describe
 from quadexp.messages import printable
+from quadexp.names import check_names
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.progress import doing
+from quadexp.writer import written
 
 SCHEMA = 2
 LONG = 200_000  # rows of a table that is read column by column

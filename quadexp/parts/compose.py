@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
-from quadexp.files.names import is_name
 from quadexp.messages import ending_in, suggestion
+from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.former import FORMER_TARGET, refuse_former

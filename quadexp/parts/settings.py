@@ -22,8 +22,8 @@ from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from quadexp.errors import ForbiddenValueError, UsageError
-from quadexp.files.names import is_name
 from quadexp.messages import suggestion
+from quadexp.names import is_name
 from quadexp.parts.former import refuse_former
 
 if TYPE_CHECKING:
@@ -119,9 +119,13 @@ class Settings:
 S = TypeVar("S", bound="DataclassInstance")
 
 
-@functools.cache
 def declared(node: type) -> dict[str, Declared]:
     """The settings of a class by name, in the order of its fields; a field without a Setting is none."""
+    return _declared(node)
+
+
+@functools.cache
+def _declared(node: type) -> dict[str, Declared]:
     hints = get_type_hints(node, include_extras=True)
     settings = {}
     for f in fields(node):

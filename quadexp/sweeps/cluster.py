@@ -31,17 +31,17 @@ import dask
 from distributed import Client, Future, LocalCluster, WorkerPlugin, get_worker
 from distributed.security import Security
 
+from quadexp.cache import cache_folder
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import input_files, source_hashes
 from quadexp.experiment.checkpoints import MODEL_FILE
 from quadexp.experiment.inputs import use_copies
-from quadexp.files.cache import cache_folder
-from quadexp.files.writer import written
 from quadexp.parts.part import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, Task, Workers
 from quadexp.sweeps.engine_settings import CERTIFICATES, DaskConfig, JobsConfig
 from quadexp.sweeps.server import SAFE, THREADS, safe_path
+from quadexp.writer import written
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.
 LOOPBACK = "127.0.0.1:0"

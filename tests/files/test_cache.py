@@ -12,10 +12,10 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
+from quadexp import cache
 from quadexp.compile.backend import realise
 from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
-from quadexp.files import cache
 from tests.faults.command import FLY, ROOT, apart, one_line, run
 from tests.faults.test_compile_cache import answer, folder, process, script  # noqa: F401
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from quadexp.errors import DataError, QuadexpError, UsageError
-from quadexp.files.names import NAMED, file_name, is_name
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model, save_model
+from quadexp.names import NAMED, file_name, is_name
 from quadexp.parts.compose import compose, expand
 from quadexp.reference.hover import Hover
 from quadexp.requests import _flight_name, _results_name

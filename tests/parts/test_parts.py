@@ -67,7 +67,7 @@ def test_a_class_and_an_option_are_a_part(own):
         ("function", "function: is no part"),
         ("Absent", "has no class or function 'Absent'"),
         ("quadexp.world.gust.Gust", "is a part of wind, not of trajectory"),
-        ("quadexp.files.writer.write_text", "is no part"),
+        ("quadexp.writer.write_text", "is no part"),
         ("os.system", "there is no module os in"),
     ],
 )

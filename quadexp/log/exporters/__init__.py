@@ -7,8 +7,8 @@ from importlib import import_module
 from pathlib import Path
 
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output
 from quadexp.log.store import read_flight
+from quadexp.writer import check_output
 
 FORMATS = {  # suffix of the file, module and function that write it
     "csv": (".csv", "text", "write_columns"),  # every column, with units and the record beside it as JSON

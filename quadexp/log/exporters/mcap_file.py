@@ -20,8 +20,8 @@ import numpy as np
 
 from quadexp import __version__
 from quadexp.errors import missing_package
-from quadexp.files.writer import written
 from quadexp.log.schema import Flight, describe
+from quadexp.writer import written
 
 PATH_POINTS = 2000
 

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, missing_package
-from quadexp.files.writer import written
 from quadexp.log.schema import Flight
+from quadexp.writer import written
 
 TIMELINE = "t"
 BLUE, GREY = (0, 114, 178), (136, 136, 136)

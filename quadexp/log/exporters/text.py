@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 from pyarrow.csv import WriteOptions, write_csv
 
-from quadexp.files.writer import check_output, write_text, written
 from quadexp.log.schema import Flight, describe
 from quadexp.messages import csv_line
+from quadexp.writer import check_output, write_text, written
 
 POSE = ("p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w")
 
