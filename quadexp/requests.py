@@ -422,5 +422,7 @@ def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
 def export(source: Path, to: str, out: Path | None = None, *, force: bool = False) -> dict[str, Path]:
     """Write a flight for other programs; name -> file."""
     from quadexp.log.exporters import export_flight
+    from quadexp.log.store import read_metadata
 
+    read_metadata(source, "flight")  # it is one, before a name is made of its own
     return dict(export_flight(source, to, out, force=force))

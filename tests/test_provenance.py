@@ -35,6 +35,7 @@ ASIDE = {
     "quadexp.log.signal.resample": "",
     "quadexp.log.signal.stream": "",
     "quadexp.report": "empty",
+    "quadexp.report.table": "how a table is printed",
 }
 
 

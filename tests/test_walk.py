@@ -60,7 +60,7 @@ LANDMARKS = {
     "table": ("report.inference.mean_interval",),
 }
 CONFIGURING = 10  # modules from the words of the command line to the first period
-MOST = 21  # one of them the integrator that all plants share
+MOST = 22  # one of them the integrator that all plants share
 
 
 class Walk:

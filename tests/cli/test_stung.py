@@ -66,7 +66,7 @@ def test_a_file_of_another_kind_is_one_line_and_exit_code_2(made, words):
 
 def test_a_folder_of_results_names_its_flights(made):
     code, _, err = run("export", "results", "--to", "csv")
-    assert code == 2 and err.startswith("error: --to csv: no such format for results")
+    assert code == 2 and err.startswith("error: results: is a folder, a flight is needed here")
     assert run("animate", "results")[2].startswith("error: results: is a folder, a flight is needed here")
     named = err.split("such as ")[1].split(" (")[0]
     assert "`quadexp results results` lists them" in err
@@ -131,7 +131,7 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
         (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),
-        (["export", ".", "--to", "csv"], "holds no results"),
+        (["export", ".", "--to", "csv"], "is a folder, a flight is needed here"),
     ],
 )
 def test_a_wrong_request_is_one_line_and_exit_code_2(here, words, message):
