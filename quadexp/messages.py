@@ -134,12 +134,9 @@ def raw(stream: Any) -> Any:
     return stream.raw if isinstance(stream, CleanStream) else stream
 
 
-# Message of OmegaConf for a value of the wrong type.
-_CONVERSION = re.compile(r"Value '(.*)' of type '[^']*' could not be converted to (\w+)$")
 RENAMED = {"static_thrust": "thrust_coefficient"}  # former name of a key -> its name now
 MOST_NAMED = 8  # names that a question lists at most
 LIKE = 0.6  # of 1: likeness from which a name may have been meant
-_KINDS = {"Float": "a number", "Integer": "a whole number", "Boolean": "true or false"}
 
 
 def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = None) -> str:
@@ -173,21 +170,3 @@ def _nearest(found: str, known: Sequence[str]) -> list[str]:
     scores = {name: likeness(name) for name in known}
     best = max(scores.values(), default=0.0)
     return [name for name in scores if scores[name] == best] if best >= LIKE else []
-
-
-def one_line(error: BaseException) -> str:
-    """One line from an error of Hydra or OmegaConf and its cause; the cause comes first."""
-    parts = []
-    for part in (error.__cause__, error):
-        if part is None:
-            continue
-        lines = str(getattr(part, "msg", None) or part).strip().splitlines()
-        wrong = _CONVERSION.match(lines[0]) if lines else None
-        if wrong:
-            kind = _KINDS.get(wrong[2], wrong[2])
-            return f"{getattr(part, 'full_key', None) or 'value'}={wrong[1]}: must be {kind}"
-        if lines and lines[0] != "None":
-            key = getattr(part, "full_key", None)
-            rest = f" {lines[1].strip()}" if lines[0].endswith(":") and len(lines) > 1 else ""
-            parts.append((f"{key}: " if key else "") + lines[0].strip() + rest)
-    return " - ".join(dict.fromkeys(parts)) or type(error).__name__

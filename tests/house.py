@@ -21,8 +21,7 @@ PACKAGE = ROOT / "quadexp"
 # quadexp (a room) or a file beside the rooms; rooms on one floor do not import each other.
 FLOORS = (
     ("",),  # the version
-    ("errors", "messages", "progress", "provenance"),
-    ("files",),
+    ("errors", "messages", "progress", "provenance", "cache", "names", "writer"),
     ("compile", "parts"),
     ("physics",),
     ("log",),
@@ -33,7 +32,7 @@ FLOORS = (
     ("sweeps",),
     ("tune",),
     ("bench",),
-    ("api",),
+    ("requests", "frames", "api", "loop"),
     ("cli",),
     ("__main__",),
 )
@@ -155,7 +154,7 @@ def picture() -> str:
     for name in of:
         lines.append(_box(name + "/", x[name], y[name], BOX[0]))
     files = ", ".join(name for name in FLOORS[1] if not is_room(name))
-    lines.append(_box(f"{files}: used everywhere", WIDTH / 2, height - MARGIN - BOX[1] / 2, 460, "files"))
+    lines.append(_box(f"{files}: used everywhere", WIDTH / 2, height - MARGIN - BOX[1] / 2, 600, "files"))
     return "\n".join([*lines, "</svg>"]) + "\n"
 
 

@@ -15,10 +15,9 @@ from tests.test_layout import PACKAGE, ROOT, imports, modules
 # Imported by what flies a cell, and not among the sources that decide a flight: name -> why.
 ASIDE = {
     "quadexp": "the version, which a row names beside the sources",
-    "quadexp.files": "empty",
-    "quadexp.files.cache": "where compiled functions lie",
-    "quadexp.files.names": "refuses files whose names are none",
-    "quadexp.files.writer": "how files are written",
+    "quadexp.cache": "where compiled functions lie",
+    "quadexp.names": "refuses files whose names are none",
+    "quadexp.writer": "how files are written",
     "quadexp.errors": "words",
     "quadexp.messages": "words",
     "quadexp.progress": "words",
@@ -31,6 +30,7 @@ ASIDE = {
     "quadexp.log.integrity": "refuses files",
     "quadexp.log.signal": "derivatives for fits, and what was fitted is in the key",
     "quadexp.report": "empty",
+    "quadexp.report.table": "how a table is printed",
 }
 
 

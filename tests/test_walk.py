@@ -42,7 +42,7 @@ SETTINGS = (
 LANDMARKS = {
     "configuration": (
         "parts.override.plain_override",
-        "parts.option_files.option",
+        "parts.options.option",
         "parts.settings.made",
         "world.integrator.advance",
     ),
@@ -58,8 +58,8 @@ LANDMARKS = {
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),
 }
-CONFIGURING = 11  # modules from the words of the command line to the first period
-MOST = 21  # one of them the integrator that all plants share
+CONFIGURING = 10  # modules from the words of the command line to the first period
+MOST = 22  # one of them the integrator that all plants share
 
 
 class Walk:

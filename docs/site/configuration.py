@@ -16,7 +16,7 @@ from typing import Any, get_args, get_origin
 
 import yaml
 
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import PARTS, PRESETS, WORLD, Config, conf_folder
 from quadexp.parts.settings import REQUIRED, Declared, declared, lists
 

@@ -12,13 +12,13 @@ import numpy as np
 from quadexp.bench.protocol import FORMER, SHORT
 from quadexp.bench.ranking import Row, Standing, standings
 from quadexp.errors import UsageError
-from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN, from_columns, to_columns
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
+from quadexp.writer import write_text
 
 FILE = "leaderboard.parquet"
 TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha256")

@@ -17,12 +17,12 @@ from quadexp.experiment.build import build_controller, build_vehicle, build_worl
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import digest, find_model
-from quadexp.files.writer import write_text
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.provenance import DECIDING, package_folder, source_hash
 from quadexp.tune.preset import BY_HAND, provenance_of
+from quadexp.writer import write_text
 
 ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
 SHIPPED = "as shipped"

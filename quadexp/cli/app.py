@@ -1,94 +1,77 @@
-"""The command line: every command parses, composes the configuration, calls one function, prints where the result is.
+"""The command line: every command parses, makes one request, and prints the answer.
 
-Each command is a module of this room. At the top it imports only typer and light modules, and the rest inside the
-command, so that --help takes no time.
+The commands stand in the modules fly, learn, look and extend. At the top they import only light modules, and the rest
+inside the command, so that --help takes no time.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Any
 
-import typer
-from typer.core import TyperGroup
+import click
+from click.exceptions import Abort, Exit
 
 from quadexp import __version__
-from quadexp.cli.bench import bench
-from quadexp.cli.cache import cache
-from quadexp.cli.check import check
-from quadexp.cli.choices import options
-from quadexp.cli.files import animate, compare_two, export, report, show
-from quadexp.cli.fit import fit_drag, fit_gp, fit_nn
-from quadexp.cli.fly import collect, evaluate, simulate
-from quadexp.cli.identify import identify
-from quadexp.cli.importing import import_flights
-from quadexp.cli.new import new
-from quadexp.cli.plot import plot
-from quadexp.cli.results import results
+from quadexp.cli import extend, fly, learn, look
 from quadexp.cli.terminal import end, fail, output_failed, prepare
-from quadexp.cli.tune import tune
-from quadexp.cli.validate import validate
+
+GROUPS: dict[str, tuple[click.Command, ...]] = {
+    "Fly": (fly.simulate, fly.evaluate, fly.tune, fly.bench),
+    "Learn": (
+        learn.import_, learn.check, learn.collect, learn.fit_gp, learn.fit_drag, learn.fit_nn, learn.identify,
+        learn.validate,
+    ),
+    "Look": (look.show, look.compare, look.results, look.plot, look.report, look.animate, look.export),
+    "Extend": (extend.options, extend.new, extend.cache),
+}  # fmt: skip
 
 
-class Grouped(TyperGroup):
+class Grouped(click.Group):
     """Commands in the help by what they are for."""
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Called by typer."""
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Called by click."""
         for heading, commands in GROUPS.items():
             with formatter.section(heading):
-                formatter.write_dl([(name, self.commands[name].get_short_help_str(200)) for name in commands])
+                formatter.write_dl([(str(each.name), each.get_short_help_str(200)) for each in commands])
 
 
-app = typer.Typer(
-    cls=Grouped,
-    name="quadexp",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-)
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        print(f"quadexp {__version__}")
-        raise typer.Exit()
-
-
-def _debug(wanted: bool) -> None:
+def _debug(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
     if wanted:
         os.environ["QUADEXP_DEBUG"] = "1"
 
 
-@app.callback()
-def root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
-    debug: Annotated[bool, typer.Option("--debug", callback=_debug, help="Show where an error came from.")] = False,
-) -> None:
+def _completion(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    """Say the line that makes the user's shell complete words."""
+    if wanted:
+        shell = Path(os.environ.get("SHELL", "bash")).name
+        source = f"_QUADEXP_COMPLETE={shell}_source quadexp"
+        print(f"{source} | source" if shell == "fish" else f'eval "$({source})"')
+        print(f"put this line into the file that {shell} reads when it starts", file=sys.stderr)
+        raise Exit()
+
+
+@click.group(
+    cls=Grouped,
+    name="quadexp",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+@click.version_option(__version__, message="quadexp %(version)s", help="Print the version.")
+@click.option("--debug", is_flag=True, expose_value=False, callback=_debug, help="Show where an error came from.")
+@click.option(
+    "--install-completion", is_flag=True, expose_value=False, is_eager=True, callback=_completion,
+    help="Print the line that makes the shell complete words.",
+)  # fmt: skip
+def app() -> None:
     """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation."""
 
 
-INTERRUPTED = 130  # what typer returns for Ctrl-C
-GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
-    "Fly": {"simulate": simulate, "evaluate": evaluate, "tune": tune, "bench": bench},
-    "Learn": {
-        "import": import_flights, "check": check, "collect": collect, "fit-gp": fit_gp, "fit-drag": fit_drag,
-        "fit-nn": fit_nn, "identify": identify, "validate": validate,
-    },
-    "Look": {
-        "show": show, "compare": compare_two, "results": results, "plot": plot, "report": report, "animate": animate,
-        "export": export,
-    },
-    "Extend": {"options": options, "new": new, "cache": cache},
-}  # fmt: skip
-COMMANDS = {name: function for commands in GROUPS.values() for name, function in commands.items()}
-for name, function in COMMANDS.items():
-    app.command(name)(function)
+for command in (command for commands in GROUPS.values() for command in commands):
+    app.add_command(command)
 
 
 def main() -> None:
@@ -97,34 +80,29 @@ def main() -> None:
     end(_run())
 
 
-def _as_setting(option: str) -> str:
-    """Where an option that there is not has the name of a setting, how that is given; "" otherwise."""
-    from quadexp.parts.completion import keys
-    from quadexp.parts.option_files import groups
-
-    name = option.lstrip("-").replace("-", "_")
-    if name in keys("") or name in groups():
-        return f"; a setting is given without dashes: {name}=VALUE"
-    return ""
-
-
 def _run() -> int:
-    code: object
+    code: Any
     try:
         code = app(standalone_mode=False, prog_name="quadexp")
-        if code == INTERRUPTED:  # Ctrl-C before the command began
-            code = fail("interrupted before anything was done: run the same command again", 1).exit_code
-    except typer.Abort:
-        code = 1
+    except Abort:  # Ctrl-C before the command began
+        code = fail("interrupted before anything was done: run the same command again", 1).exit_code
     except OSError as error:
         code = output_failed(error).exit_code  # from help or version; the commands themselves are guarded
-    except Exception as error:
-        if not hasattr(error, "format_message"):
-            raise
-        if type(error).__name__ == "NoArgsIsHelpError":
-            print(error.format_message(), file=sys.stderr)
-            code = 2
-        else:
-            fail(f"{error.format_message()}{_as_setting(getattr(error, 'option_name', ''))}", 2)
-            code = getattr(error, "exit_code", 2)
+    except click.exceptions.NoArgsIsHelpError as error:
+        print(error.format_message(), file=sys.stderr)
+        code = error.exit_code
+    except click.ClickException as error:
+        hint = _as_setting(getattr(error, "option_name", ""))
+        code = fail(error.format_message().rstrip(".") + hint, error.exit_code).exit_code
     return code if isinstance(code, int) else 0
+
+
+def _as_setting(option: str) -> str:
+    """Where an option that there is not has the name of a setting, how that is given; "" otherwise."""
+    from quadexp.parts.listing import key_words
+    from quadexp.parts.options import groups
+
+    name = option.lstrip("-").replace("-", "_")
+    if name in key_words("") or name in groups():
+        return f"; a setting is given without dashes: {name}=VALUE"
+    return ""

@@ -14,25 +14,28 @@ import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-import typer
+import click
+from click.shell_completion import CompletionItem
 
-from quadexp.cli.options import Format, Json
 from quadexp.cli.terminal import emit, fail, format_of, guarded, print_lines, print_rendered, print_table, say
 from quadexp.errors import QuadexpError
 from quadexp.parts.settings import Settings, declared
 
 
 class Ask(NamedTuple):
-    """What an option of the command line means. metavar: what stands for its value. flag: its name, where that is not
-    the parameter's. complete: gives values that begin with a text. least: of a number."""
+    """What a word or an option of the command line means. metavar: what stands for its value. flag: its names, where
+    they are not the parameter's. complete: gives values from the words before and the beginning of one. least: of a
+    number. word: whether it is given without a name, as is what has no default."""
 
     help: str
     metavar: str | None = None
     flag: str = ""
-    complete: Callable[..., list[str]] | None = None
+    complete: Callable[[click.Context, str], list[str]] | None = None
     least: float | None = None
+    word: bool = False
 
 
 class Answer(NamedTuple):
@@ -50,58 +53,102 @@ class Answer(NamedTuple):
     remarks: Sequence[str] = ()
 
 
-def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., Any]:
-    """The function as a command of typer. asked: of keys of its records that need more than their meaning says."""
+def complete(context: click.Context, incomplete: str) -> list[str]:
+    """Candidates for an override."""
+    from quadexp.parts.listing import candidates
+
+    return candidates(list(context.params.get("overrides") or ()), incomplete, context.params.get("conf"))
+
+
+# Words and options that several commands have.
+Overrides = Annotated[
+    tuple[str, ...], Ask("Settings, such as trajectory.speed=8", "[KEY=VALUE]...", complete=complete, word=True)
+]
+_OUT = Ask("Where to write.", "PATH", "--out -o")
+Out = Annotated[Path, _OUT]
+OptionalOut = Annotated[Path | None, _OUT]
+Conf = Annotated[Path | None, Ask("A configuration folder of your own.", "DIR")]
+Force = Annotated[bool, Ask("Replace existing output.", flag="--force -f")]
+Figures = Annotated[bool, Ask("Draw figures.", flag="--figures/--no-figures")]
+FORMAT = Ask("Print json, csv, markdown or latex instead of text.", "FORMAT", "--format")
+JSON = Ask("One JSON object on standard output.")
+
+
+def command(function: Callable[..., Answer], **asked: Ask) -> click.Command:
+    """The function as a command. asked: of keys of its records that need more than their meaning says."""
     hints = get_type_hints(function, include_extras=True)
     parameters, records = [], {}
     for name, parameter in inspect.signature(function).parameters.items():
-        if isinstance(hints[name], type) and issubclass(hints[name], Settings):
-            records[name] = hints[name]
-            for key, one in declared(hints[name]).items():
-                kind = get_type_hints(hints[name])[key]
-                parameters.append(_parameter(key, kind, asked.get(key, Ask(one.setting.meaning)), one.default))
-        else:
-            parameters.append(_of_annotation(name, hints[name], parameter.default))
-    parameters += [_of_annotation("format", Format, None), _of_annotation("json", Json, False)]
+        hint = hints[name]
+        if isinstance(hint, type) and issubclass(hint, Settings):
+            records[name] = hint
+            for key, about in declared(hint).items():
+                ask = asked.get(key, Ask(about.setting.meaning))
+                parameters.append(_parameter(key, about.type, ask, about.default))
+        elif name != "form":  # which is handed what is asked for by --format and --json
+            kind, ask = get_args(hint)
+            parameters.append(_parameter(name, kind, ask, parameter.default))
+    parameters += [_parameter("form", str, FORMAT, None), _parameter("json", bool, JSON, False)]
+    name = function.__name__.rstrip("_").replace("_", "-")  # import_ is `import`
 
-    def run(format: str | None, json: bool, **given: Any) -> None:
-        form = format_of(format, json)
-        for name, record in records.items():
-            values = {key: given.pop(key) for key in declared(record)}
-            chosen = {key: value for key, value in values.items() if value is not None}
-            given[name] = record(**{k: tuple(v) if isinstance(v, list) else v for k, v in chosen.items()})
-        _print(function(**given), form, function.__name__.partition("_")[0])
+    def run(form: str | None, json: bool, **given: Any) -> None:
+        with guarded(name):
+            shown = format_of(form, json)
+            for argument, record in records.items():
+                given[argument] = record(**{key: given.pop(key) for key in declared(record)})
+            _print(function(**given, **({"form": shown} if "form" in hints else {})), shown, name)
 
-    run.__name__, run.__doc__, run.__module__ = function.__name__, function.__doc__, function.__module__
-    started = guarded(run)
-    started.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
-    started.__annotations__ = {one.name: one.annotation for one in parameters}
-    return started
+    return Command(name, callback=run, params=parameters, help=inspect.getdoc(function))
 
 
-def _of_annotation(name: str, annotation: Any, default: Any) -> inspect.Parameter:
-    """The parameter of an annotation: as typer has it, or with an Ask."""
-    extras = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
-    ask = next((one for one in extras if isinstance(one, Ask)), None)
-    if ask is not None:
-        return _parameter(name, get_args(annotation)[0], ask, default)
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+class Command(click.Command):
+    """A command whose help says what its words mean too."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Called by click."""
+        words = [(word.make_metavar(ctx), word.meaning) for word in self.params if isinstance(word, Word)]
+        if words:
+            with formatter.section("Arguments"):
+                formatter.write_dl(words)
+        super().format_options(ctx, formatter)
 
 
-def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:
-    """An option, or an argument where there is no default. kind: of its value; a tuple is a repeatable option."""
-    if get_origin(kind) is tuple:
-        kind, default = list[get_args(kind)[0]] | None, None  # type: ignore[misc]  # made at run time
-    metavar = ask.metavar or ("FILE" if "Path" in str(kind) else None)
-    given: dict[str, Any] = {"help": ask.help, "metavar": metavar}
-    if ask.complete:
-        given["autocompletion"] = ask.complete
-    if default is inspect.Parameter.empty:
-        info: Any = typer.Argument(**given)
-    else:
-        flags = ask.flag.split() or [f"--{name.replace('_', '-')}"]
-        info = typer.Option(*flags, **given, min=ask.least)
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
+class Word(click.Argument):
+    """An argument with a meaning for the help."""
+
+    meaning = ""
+
+
+def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> click.Parameter:
+    """An option, or a word. kind: of its value; a tuple is repeatable."""
+    if get_origin(kind) in (Union, UnionType):
+        kind = next(choice for choice in get_args(kind) if choice is not NoneType)
+    several = get_origin(kind) is tuple
+    kind = get_args(kind)[0] if several else kind
+    required = default is inspect.Parameter.empty
+    flags = ask.flag.split() or [f"--{name.replace('_', '-')}"]
+    if kind is bool:
+        return click.Option([*flags, name], default=default, is_flag=True, help=ask.help)
+    about: dict[str, Any] = {
+        "type": _type(kind, ask.least),
+        "metavar": ask.metavar or (kind is Path and "FILE") or None,
+    }
+    about |= {"required": True} if required else {} if several else {"default": default}
+    if given := ask.complete:
+        about["shell_complete"] = lambda context, _, start: [CompletionItem(text) for text in given(context, start)]
+    if ask.word or (required and not ask.flag):
+        word = Word([name], nargs=-1 if several else 1, **about)
+        word.meaning = ask.help
+        return word
+    return click.Option([*flags, name], multiple=several, help=ask.help, **about)
+
+
+def _type(kind: Any, least: float | None) -> Any:
+    if get_origin(kind) is Literal:
+        return click.Choice(get_args(kind))
+    if kind is Path:
+        return click.Path(path_type=Path)
+    return click.IntRange(min=int(least)) if least is not None else kind
 
 
 def _print(answer: Answer, form: str, what: str) -> None:

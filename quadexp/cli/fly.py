@@ -1,100 +1,39 @@
-"""Commands that fly: `quadexp simulate`, `collect` and `evaluate`. Only light modules are imported here."""
+"""Commands that fly: `quadexp simulate`, `evaluate`, `tune`, `bench`. Only light modules are imported at the top."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+import shlex
+from functools import partial
 from typing import Annotated, Any
 
-from quadexp.cli.command import Answer, Ask, command, single_values
-from quadexp.cli.options import Conf, Force, OptionalOut, Out, Overrides
+import click
+
+from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
-from quadexp.files.names import file_name
-
-FIGURES = 5  # of a usual sweep
-SAMPLED = 200  # cells that are looked at for what their flights import
-DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
-NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
-    "random": ("quadexp.reference.random_polynomial", "quadexp.reference.polynomial"),
-    "file": ("quadexp.reference.from_file",),
-    "feedback": ("quadexp.control.feedback.controller",),
-}
-FOREIGN = (".csv", ".json", ".txt", ".mcap", ".ulg", ".h5")  # formats that a flight is exported to, or imported from
+from quadexp.progress import Progress
+from quadexp.requests import Bench, Tune
 
 
 @command
-def simulate(overrides: Overrides = None, out: OptionalOut = None, conf: Conf = None, force: Force = False) -> Answer:
+def simulate(overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None, force: Force = False) -> Answer:
     """Fly one configuration and write the flight.
 
     \b
     quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
     """
-    from quadexp.experiment.evaluate import fly_one
-    from quadexp.experiment.identity import unused_model
-    from quadexp.files.writer import check_output
-    from quadexp.log.store import write_flight
-    from quadexp.parts.compose import compose
-    from quadexp.report.summary import delays_note, flight_lines, world_note
+    from quadexp import requests
+    from quadexp.report.summary import flight_lines
 
-    if out is not None and out.suffix in FOREIGN:
-        parquet = out.with_suffix(".parquet")
-        raise UsageError(
-            f"--out {out}: a flight is written as Parquet; write {parquet}, then quadexp export {parquet}, which makes"
-            " other formats of it"
-        )
-    config = compose(overrides or [], conf)
-    path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
-    flight = fly_one(config)
-    write_flight(path, flight, force=force)
+    flight, path, notes = requests.simulate(overrides, out, conf, force=force, keep=True)
     about = flight.metadata
-    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"]), delays_note(flight.columns)]
     record = {"path": path, **about["row"], "residual": about["residual"]}
-    return Answer(record, [{**about["row"], "path": path}], [*flight_lines(about), path], [*filter(None, notes)])
-
-
-@command
-def collect(
-    overrides: Overrides = None,
-    out: Out = Path("data/residuals.parquet"),
-    flight: Annotated[list[Path] | None, Ask("Use this recorded flight; repeatable.", "PATH")] = None,
-    save_flights: Annotated[Path | None, Ask("Write the flights too.", "DIR")] = None,
-    sweep: Annotated[bool, Ask("Fly in every combination of the worlds given, one after another.")] = False,
-    conf: Conf = None,
-    force: Force = False,
-) -> Answer:
-    """Fly random paths, or take recorded flights, and write the residual: what the rigid body does not explain.
-
-    \b
-    quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
-    quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
-    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] truth.mass=1,1.2 --out data/worlds.parquet
-    """
-    from quadexp.experiment.collect import collect_dataset
-    from quadexp.files.writer import check_output
-    from quadexp.parts.compose import session
-    from quadexp.progress import Progress
-
-    if sweep and flight:
-        raise UsageError(
-            "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
-        )
-    with session(conf) as composer:
-        worlds = [cell.config for cell in composer.expand(overrides or []).sound()] if sweep else []
-        config = worlds[0] if worlds else composer.compose(overrides or [])
-    path = check_output(out, force=force)
-    if save_flights is not None:
-        check_output(save_flights, force=force, folder=True)
-    options: dict[str, Any] = {"flights": flight or [], "worlds": worlds, "save_flights": save_flights}
-    with Progress("seconds of flight") as progress:
-        report = collect_dataset(config, path, **options, force=force, progress=progress)
-    return Answer(report, [single_values(report)], [*report["lines"], path])
+    return Answer(record, [{**about["row"], "path": path}], [*flight_lines(about), path], notes)
 
 
 @command
 def evaluate(
-    overrides: Overrides = None,
+    overrides: Overrides = (),
     sweep: Annotated[bool, Ask("Fly every combination of the values given.", flag="--sweep --multirun -m")] = False,
     out: OptionalOut = None,
     figures: Annotated[
@@ -117,138 +56,102 @@ def evaluate(
     quadexp evaluate --sweep experiment=torrente_table1
     quadexp evaluate --sweep experiment=torrente_table1 --watch
     """
-    from quadexp.parts.compose import Cell, session
-    from quadexp.sweeps.server import start_server
+    from quadexp import requests
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
     if watch and not sweep:
         raise UsageError("--watch is for a sweep: add --sweep")
-    given = list(overrides or [])
-    with session(conf) as composer:
-        cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
-    first = cells[0].config
-    if not sweep and first.sweep:
-        raise UsageError("this experiment is a sweep: add --sweep")
-    out = out or Path("results") / _results_name(given, first, sweep)
-    figures = sweep if figures is None else figures
-    preload = _preload(cells[:SAMPLED], figures)
-    if sweep and first.engine.kind == "local" and not (out / "results.parquet").exists():
-        start_server(preload)  # which imports these while the modules that follow are imported here
-
-    from quadexp.experiment.identity import unused_model
-    from quadexp.progress import Progress
-    from quadexp.report.notes import invalid_text
-    from quadexp.report.statistics import statistics_csv
-    from quadexp.sweeps.engine import Workers
-    from quadexp.sweeps.figures import SweepFigures
-    from quadexp.sweeps.plan import too_few_seeds
-    from quadexp.sweeps.sweep import build_engine, run_sweep
-    from quadexp.sweeps.watch import Watch
-
-    settings = first.evaluate
-    if few := too_few_seeds(getattr(cells, "grids", ()), settings.baseline, settings.confidence):
-        say(f"note: {few}")
-    watching = Watch(out, settings.metric) if watch else None
-    with (
-        watching or contextlib.nullcontext(),
-        Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
-        SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
-        Progress("flights", (lambda: watching.shot().table().rich()) if watching else None) as progress,
-    ):
-        if watching:
-            say(f"watch it in a browser: {watching.path}")
-        result = run_sweep(
-            cells,
-            out,
-            metric=settings.metric,
-            baseline=settings.baseline,
-            confidence=settings.confidence,
-            engine=build_engine(first, processes),
-            force=force,
-            old="refly" if refly else "keep" if keep_old else "ask",
-            isolate=sweep,
-            progress=progress if watching is None else watching.before(progress),
-            landed=watching.landed if watching else lambda row: None,
-            flown=drawn.begin if figures else lambda rows, record: None,
-        )
-        files = dict(result.files) | drawn.end()
-    special, table = _of_a_paper(settings.figures, result.rows, out, figures)
-    failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
-    if missing := result.not_flown:
-        cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
-        failed.append(cause)
-    invalid = f"{invalid_text(result.rows)}; all of them: quadexp results {out} --failures" if result.invalid else ""
-    notes = [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes, invalid]
+    swept = requests.evaluate(
+        overrides, out, conf, sweep=sweep, figures=figures, old="refly" if refly else "keep" if keep_old else "ask",
+        force=force, watch=watch, progress=lambda below: Progress("flights", below), say=say,
+    )  # fmt: skip
+    result, metric = swept.result, swept.metric
     record = {
-        "out": out,
-        "files": files | special,
+        "out": swept.out,
+        "files": swept.files,
         "flown": result.flown,
         "notes": result.notes,
-        "not_flown": len(missing),
+        "not_flown": len(result.not_flown),
         "rows": list(result.rows),
-        "statistics": result.statistics.record(settings.metric),
+        "statistics": result.statistics.record(metric),
     }
-    texts = {
-        "csv": lambda: statistics_csv(result.statistics.of(settings.metric)),
-        "markdown": result.table.markdown,
-        "latex": result.table.latex,
-    }
-    return Answer(record, [], [*table, out] if table else [result.table, out], [*filter(None, notes)], failed, texts)
+
+    def csv() -> str:
+        from quadexp.report.statistics import statistics_csv
+
+        return statistics_csv(result.statistics.of(metric))
+
+    texts = {"csv": csv, "markdown": result.table.markdown, "latex": result.table.latex}
+    invalid = [f"{swept.invalid}; all of them: quadexp results {swept.out} --failures"] if swept.invalid else []
+    shown = swept.lines or [result.table]
+    return Answer(record, [], [*shown, swept.out], [*swept.notes, *invalid], swept.failed, texts)
 
 
-def _of_a_paper(
-    kind: str, rows: Sequence[Mapping[str, Any]], out: Path, figures: bool
-) -> tuple[dict[str, str], Sequence[str]]:
-    """Figures of an experiment of a paper, and the lines of its table, where that of all controllers has no room."""
-    if kind == "ladder":
-        from quadexp.report import ladder
-
-        return ladder.draw(rows, out) if figures else {}, ladder.ladder_table(rows).lines()
-    if kind == "sun":
-        from quadexp.papers.sun import report as sun
-
-        return sun.draw(rows, out) if figures else {}, sun.overview(rows).lines()
-    if kind != "standard" and figures:
-        from quadexp.papers.lei_li import report as lei_li
-
-        return lei_li.draw(kind, rows, out), []
-    return {}, []
+VARY = Ask("A setting to tune; `:log` after it for a log scale; repeatable.", "KEY=LOW..HIGH", complete=complete)
+SEARCH_SEED = Ask("Seed of the search's own draws.", flag="--seed", least=0)
 
 
-def _doubts(cells: Sequence[Any]) -> list[str]:
-    """What references of a sweep are below the ground, and drag that its vehicles cannot have, as far as its first
-    cells show."""
-    from quadexp.experiment.build import build_trajectory, build_vehicle
-    from quadexp.experiment.evaluate import below_ground, heavy_drag
+@partial(command, vary=VARY, search_seed=SEARCH_SEED)
+def tune(
+    asked: Tune, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None, force: Force = False
+) -> Answer:
+    """Tune settings of a controller over worlds, trajectories, speeds and seeds, with a budget of flights.
 
-    nodes: dict[Any, Any] = {}
-    for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
-        if config.trajectory.shipped:  # which is a program of its own: built where it is flown
-            nodes.setdefault((config.trajectory, config.ground, config.vehicle, config.plant), config)
-    found = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
-    named = {line: None for line in (*found, *map(heavy_drag, nodes.values())) if line}
-    return [*named][:3]
+    A trial flies every combination of the values given; its worth is the mean logarithm of the error (evaluate.metric),
+    and lost flights count more than any error, the earlier the more. The first trial is the option as it is. Without
+    --vary, the space is that of docs/tuning.md. What is found is written as an option,
+    DIR/controller/NAME_tuned.yaml, for `--conf DIR controller=NAME_tuned`. An interrupted search continues where
+    it stopped, and so does one whose budget is raised; --force begins anew.
+
+    \b
+    quadexp tune controller=gp_mpc model=models/gp world=clean,only_wind trajectory=circle,lemniscate \\
+        trajectory.speed=8 --flights 200 --out tuned/gp_mpc
+    quadexp tune controller=nominal_mpc trajectory=circle --vary controller.position_weight=1..1000:log \\
+        --vary controller.nodes=5..20 --delay-margin 0.04
+    """
+    from quadexp import requests
+
+    with Progress("flights") as progress:
+        tuned = requests.tune(overrides, asked, out=out, conf=conf, force=force, progress=progress)
+    lines, where = list(tuned.lines), tuned.record["out"] if conf is None else conf
+    if requests.hidden(tuned.option):
+        lines.append(f"{tuned.choice.split()[-1]} is an option already, which comes first: give --name, and run again")
+    else:
+        if conf is not None:
+            lines.append(f"copy the file to {conf}/{tuned.option.parent.name} to fly it:")
+        lines.append(f"fly it: {shlex.join(['quadexp', 'simulate', '--conf', str(where), *tuned.choice.split()])}")
+    return Answer(tuned.record, tuned.rows, lines)
 
 
-def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
-    """Modules that the processes of a sweep need."""
-    from quadexp.sweeps.server import PRELOAD
+def _controllers(context: click.Context, incomplete: str) -> list[str]:
+    from quadexp.parts.options import groups
 
-    kinds = {part.former_kind for cell in cells for part in (cell.config.trajectory, cell.config.controller)}
-    found = [*PRELOAD, *(module for kind in sorted(kinds) for module in NEEDED.get(kind, ()))]
-    return [*found, *DRAWING] if figures else found
+    return [name for name in groups(context.params.get("conf"))["controller"] if name.startswith(incomplete)]
 
 
-def _flight_name(config: Any) -> str:
-    from quadexp.parts.schema import controller_name
-
-    speed = getattr(config.trajectory, "speed", None)
-    parts = [controller_name(config), config.trajectory.name, "" if speed is None else f"{speed:g}"]
-    parts.append(f"seed{config.seed}" if config.seed else "")
-    return file_name("_".join(part for part in parts if part))
+CONTROLLER = Ask("Takes part too, as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)
 
 
-def _results_name(given: list[str], config: Any, sweep: bool) -> str:
-    experiments = [text.partition("=")[2] for text in given if text.startswith("experiment=")]
-    return file_name(experiments[-1] if experiments else "sweep" if sweep else _flight_name(config))
+@partial(command, controllers=CONTROLLER)
+def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None) -> Answer:
+    """Rank controllers by a protocol that does not change: the same tasks, worlds and seeds for all.
+
+    Settings after the command are those of the engine and its limits (engine=..., evaluate.workers=...). Models that
+    controllers need are made by the protocol, in still air. An interrupted run continues; results of different versions
+    of the protocol are not ranked together. Writes DIR/leaderboard.parquet.
+
+    \b
+    quadexp bench --size quick --out results/bench
+    quadexp bench --controller geometric --conf examples --out results/mine
+    quadexp bench --size standard --only --controller my_controller --conf my_conf --add docs/leaderboard.parquet
+    """
+    from quadexp import requests
+
+    with Progress("flights") as progress:
+        board = requests.bench(overrides, asked, out=out, conf=conf, progress=progress, say=say)
+    boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in board.tables.items()}
+    record: dict[str, Any] = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
+    record["files"] = dict(board.files)
+    tables = list(board.tables.values())
+    return Answer(record, tables, [*tables, *board.files.values()], board.notes, requests.failed_flights(board))

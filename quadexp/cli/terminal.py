@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import codecs
-import functools
+import contextlib
 import io
 import json
 import math
@@ -13,14 +13,15 @@ import shutil
 import signal
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn
 
-import typer
+import click
+from click.exceptions import Abort, Exit
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.messages import CleanStream, clean, printable, raw
+from quadexp.messages import CleanStream, printable, raw
 from quadexp.progress import Waiting
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ LONGEST = 900  # letters of a message: a value may be of any length
 AGAIN = "no file is left half written: run the same command again"
 GO_ON = {
     "evaluate": "what has been flown is kept: run the same command to continue",
-    "import_flights": "the logs imported so far are kept: give the others, or all with --force",
+    "import": "the logs imported so far are kept: give the others, or all with --force",
     "identify": f"{AGAIN}, with --force where it had begun to write",
     "validate": f"{AGAIN}, with --force where it had begun to write",
     "report": f"{AGAIN}, with --force where it had begun to write",
@@ -93,50 +94,46 @@ def flush_output(code: int) -> int:
     return code
 
 
-def output_failed(error: OSError) -> typer.Exit:
+def output_failed(error: OSError) -> Exit:
     """End after a failed write to standard output. A broken pipe needs no message: the reader has stopped reading."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
-        return typer.Exit(1)
+        return Exit(1)
     return fail(f"the output could not be written ({error.strerror})", 1)
 
 
-def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
+@contextlib.contextmanager
+def guarded(command: str) -> Iterator[None]:
     """Turn every exception of a command into one line and an exit code: 2 for a wrong request, 1 for a failure."""
-
-    @functools.wraps(function)
-    def command(*args: Any, **kwargs: Any) -> Any:
-        try:
-            with Waiting(function.__name__.partition("_")[0]):
-                return function(*args, **kwargs)
-        except QuadexpError as error:
-            raise fail(error, error.exit_code) from error
-        except KeyboardInterrupt as error:
-            raise _interrupted(function) from error
-        except BrokenPipeError as error:
-            raise output_failed(error) from None
-        except (typer.Exit, typer.Abort):
+    try:
+        with Waiting(command):
+            yield
+    except QuadexpError as error:
+        raise fail(error, error.exit_code) from error
+    except KeyboardInterrupt as error:
+        raise _interrupted(command) from error
+    except BrokenPipeError as error:
+        raise output_failed(error) from None
+    except (Exit, Abort):
+        raise
+    except OSError as error:
+        raise fail(system_error(error), 1) from error
+    except Exception as error:
+        if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
+            _spent.append(True)
+            raise fail("not enough memory", 1) from error
+        if _signals:  # the signal that a library has turned into an error of its own
+            raise _interrupted(command) from error
+        if os.environ.get("QUADEXP_DEBUG"):
             raise
-        except OSError as error:
-            raise fail(system_error(error), 1) from error
-        except Exception as error:
-            if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
-                _spent.append(True)
-                raise fail("not enough memory", 1) from error
-            if _signals:  # the signal that a library has turned into an error of its own
-                raise _interrupted(function) from error
-            if os.environ.get("QUADEXP_DEBUG"):
-                raise
-            text = " ".join(str(error).split())[:300]
-            message = f"{type(error).__name__}: {text} (QUADEXP_DEBUG=1 shows where)"
-            raise fail(message, 1) from error
-
-    return command
+        text = " ".join(str(error).split())[:300]
+        message = f"{type(error).__name__}: {text} (QUADEXP_DEBUG=1 shows where)"
+        raise fail(message, 1) from error
 
 
-def _interrupted(function: Callable[..., Any]) -> typer.Exit:
+def _interrupted(command: str) -> Exit:
     """End after Ctrl-C or SIGTERM: what is kept, and how to go on."""
-    return fail(f"interrupted: {GO_ON.get(function.__name__, AGAIN)}", 1)
+    return fail(f"interrupted: {GO_ON.get(command, AGAIN)}", 1)
 
 
 def system_error(error: OSError) -> str:
@@ -145,7 +142,7 @@ def system_error(error: OSError) -> str:
     return reason if error.filename is None else f"{os.fsdecode(error.filename)}: {reason}"
 
 
-def fail(message: object, code: int) -> typer.Exit:
+def fail(message: object, code: int) -> Exit:
     if os.environ.get("QUADEXP_DEBUG"):
         import traceback
 
@@ -153,8 +150,8 @@ def fail(message: object, code: int) -> typer.Exit:
     text = printable(" ".join(str(message).split()))
     if len(text) > LONGEST:
         text = f"{text[: LONGEST * 2 // 3]} ... {text[-LONGEST // 3 :]}"
-    typer.secho(f"error: {text}", fg="red", file=raw(sys.stderr))
-    return typer.Exit(code)
+    click.secho(f"error: {text}", fg="red", file=raw(sys.stderr))
+    return Exit(code)
 
 
 def say(text: str) -> None:
@@ -206,37 +203,6 @@ def _finite(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def console() -> Any:
-    """A rich console on standard output, 200 columns wide without a terminal; it writes out control characters."""
-    from rich.console import Console
-
-    made = Console(file=raw(sys.stdout), highlight=False)
-    if not made.is_terminal:
-        made = Console(file=raw(sys.stdout), width=200, highlight=False)
-    made.push_render_hook(cast(Any, _CleanHook()))
-    return made
-
-
-class _CleanHook:
-    """Writes out control characters of every text before rich adds its colours."""
-
-    def process_renderables(self, renderables: list[Any]) -> list[Any]:
-        return [_Clean(one) for one in renderables]
-
-
-class _Clean:
-    """A rich renderable whose text has its control characters written out."""
-
-    def __init__(self, renderable: Any) -> None:
-        self.renderable = renderable
-
-    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
-        from rich.segment import Segment
-
-        for piece in console.render(self.renderable, options):
-            yield piece if piece.control else Segment(clean(piece.text), piece.style)
-
-
 def format_of(form: str | None, json: bool) -> str:
     """What --format and --json ask for: text, json, csv, markdown or latex; UsageError for anything else."""
     if form is not None and form not in FORMATS:
@@ -246,23 +212,6 @@ def format_of(form: str | None, json: bool) -> str:
     return "json" if json else form or "text"
 
 
-def answered(form: str, record: dict[str, Any], rows: Callable[[], Sequence[Any]], what: str) -> bool:
-    """Print what a command found as its --format asks: `record` as json, `rows` as csv, markdown or latex.
-
-    rows: gives records of one table, a row each, or the tables. Returns False for text, which the command prints.
-    """
-    if form == "text":
-        return False
-    if form == "json":
-        emit(record)
-        return True
-    from quadexp.report.table import Table, records_table
-
-    found = rows()
-    print_rendered(found if not found or isinstance(found[0], Table) else [records_table(found)], form, what)
-    return True
-
-
 def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
     """Print tables as csv, markdown or latex, a blank line between them; UsageError where there is none."""
     if not tables:
@@ -270,10 +219,14 @@ def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
     sys.stdout.write("\n".join(table.rendered(form) for table in tables))
 
 
-def print_table(table: Table) -> None:
-    """Print a Table with its notes; stacked where the terminal is too narrow."""
-    out = console()
-    shown = table.rich()
+def print_table(table: Any) -> None:
+    """Print a Table or an ErrorTable with its notes; stacked where the terminal is too narrow."""
+    from rich.console import Console
+
+    stream = raw(sys.stdout)  # tables write out control characters themselves
+    out = Console(file=stream, width=None if stream.isatty() else 200, highlight=False)
+    rich = table.rich if hasattr(table, "rich") else table.table().rich
+    shown = rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
         shown = table.rich(stacked=True)
     out.print(shown)

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quadexp.cache import cache_folder, thin, unusable
 from quadexp.compile.compiler import (
     STRICT_FLAGS,
     compile_flags,
@@ -34,8 +35,7 @@ from quadexp.compile.compiler import (
 )
 from quadexp.compile.symbolic import ca
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.files.cache import cache_folder, thin, unusable
-from quadexp.files.writer import unfollowed, write_text, written
+from quadexp.writer import unfollowed, write_text, written
 
 if TYPE_CHECKING:
     from quadexp.compile.library_function import LibraryFunction

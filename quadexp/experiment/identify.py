@@ -21,7 +21,6 @@ from quadexp.control.delay.moments import LARGEST_AGE
 from quadexp.control.delay.timing import LARGEST, Delays, Search, Stream, moments_of
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.vehicle_of import own_vehicle, recorded_vehicle, refuse_repeated, vehicle_named
-from quadexp.files.writer import check_output
 from quadexp.log.schema import Flight
 from quadexp.log.store import (
     check_attitude,
@@ -52,6 +51,7 @@ from quadexp.models.vehicle_model import (
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
+from quadexp.writer import check_output
 
 METHODS = ("rls", "regression", "delays")
 LEAST_IMPROVEMENT = 0.02  # relative, of the held-out error along z: another thrust curve replaces c_1, c_2 from here on

@@ -9,12 +9,12 @@ from typing import Any
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.vehicle_of import refuse_repeated, vehicle_named
-from quadexp.files.writer import check_output
 from quadexp.log.check import Finding, check_flight
 from quadexp.log.importers import Options, checked, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.progress import doing
+from quadexp.writer import check_output
 
 
 @dataclass

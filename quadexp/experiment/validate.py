@@ -12,7 +12,6 @@ from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle, load_identified
-from quadexp.files.writer import check_output, write_text
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.models.recorded import recorded_dataset
@@ -36,6 +35,7 @@ from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
+from quadexp.writer import check_output, write_text
 
 HORIZONS = (0.1, 0.5, 1.0)
 REPORT_FILE = "validation.json"

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import DataError, UsageError
-from quadexp.files.names import check_names
-from quadexp.files.writer import check_output, clean, make_inside, remove, unfollowed
 from quadexp.log.store import read_record
+from quadexp.names import check_names
+from quadexp.writer import check_output, clean, make_inside, remove, unfollowed
 
 MARK = "cells"
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError, missing_package
-from quadexp.files.writer import check_output, write_text, written
 from quadexp.log.schema import Flight, describe
 from quadexp.log.store import read_flight
 from quadexp.messages import csv_line
+from quadexp.writer import check_output, write_text, written
 
 POSE = ("p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w")
 BLUE, GREY = (0, 114, 178), (136, 136, 136)

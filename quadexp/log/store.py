@@ -20,8 +20,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError, WrongFileError
-from quadexp.files.names import check_names
-from quadexp.files.writer import written
 from quadexp.log.integrity import (
     CONTENT_KEY,
     check_declared,
@@ -33,8 +31,10 @@ from quadexp.log.integrity import (
 )
 from quadexp.log.schema import Flight, describe
 from quadexp.messages import printable
+from quadexp.names import check_names
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.progress import doing
+from quadexp.writer import written
 
 SCHEMA = 2
 LONG = 200_000  # rows of a table that is read column by column

@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.files.names import check_names
-from quadexp.files.writer import check_output, write_folder
 from quadexp.models.base import Model, Record, model_class
 from quadexp.models.residual import LEARNED
+from quadexp.names import check_names
 from quadexp.physics.vehicle import Vehicle
+from quadexp.writer import check_output, write_folder
 
 SCHEMA = 2
 LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 70 MB

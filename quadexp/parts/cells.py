@@ -29,15 +29,21 @@ Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are
 @dataclass(frozen=True, slots=True)
 class Cell:
     """One configuration of a sweep. overrides: what made it. varied: the keys that differ within the sweep and that no
-    column of the result table names by itself, as overrides, also where the cell has its default. invalid: why the
-    overrides contradict each other, "" where they do not; `config` is then made of those that do not.
+    column of the result table names by itself, as overrides, also where the cell has its default. error: why the
+    overrides contradict each other, None where they do not. refused: the overrides that `config` is then made without.
 
     Cells share the nodes of their configurations: read them, do not write them."""
 
     config: Config
     overrides: tuple[str, ...]
     varied: str = ""
-    invalid: str = ""
+    error: UsageError | None = None
+    refused: frozenset[str] = frozenset()
+
+    @property
+    def invalid(self) -> str:
+        """Why the cell is not flown, "" for one that can be."""
+        return "" if self.error is None else str(self.error)
 
 
 class Combinations:
@@ -99,8 +105,9 @@ class Cells(Combinations, Sequence[Cell]):
         except UsageError as error:
             kept = self._consistent(overrides)
             config = self._compose(kept)
-            varied = self._differing(overrides, config)
-            return InvalidCell(config, overrides, varied, str(error), error, frozenset({*overrides} - {*kept}))
+            return Cell(
+                config, overrides, self._differing(overrides, config), error, frozenset(overrides).difference(kept)
+            )
 
     def _differing(self, overrides: Sequence[str], config: Config) -> str:
         """The keys that vary with their values; that of a key that is not given here is what the configuration has."""
@@ -112,7 +119,7 @@ class Cells(Combinations, Sequence[Cell]):
         """All cells; raises the UsageError of the first that is invalid."""
         cells = list(self)
         for cell in cells:
-            if isinstance(cell, InvalidCell) and cell.error is not None:
+            if cell.error is not None:
                 raise cell.error
         return cells
 
@@ -129,14 +136,6 @@ class Cells(Combinations, Sequence[Cell]):
         return kept
 
 
-@dataclass(frozen=True, slots=True)
-class InvalidCell(Cell):
-    """A cell that cannot be composed. error: why. refused: the overrides that `config` is made without."""
-
-    error: UsageError | None = None
-    refused: frozenset[str] = frozenset()
-
-
 def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
     """The cells one after the other; at their end, UsageError where the request itself is wrong: every cell is
     invalid, no cell has a key that is given, or a value is none that its key allows."""
@@ -146,14 +145,13 @@ def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
     for place, cell in enumerate(cells):
         if place % 100 == 0:
             doing(f"composing cell {place}")
-        refused: frozenset[str] = frozenset()
-        if isinstance(cell, InvalidCell) and cell.error is not None:
-            first, refused = first or cell.error, cell.refused
-            for text in refused:
-                errors.setdefault(text, cell.error)
-        else:
+        if cell.error is None:
             valid = True
-        accepted.update(text for text in cell.overrides if text not in refused)
+        else:
+            first = first or cell.error
+            for text in cell.refused:
+                errors.setdefault(text, cell.error)
+        accepted.update(text for text in cell.overrides if text not in cell.refused)
         yield cell
     if first is not None and not valid:
         raise first
@@ -170,8 +168,8 @@ def _set_in_part(key: str, grids: Sequence[Mapping[str, set[str]]]) -> bool:
     columns = who if key.startswith("controller.") else COLUMN_KEYS - {"seed", "experiment"}
     with_key, without = ([grid for grid in grids if (key in grid) == wanted] for wanted in (True, False))
     return any(
-        all(one[column] & other[column] for column in columns & one.keys() & other.keys())
-        for one in with_key
+        all(grid[column] & other[column] for column in columns & grid.keys() & other.keys())
+        for grid in with_key
         for other in without
     )
 

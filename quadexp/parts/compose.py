@@ -1,31 +1,53 @@
 """From overrides to a configuration.
 
-A choice of options is put together once (tree.py). Values are then set in plain dictionaries, and a node is made, and
-so checked, once for every set of values. Configurations share their nodes: these cannot be changed.
+A node of the configuration is what the files say of it that were chosen, one over the other: its option, presets,
+bundles, the experiment. A choice of options is put together once. Values are then set in plain dictionaries, and a
+node is made, and so checked, once for every set of values. Configurations share their nodes: these cannot be changed.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+import copy
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
-from quadexp.files.names import is_name
-from quadexp.messages import one_line, suggestion
+from quadexp.messages import ending_in, suggestion
+from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
-from quadexp.parts.option_files import OptionFiles
-from quadexp.parts.override import GROUPS, Given, OverrideReader
-from quadexp.parts.plugins import import_from
-from quadexp.parts.schema import WORLD, Config, world_name
-from quadexp.parts.settings import made
-from quadexp.parts.tree import Node, Trees, check_key, resolved, set_values
+from quadexp.parts.former import FORMER_TARGET, refuse_former
+from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge
+from quadexp.parts.override import GROUPS, Override, OverrideReader
+from quadexp.parts.part import TARGET, import_from, part_class
+from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
+from quadexp.parts.settings import declared, made, plain
 
 KEPT = 50_000  # made nodes that are remembered at most
 EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
+MOST_STEPS = 16  # from reference to reference
+MOST_LETTERS = 1000  # of what a reference stands for
+_ROOT = plain(Config)
+
+
+class Layer(NamedTuple):
+    """What a file says of a node. option: GROUP=OPTION, by: what chose it, where that is a bundle."""
+
+    option: str
+    by: str
+    values: Any
+
+
+class Node(NamedTuple):
+    """A node before its values are set, or a value of the root. source: the options that it was made from."""
+
+    source: tuple[str, ...]
+    content: Any
+    schema: type | None
 
 
 class Composer:
@@ -35,10 +57,11 @@ class Composer:
     """
 
     def __init__(self, extra: Path | None = None) -> None:
-        files = OptionFiles(extra)
-        self.options, self.having, self.part = files.options, files.having, files.part_of
-        self._overrides = OverrideReader(files)
-        self._trees = Trees(files)
+        self._files = OptionFiles(extra)
+        self.options, self.having, self.part = self._files.options, self._files.having, self._files.part_of
+        self._overrides = OverrideReader(self._files)
+        self._trees: dict[tuple[str, ...], dict[str, Node]] = {}
+        self._nodes: dict[tuple[str, ...], Node] = {}
         self._made: dict[tuple[Any, ...], Any] = {}
         self._checked: set[tuple[Any, ...]] = set()
 
@@ -48,8 +71,10 @@ class Composer:
         Raises UsageError with one line: unknown key or option, value of a wrong type or out of range, value missing,
         several values for one key.
         """
-        with _one_line():
+        try:
             return self._compose(self._overrides.read(overrides))
+        except ValueError as error:  # of a user's own part
+            raise UsageError(" ".join(str(error).split())) from error
 
     def expand(self, overrides: Sequence[str] = (), *, check: bool = True) -> Cells:
         """Every combination of a sweep: the values on the command line, over those of the experiment's `sweep:`.
@@ -57,49 +82,47 @@ class Composer:
         check: compose all of them before any is returned, see `refuse_mistakes`. They are composed again when they are
         asked for, and a sweep asks for all before it flies the first, so it need not.
         """
-        with _one_line():
-            parsed = self._overrides.read(overrides, sweep=True)
-            cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
-            for _ in refuse_mistakes(cells) if check else ():
-                pass
+        parsed = self._overrides.read(overrides, sweep=True)
+        cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
+        for _ in refuse_mistakes(cells) if check else ():
+            pass
         return cells
 
     def _cell_config(self, overrides: Sequence[str]) -> Config:
-        with _one_line():
-            config = self._compose(self._overrides.read(overrides))
+        config = self.compose(overrides)
         return config if config.sweep is None else replace(config, sweep=None)  # a cell is one flight
 
-    def _grids(self, parsed: list[Given]) -> Iterator[list[Given]]:
+    def _grids(self, parsed: list[Override]) -> Iterator[list[Override]]:
         """The overrides of every grid: one, or one for each mapping under `sweep:` of the experiments."""
-        experiments = [one for one in parsed if one.key == "experiment"]
+        experiments = [override for override in parsed if override.key == "experiment"]
         if not experiments:
             yield parsed
             return
-        given = {one.key for one in parsed}
+        given = {override.key for override in parsed}
         chosen = experiments[-1]
-        values = [chosen.text.partition("=")[2]] if chosen.sweep is None else chosen.sweep
-        rest = [one for one in parsed if one.key != "experiment"]
-        for value in values:
-            choice = self._overrides.read([f"experiment={value}"])
+        names = [chosen.text.partition("=")[2]] if chosen.sweep is None else chosen.sweep
+        rest = [override for override in parsed if override.key != "experiment"]
+        for name in names:
+            choice = self._overrides.read([f"experiment={name}"])
             sweep = self._compose(choice).sweep
-            for grid in _written_out(sweep or {}, str(value)):
+            for grid in _written_out(sweep or {}, str(name)):
                 # The mapping's order is kept: what stands first varies slowest.
-                own = [f"{key}={_as_override(text)}" for key, text in grid.items() if key not in given]
-                yield choice + self._overrides.read(own, sweep=True) + rest
+                texts = [f"{key}={_as_override(value)}" for key, value in grid.items() if key not in given]
+                yield choice + self._overrides.read(texts, sweep=True) + rest
 
-    def _compose(self, parsed: Sequence[Given]) -> Config:
-        chosen = [one for one in parsed if one.key in GROUPS]
-        values = [one for one in parsed if one.key not in GROUPS]
-        base = self._trees.tree(chosen)
-        key = tuple(one.text for one in chosen)
-        for one in values:
-            if (key, one.key) not in self._checked:
-                check_key({name: node.content for name, node in base.items()}, one.key, self.having)
-                self._checked.add((key, one.key))
-            if one.key in base and base[one.key].schema is not None and not isinstance(one.value, Mapping):
-                first = next(iter(base[one.key].content))
-                raise UsageError(f"{one.text}: holds keys; set one of them, such as {one.key}.{first}=...")
-        config = Config(**self._nodes(base, values))
+    def _compose(self, parsed: Sequence[Override]) -> Config:
+        chosen = [override for override in parsed if override.key in GROUPS]
+        values = [override for override in parsed if override.key not in GROUPS]
+        tree = self._tree(chosen)
+        choice = tuple(override.text for override in chosen)
+        for override in values:
+            if (choice, override.key) not in self._checked:
+                check_key({name: node.content for name, node in tree.items()}, override.key, self.having)
+                self._checked.add((choice, override.key))
+            if override.key in tree and tree[override.key].schema and not isinstance(override.value, Mapping):
+                first = next(iter(tree[override.key].content))
+                raise UsageError(f"{override.text}: holds keys; set one of them, such as {override.key}.{first}=...")
+        config = Config(**self._parts(tree, values))
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
@@ -108,34 +131,78 @@ class Composer:
             raise UsageError(f"evaluate.baseline={baseline}: no such controller{suggestion(baseline, controllers)}")
         return config
 
-    def _world_name(self, config: Config, chosen: Sequence[Given], values: Sequence[Given]) -> str:
-        bundles = [one for one in chosen if one.key == "world"]
+    def _world_name(self, config: Config, chosen: Sequence[Override], values: Sequence[Override]) -> str:
+        bundles = [override for override in chosen if override.key == "world"]
         bundle = str(bundles[-1].value) if bundles else "clean"
-        if not {one.node for one in values}.union(one.key for one in chosen).intersection((*WORLD, "experiment")):
+        if not {override.node for override in (*values, *chosen)}.intersection((*WORLD, "experiment")):
             return world_name(config, bundle, {group: getattr(config, group) for group in WORLD})  # nothing differs
-        base = self._trees.tree(bundles[-1:])
-        return world_name(config, bundle, self._nodes({group: base[group] for group in WORLD}, ()))
+        tree = self._tree(bundles[-1:])
+        return world_name(config, bundle, self._parts({group: tree[group] for group in WORLD}, ()))
 
-    def _nodes(self, base: Mapping[str, Node], values: Sequence[Given]) -> dict[str, Any]:
-        """The nodes with their values set, and the values of the root."""
-        of_node: dict[str, list[Given]] = {}
-        for one in values:
-            of_node.setdefault(one.node, []).append(one)
+    # ------------------------------------------------------------------------------------------- before values are set
+    def _tree(self, chosen: Sequence[Override]) -> dict[str, Node]:
+        """The whole configuration with some options chosen."""
+        choice = tuple(override.text for override in chosen)
+        if choice not in self._trees:
+            layers = self._layers({override.key: override.value for override in chosen})
+            for name in layers:
+                if name not in _ROOT:
+                    raise UsageError(f"{layers[name][0].option}: {name}: no such key{suggestion(name, list(_ROOT))}")
+            self._trees[choice] = {name: self._node(name, layers.get(name, [])) for name in _ROOT}
+        return self._trees[choice]
+
+    def _layers(self, given: Mapping[str, Any]) -> dict[str, list[Layer]]:
+        """What says something of each node, the first first. An option that is given counts over that of the
+        experiment, this over those of bundles, the last first."""
+        experiment = given.get("experiment")
+        chosen_by: dict[str, str] = {}
+        of_experiment = self._files.option("experiment", experiment).chosen if experiment else {}
+        options = {**CHOSEN, **of_experiment, **given}
+        for bundle in BUNDLES:
+            for group, option in self._files.option(bundle, options[bundle]).chosen.items():
+                if group not in given and group not in of_experiment:
+                    options[group], chosen_by[group] = option, f"{bundle}={options[bundle]}"
+        layers: dict[str, list[Layer]] = {}
+        for group in (*CHOSEN, "experiment"):
+            if options.get(group) is None:
+                continue
+            option = str(options[group])
+            values, text = self._files.option(group, option).values, f"{group}={option}"
+            if group in GLOBAL:
+                for name, value in values.items():
+                    layers.setdefault(name, []).append(Layer(text, text, value))
+            else:
+                layers.setdefault(PRESETS.get(group, group), []).append(Layer(text, chosen_by.get(group, text), values))
+        return layers
+
+    def _node(self, name: str, layers: Sequence[Layer]) -> Node:
+        """Made once from the same options, so that a sweep over many choices of options costs little."""
+        source = tuple(layer.option for layer in layers)
+        if (name, *source) not in self._nodes:
+            self._nodes[name, *source] = Node(source, *_joined(name, layers))
+        return self._nodes[name, *source]
+
+    # -------------------------------------------------------------------------------------------------- values are set
+    def _parts(self, tree: Mapping[str, Node], values: Sequence[Override]) -> dict[str, Any]:
+        """The nodes, made with their values set, and the values of the root."""
+        of_node: dict[str, list[Override]] = {}
+        for override in values:
+            of_node.setdefault(override.node, []).append(override)
 
         def content(name: str) -> Any:
-            return set_values(base[name].content, name, of_node.get(name, ()))
+            return _set(tree[name].content, name, of_node.get(name, ()))
 
         if len(self._made) > KEPT:
             self._made.clear()
         nodes: dict[str, Any] = {}
         known: dict[str, Any] = {}
-        for name, node in base.items():
-            key = (name, node.source, *(one.text for one in of_node.get(name, ())))
+        for name, node in tree.items():
+            key = (name, node.source, *(override.text for override in of_node.get(name, ())))
             if key not in self._made:
-                plain = content(name)
-                refers = "${" in str(plain)
-                plain = resolved(plain, name, content, known) if refers else plain
-                nodes[name] = plain if node.schema is None else made(node.schema, plain, f"{name}.")
+                whole = content(name)
+                refers = "${" in str(whole)
+                whole = _resolved(whole, name, content, known) if refers else whole
+                nodes[name] = whole if node.schema is None else made(node.schema, whole, f"{name}.")
                 if refers:  # what it is hangs on other nodes too
                     continue
                 self._made[key] = nodes[name]
@@ -143,6 +210,123 @@ class Composer:
         return nodes
 
 
+def _joined(name: str, layers: Sequence[Layer]) -> tuple[Any, type | None]:
+    """The content of a node over the defaults of its class, and that class, None for a value of the root.
+
+    UsageError where the option's file names no class, or something sets a key that the class has not.
+    """
+    schema = declared(Config)[name].node if name in declared(Config) else None
+    if schema is None and name not in PARTS:
+        return (layers[-1].values if layers else _ROOT[name]), None
+    content: dict[str, Any] = {}
+    for layer in layers:
+        if not isinstance(layer.values, Mapping):
+            raise UsageError(f"{layer.option}: {name}: must hold keys and values")
+        merge(content, layer.values)
+    if schema is None:
+        option = layers[0].option
+        target = content.pop(FORMER_TARGET, None) or content.pop(TARGET, None)
+        if target is None:
+            raise UsageError(
+                f"{option}: its file names no class; let it begin with `{TARGET}: MODULE.CLASS`, or extend another"
+                f" option of {name}: `defaults: [OPTION, _self_]`"
+            )
+        schema = part_class(name, target)
+        for layer in layers[1:]:
+            for key in layer.values:
+                if key not in declared(schema):
+                    refuse_former(f"{name}.{key}")
+                    raise UsageError(f"{layer.by}: sets {name}.{key}, which {option} does not have")
+        content.setdefault("name", option.partition("=")[2])
+    filled = plain(schema)
+    merge(filled, content)
+    return filled, schema
+
+
+def check_key(content: Any, key: str, having: Callable[[str], dict[str, list[str]]]) -> None:
+    """UsageError where the content has no such key. having: keys of options that are not chosen; see OptionFiles."""
+    root, parts = content, key.split(".")
+    for i, part in enumerate(parts):
+        if isinstance(content, dict) and part in content:
+            content = content[part]
+            continue
+        refuse_former(key)
+        others = having(key)
+        if isinstance(content, dict) and [*content] == ["name"] and key not in others:
+            there = next((f": {others[name][0]} has {name}" for name in others if name.startswith(f"{parts[0]}.")), "")
+            about = f"{parts[0]}={content['name']} has no settings{there}"
+            raise UsageError(f"{key}: {about}; `quadexp options {parts[0]}` lists what there is")
+        if key in others:
+            raise UsageError(f"{key}: no such key; it is a key of {' or '.join(others[key])}")
+        here = [*root, "experiment", *BUNDLES, *PRESETS]
+        everywhere = [*_keys(root), *here]
+        if isinstance(content, dict) and i > 0:
+            here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in content]
+        if others and not ending_in(key, everywhere):
+            options = " or ".join(f"{name} of {' or '.join(named)}" for name, named in others.items())
+            raise UsageError(f"{key}: no such key; did you mean {options}?")
+        raise UsageError(f"{key}: no such key{suggestion(key, everywhere, here)}")
+
+
+def _keys(content: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            yield from _keys(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}"
+
+
+def _set(content: Any, name: str, values: Sequence[Override]) -> Any:
+    """A copy of a node's content with values set."""
+    whole = {name: copy.deepcopy(content)}
+    for override in values:
+        *way, last = override.key.split(".")
+        at = whole
+        for part in way:
+            at = at[part]
+        merge(at, {last: override.value})
+    return whole[name]
+
+
+def _resolved(
+    value: Any, at: str, content: Callable[[str], Any], known: dict[str, Any], way: tuple[str, ...] = ()
+) -> Any:
+    """The value with its references, such as ${seed}, replaced.
+
+    at: its key. content: the content of a node by name. known: what keys stand for, as far as it was asked. way: the
+    keys that led here.
+    """
+    if isinstance(value, dict):
+        return {key: _resolved(item, f"{at}.{key}", content, known, way) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_resolved(item, at, content, known, way) for item in value]
+    if not isinstance(value, str) or "${" not in value:
+        return value
+
+    def referred(match: re.Match[str]) -> Any:
+        key = match[1]
+        if key in way or len(way) > MOST_STEPS:
+            raise UsageError(f"{at}: refers to what cannot be read; {REFERENCES}")
+        if key not in known:
+            name, *rest = key.split(".")
+            value = content(name) if name in _ROOT else None
+            for part in rest if name in _ROOT else [key]:
+                if not isinstance(value, dict) or part not in value:
+                    raise UsageError(f"{at}: refers to a name that does not exist; {REFERENCES}")
+                value = value[part]
+            known[key] = _resolved(value, key, content, known, (*way, key))
+        if len(str(known[key])) > MOST_LETTERS:
+            raise UsageError(f"{at}: refers to {key}, which is too long to be referred to")
+        return known[key]
+
+    if alone := REFERENCE.fullmatch(value):
+        return referred(alone)
+    if "${" in REFERENCE.sub("", value):
+        raise UsageError(f"{at}: refers to what cannot be read; {REFERENCES}")
+    return REFERENCE.sub(lambda match: str(referred(match)), value)
+
+
+# ------------------------------------------------------------------------------------------------------------- sweeps
 def _written_out(grids: Any, experiment: str) -> Iterator[dict[str, Any]]:
     """The grids of an experiment's `sweep:`, a mapping or a list of them; one with a list under `each` stands for as
     many: what else it has, with each of these, which may have such lists themselves."""
@@ -154,14 +338,12 @@ def _written_out(grids: Any, experiment: str) -> Iterator[dict[str, Any]]:
         yield from (common | inner for inner in within)
 
 
-def _product(overrides: Sequence[Given]) -> Grid:
+def _product(overrides: Sequence[Override]) -> Grid:
     """The values of every key, as overrides; of a key that is given twice the last counts."""
     grid: dict[str, tuple[str, ...]] = {}
-    for one in overrides:
-        if one.sweep is None:
-            grid[one.key] = (one.text,)
-        else:
-            grid[one.key] = tuple(f"{one.key}={value}" for value in one.sweep)
+    for override in overrides:
+        key, sweep = override.key, override.sweep
+        grid[key] = (override.text,) if sweep is None else tuple(f"{key}={value}" for value in sweep)
     return tuple(grid.values())
 
 
@@ -171,16 +353,7 @@ def _as_override(value: Any) -> str:
     return "null" if value is None else text
 
 
-@contextlib.contextmanager
-def _one_line() -> Iterator[None]:
-    try:
-        yield
-    except UsageError:
-        raise
-    except ValueError as error:
-        raise UsageError(one_line(error)) from error
-
-
+# ----------------------------------------------------------------------------------------------------------- sessions
 @contextlib.contextmanager
 def session(extra: Path | None = None) -> Iterator[Composer]:
     """A Composer over conf/, installed plugins and, if given, a user's own folder of the same layout.

@@ -1,4 +1,7 @@
-"""What there is to choose: groups, their options, the keys of an option; read from the files and the parts' classes."""
+"""What there is to choose: groups, their options, the keys of an option, for `quadexp options` and the completion.
+
+It is read from the files and the parts' classes.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,9 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles, groups
+from quadexp.parts.part import import_from
+from quadexp.parts.schema import PARTS, Config
 from quadexp.parts.settings import REQUIRED, Declared, declared, lists
 
 Record = dict[str, str]
@@ -17,10 +22,12 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
     """Records that answer a question.
 
     asked: "" for all groups; GROUP for its options, and the keys that have its name; GROUP=OPTION for the keys of that
-    option; any other word for the options, keys and meanings that contain it.
+    option; any other word for the options, keys and meanings that contain it. conf: a folder of the user's own.
 
     Raises UsageError where nothing does.
     """
+    if conf is not None:
+        import_from(conf.resolve())
     files = OptionFiles(conf)
     group, _, option = asked.partition("=")
     if not asked:
@@ -29,17 +36,18 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
         name = files.named(group, option)
         if name is None:
             raise UsageError(f"{asked}: no such {group}{suggestion(option, files.options(group))}")
-        return keys(files, group, name)
+        return _keys(files, group, name)
+    keys = _all_keys(files)
     if group in files.groups:  # and what else is called like it
-        return options(files, group) + [one for one in _all_keys(files) if group in one["key"].partition(".")[2]]
-    records = [one for name in files.groups for one in options(files, name) if asked in one["option"]]
-    records += [one for one in _all_keys(files) if asked in one["key"] or asked in one["meaning"]]
+        return _options(files, group) + [record for record in keys if group in record["key"].partition(".")[2]]
+    records = [record for name in files.groups for record in _options(files, name) if asked in record["option"]]
+    records += [record for record in keys if asked in record["key"] or asked in record["meaning"]]
     if not records:
         raise UsageError(f"options {asked}: no group, option or key has this word")
     return records
 
 
-def options(files: OptionFiles, group: str) -> list[Record]:
+def _options(files: OptionFiles, group: str) -> list[Record]:
     """The options of a group, with what the head of each file says."""
     return [
         {"option": f"{group}={name}", "meaning": files.meaning(group, name).partition(". ")[0].rstrip(".")}
@@ -47,16 +55,16 @@ def options(files: OptionFiles, group: str) -> list[Record]:
     ]
 
 
-def keys(files: OptionFiles, group: str, option: str) -> list[Record]:
+def _keys(files: OptionFiles, group: str, option: str) -> list[Record]:
     """The keys of an option with what it sets them to; of a preset or bundle what it sets."""
-    part, read = files.part_of(group, option), files.option(group, option)
+    part, stated = files.part_of(group, option), files.option(group, option)
     if part is None:
-        sets = read.chosen | {key: value for key, value in read.values.items() if not key.startswith("_")}
+        sets = stated.chosen | {key: value for key, value in stated.values.items() if not key.startswith("_")}
         return [{"key": key, "value": _text(value), "allowed": "", "meaning": ""} for key, value in sets.items()]
     return [
-        _key(f"{group}.{name}", one, read.values.get(name, one.default))
-        for name, one in declared(part).items()
-        if one.setting.meaning and name != "name"
+        _key(f"{group}.{name}", key, stated.values.get(name, key.default))
+        for name, key in declared(part).items()
+        if key.setting.meaning and name != "name"
     ]
 
 
@@ -65,17 +73,60 @@ def _all_keys(files: OptionFiles) -> list[Record]:
     records: dict[str, Record] = {}
     for group in files.groups:
         for option in files.options(group) if files.parts(group) else ():
-            for one in keys(files, group, option):
-                records.setdefault(one["key"], one)
+            for record in _keys(files, group, option):
+                records.setdefault(record["key"], record)
     return list(records.values())
 
 
-def _key(name: str, one: Declared, value: Any) -> Record:
-    unit, interval = one.setting.unit, one.setting.interval
-    allowed = " ".join(one.words) if one.words else f"{interval} {unit}".strip()
-    shown = "" if value == REQUIRED else "..." if one.node else _text(lists(value))
-    return {"key": name, "value": shown, "allowed": allowed, "meaning": one.setting.meaning}
+def _key(name: str, key: Declared, value: Any) -> Record:
+    allowed = " ".join(key.words) if key.words else f"{key.setting.interval} {key.setting.unit}".strip()
+    shown = "" if value == REQUIRED else "..." if key.node else _text(lists(value))
+    return {"key": name, "value": shown, "allowed": allowed, "meaning": key.setting.meaning}
 
 
 def _text(value: Any) -> str:
     return "null" if value is None else str(value).replace(" ", "") if not isinstance(value, str) else value
+
+
+# -------------------------------------------------------------------------------------------------------- completion
+def key_words(group: str | None = None) -> dict[str, list[str]]:
+    """Every key that can be set, of whatever option, with its values where those are a few words. group: of one group
+    alone; only the classes of its parts are imported."""
+    files = OptionFiles()
+    nodes: list[tuple[str, Any]] = [("", Config)]
+    nodes += [(f"{name}.", part) for name in PARTS if group in (None, name) for part in files.parts(name).values()]
+    keys: dict[str, dict[str, None]] = {}
+    while nodes:
+        prefix, node = nodes.pop()
+        for name, key in declared(node).items():
+            if key.node is not None:
+                nodes.append((f"{prefix}{name}.", key.node))
+            elif name not in ("options", "_target_"):
+                words = key.words or (("true", "false") if key.type is bool else ())
+                keys.setdefault(prefix + name, {}).update(dict.fromkeys(words))
+    return {key: list(words) for key, words in sorted(keys.items())}
+
+
+def candidates(words: list[str], incomplete: str, conf: str | None = None) -> list[str]:
+    """What an override that is being typed can become. words: those before it. conf: a folder of the user's own.
+
+    Shells that split words at "=" want the value alone back.
+    """
+    options = groups(Path(conf) if conf else None)
+    line = " ".join([*words[-2:], incomplete])
+    values = key_words(next((name for name in options if f"{name}." in line), "")) | options
+    bare = False
+    if not incomplete and words and words[-1] in values:
+        key, value, bare = words[-1], "", True
+    elif len(words) >= 2 and words[-1] == "=":
+        key, value, bare = words[-2], incomplete, True
+    elif "=" in incomplete:
+        key, _, value = incomplete.partition("=")
+    else:
+        names = [name for name in values if name.startswith(incomplete) and ("." in incomplete or "." not in name)]
+        # A single key brings its values along, so that the shell adds no blank after "=".
+        exact = [f"{names[0]}={value}" for value in values[names[0]]] if len(names) == 1 else []
+        return exact or [f"{name}=" for name in names]
+    before, comma, last = value.rpartition(",")
+    prefix = ("" if bare else f"{key}=") + before + comma
+    return [prefix + option for option in values.get(key, []) if option.startswith(last)]

@@ -8,24 +8,41 @@
 
 The class's fields are the option's keys, with unit, range, meaning and default: one line a key (settings.py). What a
 part is made into is said by the group's own base class (Effect, TrajectoryPart, PlantPart, ControllerPart, Remedy).
-Nothing else lists parts. A class and an option are a part, in this program and in a user's own folder: both are found
-by `part_class`.
+Nothing else lists parts; `part_class` finds those of this program and of a user alike.
+
+A user's own lie in a folder given with --conf, or in an installed package that offers its configuration folder, laid
+out as conf/ is, by an entry point:
+
+    [project.entry-points."quadexp.conf"]
+    my_lab = "my_lab.conf"
+
+`_target_` names what lies in one of these places and nothing else, so that a configuration file alone cannot name code
+that nobody meant to run; a --conf folder with modules in it is code.
 """
 
 from __future__ import annotations
 
+import functools
 import importlib
+import importlib.util
 import inspect
+import os
+import sys
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.plugins import lies_outside
 from quadexp.parts.settings import Name, Settings, record
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 TARGET = "_target_"  # key of an option that names the class of its part
 OWN = "quadexp"  # the package whose classes any option may name
+ENTRY_POINTS = "quadexp.conf"  # group of the entry points of plugin packages
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,3 +143,73 @@ class Given:
     residuals: Any = None
     checkpoint: Any = None
     plant_model: Any = None
+
+
+@functools.cache
+def plugin_folders() -> dict[str, Path]:
+    """Configuration folders of installed packages, by the name of their entry point, in the order of the names.
+
+    Raises UsageError where an entry point names no package with a folder.
+    """
+    folders = {}
+    for point in sorted(_entry_points(), key=lambda point: point.name):
+        try:
+            spec = importlib.util.find_spec(point.value)
+        except ImportError:
+            spec = None
+        places = list(spec.submodule_search_locations or ()) if spec else []
+        if not places:
+            said = f"entry point {point.name!r} of {ENTRY_POINTS}"
+            raise UsageError(f"{said}: no package {point.value!r} that holds a folder")
+        folders[point.name] = Path(places[0])
+    return folders
+
+
+_own: list[Path] = []  # folders given with --conf
+
+
+def own_folders() -> tuple[str, ...]:
+    """The folders given with --conf in this process, for the worker processes that it starts."""
+    return tuple(map(str, _own))
+
+
+def import_from(folder: Path) -> None:
+    """Let modules in a folder be imported, and named under `_target_`, in this process."""
+    if folder not in _own:
+        _own.append(folder)
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+
+
+def lies_outside(module: str) -> str:
+    """Why a module is none of a --conf folder or of an installed plugin package; "" where it is one. It is not
+    imported."""
+    for point in _entry_points():
+        package = point.value.rpartition(".")[0] or point.value
+        if f"{module}.".startswith(f"{package}."):
+            return ""
+    first = module.partition(".")[0]
+    theirs = [place for folder in _own for place in _places(PathFinder.find_spec(first, [str(folder)]))]
+    if theirs:
+        taken = _places(importlib.util.find_spec(first))
+        if not taken or any(_same(a, b) for a in theirs for b in taken):
+            return ""
+        return f"the name {first} is taken by {taken[0]}: give the module in the --conf folder another one"
+    where = f"the --conf folder {_own[-1]}" if _own else "a --conf folder (none is given)"
+    return f"there is no module {first} in {where}, nor in an installed package with an entry point of {ENTRY_POINTS}"
+
+
+def _entry_points() -> EntryPoints:
+    from importlib.metadata import entry_points  # which takes as long as all the rest of `quadexp --help`
+
+    return entry_points(group=ENTRY_POINTS)
+
+
+def _places(spec: ModuleSpec | None) -> list[str]:
+    if spec is None:
+        return []
+    return [spec.origin] if spec.origin else list(spec.submodule_search_locations or ())
+
+
+def _same(a: str, b: str) -> bool:
+    return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)

@@ -101,18 +101,18 @@ PARTS = tuple(group for group in CHOSEN if group not in {*BUNDLES, *PRESETS})  #
 def remedies(config: Config) -> dict[str, Any]:
     """The remedies that do something, by group, the one nearest to the controller first."""
     parts = {group: getattr(config, group) for group in REMEDIES}
-    return {group: one for group, one in parts.items() if not one.idle}
+    return {group: part for group, part in parts.items() if not part.idle}
 
 
 def controller_name(config: Config) -> str:
     """What the controller is called in tables, with the remedies around it: "gp_mpc+wind+strapdown"."""
-    return "+".join([config.controller.name, *(one.name for one in remedies(config).values())])
+    return "+".join([config.controller.name, *(remedy.name for remedy in remedies(config).values())])
 
 
 def world_parts(config: Config) -> dict[str, Part]:
     """The parts of the world that do something, by group; a sensor that is only an accelerometer is none."""
     parts = {group: getattr(config, group) for group in WORLD}
-    return {group: one for group, one in parts.items() if not one.idle}
+    return {group: part for group, part in parts.items() if not part.idle}
 
 
 def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
@@ -123,5 +123,7 @@ def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
     """
     if not world_parts(config):
         return "clean"
-    own = [f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]]
-    return ",".join(own if bundle == "clean" else [bundle, *own])
+    differing = [
+        f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]
+    ]
+    return ",".join(differing if bundle == "clean" else [bundle, *differing])

@@ -22,8 +22,9 @@ from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from quadexp.errors import ForbiddenValueError, UsageError
-from quadexp.files.names import is_name
 from quadexp.messages import suggestion
+from quadexp.names import is_name
+from quadexp.parts.former import refuse_former
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -111,9 +112,8 @@ class Settings:
     prefix: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
-        for one in declared(type(self)).values():
-            value = _checked(f"{self.prefix}{one.name}", getattr(self, one.name), one)
-            object.__setattr__(self, one.name, value)
+        for name, about in declared(type(self)).items():
+            object.__setattr__(self, name, _checked(f"{self.prefix}{name}", getattr(self, name), about))
 
 
 S = TypeVar("S", bound="DataclassInstance")
@@ -127,7 +127,7 @@ def declared(node: type) -> dict[str, Declared]:
 @functools.cache
 def _declared(node: type) -> dict[str, Declared]:
     hints = get_type_hints(node, include_extras=True)
-    found = {}
+    settings = {}
     for f in fields(node):
         kinds, *extras = get_args(hints[f.name]) if get_origin(hints[f.name]) is Annotated else (hints[f.name],)
         setting = f.metadata.get("setting") or next((extra for extra in extras if isinstance(extra, Setting)), None)
@@ -135,18 +135,11 @@ def _declared(node: type) -> dict[str, Declared]:
             continue
         optional = NoneType in get_args(kinds)
         kind = next(k for k in get_args(kinds) if k is not NoneType) if optional else kinds
-        arguments = get_args(kind)
-        listed = get_origin(kind) is tuple
-        found[f.name] = Declared(
-            f.name,
-            kind,
-            setting,
-            optional,
-            arguments if get_origin(kind) is Literal else setting.words,
-            0 if not listed or arguments[-1] is Ellipsis else len(arguments),
-            f,
-        )
-    return found
+        arguments, origin = get_args(kind), get_origin(kind)
+        words = arguments if origin is Literal else setting.words
+        length = len(arguments) if origin is tuple and arguments[-1] is not Ellipsis else 0
+        settings[f.name] = Declared(f.name, kind, setting, optional, words, length, f)
+    return settings
 
 
 def keys_of(node: type) -> list[str]:
@@ -163,6 +156,7 @@ def made(node: type[S], values: Mapping[str, Any], prefix: str | None = None) ->
     names = keys_of(node)
     for name in values:
         if name not in names:
+            refuse_former(f"{prefix}{name}")
             raise UsageError(f"{prefix}{name}: no such key{suggestion(str(name), names)}")
     lacking = _lacking(node, values, prefix)
     if len(lacking) == 1:
@@ -170,41 +164,41 @@ def made(node: type[S], values: Mapping[str, Any], prefix: str | None = None) ->
     if lacking:
         raise UsageError(f"{', '.join(lacking)}: have no value; give each as KEY=VALUE, or in the option's file")
     given = dict(values)
-    for name, one in declared(node).items():
-        if one.node and isinstance(given.get(name), Mapping):
-            given[name] = made(one.node, given[name])
+    for name, key in declared(node).items():
+        if key.node and isinstance(given.get(name), Mapping):
+            given[name] = made(key.node, given[name])
     return node(**given)
 
 
 def _lacking(node: type, values: Mapping[str, Any], prefix: str) -> list[str]:
     """Keys that have to be given and are not, those of inner nodes too, sorted."""
-    found = []
-    for name, one in declared(node).items():
-        value = values.get(name, REQUIRED if one.required else None)
-        if one.node and isinstance(value, Mapping):
-            found += _lacking(one.node, value, f"{prefix}{name}.")
+    lacking = []
+    for name, key in declared(node).items():
+        value = values.get(name, REQUIRED if key.required else None)
+        if key.node and isinstance(value, Mapping):
+            lacking += _lacking(key.node, value, f"{prefix}{name}.")
         elif isinstance(value, str) and value == REQUIRED:
-            found.append(f"{prefix}{name}")
-    return sorted(found)
+            lacking.append(f"{prefix}{name}")
+    return sorted(lacking)
 
 
 def plain(node: type) -> dict[str, Any]:
     """The defaults of a class as a configuration file would state them; REQUIRED where there is none."""
-    found: dict[str, Any] = {}
+    defaults: dict[str, Any] = {}
     for name in keys_of(node):
-        one = declared(node).get(name)
-        if one and one.node and not one.optional:
-            found[name] = plain(one.node)
+        key = declared(node).get(name)
+        if key and key.node and not key.optional:
+            defaults[name] = plain(key.node)
         else:
-            default = one.default if one else next(f.default for f in fields(node) if f.name == name)
-            found[name] = REQUIRED if default is MISSING else lists(default)
-    return found
+            default = key.default if key else next(f.default for f in fields(node) if f.name == name)
+            defaults[name] = REQUIRED if default is MISSING else lists(default)
+    return defaults
 
 
 def part(node: type[S], settings: Any, **others: Any) -> S:
     """The object that some settings configure, from all those of its fields that the settings have, and others."""
-    found = {f.name: getattr(settings, f.name) for f in fields(node) if hasattr(settings, f.name)}
-    return node(**found | others)
+    shared = {f.name: getattr(settings, f.name) for f in fields(node) if hasattr(settings, f.name)}
+    return node(**shared | others)
 
 
 def record(settings: Settings) -> dict[str, Any]:
@@ -221,20 +215,20 @@ def lists(value: Any) -> Any:
 
 
 # ------------------------------------------------------------------------------------------------------------ checks
-def _checked(key: str, value: Any, one: Declared) -> Any:
+def _checked(key: str, value: Any, about: Declared) -> Any:
     """The value in its declared type; ForbiddenValueError where it is none that is allowed."""
-    if value is None and one.optional:
+    if value is None and about.optional:
         return None
-    value = _typed(key, value, one.type)
-    if one.words and value not in one.words:
-        raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(one.words)}")
-    if one.length and len(value) != one.length and not _is_rows(one.type):
-        raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list of {one.length} numbers")
-    if one.setting.names and not is_name(value):
+    value = _typed(key, value, about.type)
+    interval, unit = about.setting.interval, about.setting.unit
+    if about.words and value not in about.words:
+        raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(about.words)}")
+    if about.length and len(value) != about.length and not _is_rows(about.type):
+        raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list of {about.length} numbers")
+    if about.setting.names and not is_name(value):
         raise ForbiddenValueError(f"{key}={value!r}: must be one printable line")
-    interval, unit = one.setting.interval, one.setting.unit
-    for item in value if isinstance(value, tuple) else [value] if interval else ():
-        if interval and not inside(item, interval):
+    for number in (value if isinstance(value, tuple) else (value,)) if interval else ():
+        if not inside(number, interval):
             raise ForbiddenValueError(f"{key}={_shown(value)}: must be in {interval} {unit}".rstrip())
     return value
 
@@ -272,10 +266,9 @@ def _number(key: str, value: Any, kind: type) -> Any:
 
 
 def _truth(key: str, value: Any) -> bool:
-    found = _WORDS.get(str(value).lower())
-    if found is None:
+    if str(value).lower() not in _WORDS:
         raise ForbiddenValueError(f"{key}={_shown(value)}: must be true or false")
-    return found
+    return _WORDS[str(value).lower()]
 
 
 def _is_rows(kind: Any) -> bool:
@@ -286,23 +279,27 @@ def _is_rows(kind: Any) -> bool:
 def _rows(key: str, value: Any, kind: Any) -> tuple[tuple[float, ...], ...]:
     count = None if get_args(kind)[-1] is Ellipsis else len(get_args(kind))
     try:
-        found = tuple(tuple(float(item) for item in row) for row in value)
+        rows = tuple(tuple(float(item) for item in row) for row in value)
     except (TypeError, ValueError):
-        found = ()
-    right = all(len(row) == 3 and all(map(math.isfinite, row)) for row in found)
-    if not found or not right or (count is not None and len(found) != count):
+        rows = ()
+    right = all(len(row) == 3 and all(map(math.isfinite, row)) for row in rows)
+    if not rows or not right or (count is not None and len(rows) != count):
         raise ForbiddenValueError(f"{key}={_shown(value)}: must be {count or 'some'} rows of 3 numbers each")
-    return found
+    return rows
 
 
 def inside(value: float, interval: str) -> bool:
     """Whether a number lies in an interval such as "(0, 60]"."""
+    from_low, low, high, to_high = _ends(interval)
+    return (low < value or (from_low and value == low)) and (value < high or (to_high and value == high))
+
+
+@functools.cache
+def _ends(interval: str) -> tuple[bool, float, float, bool]:
+    """Whether the lower end belongs to it, both ends, and whether the upper one does."""
     match = _INTERVAL.fullmatch(interval)
     assert match is not None, interval
-    left, low, high, right = match[1], float(match[2]), float(match[3]), match[4]
-    above = value >= low if left == "[" else value > low
-    below = value <= high if right == "]" else value < high
-    return above and below and not math.isnan(value)
+    return match[1] == "[", float(match[2]), float(match[3]), match[4] == "]"
 
 
 def _shown(value: Any) -> str:

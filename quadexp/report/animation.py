@@ -23,7 +23,6 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output, written
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
@@ -31,6 +30,7 @@ from quadexp.progress import Progress
 from quadexp.report.metrics import position_error
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
+from quadexp.writer import check_output, written
 
 FORMATS = (".gif", ".mp4")
 DPI = 100

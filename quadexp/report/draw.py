@@ -27,7 +27,6 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output, write_text
 from quadexp.log.store import read_flight, read_table
 from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
@@ -50,6 +49,7 @@ from quadexp.report.summary import RESULTS_FILE
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
 from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text, view
+from quadexp.writer import check_output, write_text
 
 SOURCE = "results"  # key of the folder that a flight of several results comes from
 SUFFIXES = ("png", "pdf", "svg", "html")

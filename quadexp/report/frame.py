@@ -29,7 +29,7 @@ from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
-from quadexp.parts.option_files import units
+from quadexp.parts.options import units
 from quadexp.parts.schema import PARTS, PRESETS, REMEDIES, WORLD
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 from quadexp.report.pairing import setting_pairs

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from quadexp.files.writer import write_text
 from quadexp.report.draw import line_figure
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure, save
@@ -20,6 +19,7 @@ from quadexp.report.table import Table
 from quadexp.report.tables import course_labels, plant_labels
 from quadexp.report.text import speed_text
 from quadexp.report.view import Axis, Place, Point, View
+from quadexp.writer import write_text
 
 Row = Mapping[str, Any]
 First = Literal["plant", "world"]

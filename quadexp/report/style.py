@@ -29,11 +29,11 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-from quadexp.files.writer import written
 from quadexp.messages import clean, html
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
 from quadexp.report import FORMATS
+from quadexp.writer import written
 
 HUES = {
     "ink": "#000000",

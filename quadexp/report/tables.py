@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError
-from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
@@ -43,6 +42,7 @@ from quadexp.report.statistics import BASELINE, CONFIDENCE, KINDS, Statistic, St
 from quadexp.report.table import Table, csv_text
 from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
 from quadexp.report.winner import verdicts
+from quadexp.writer import write_text
 
 MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
 STATISTICS = "statistics.parquet"

@@ -29,15 +29,15 @@ import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed, get_worker
 from distributed.security import Security
 
+from quadexp.cache import cache_folder
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.identity import input_hashes
-from quadexp.files.cache import cache_folder
-from quadexp.files.writer import written
-from quadexp.parts.plugins import own_folders
+from quadexp.parts.part import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, CellFunction, Task, Workers
 from quadexp.sweeps.engine_settings import DaskConfig, JobsConfig
 from quadexp.sweeps.server import SAFE, THREADS, environment
+from quadexp.writer import written
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.
 LOOPBACK = "127.0.0.1:0"

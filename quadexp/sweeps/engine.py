@@ -27,7 +27,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from quadexp.errors import ModuleError, QuadexpError, UsageError, WriteError, stops_all
 from quadexp.experiment.identity import ModelFile
-from quadexp.parts.plugins import import_from, own_folders
+from quadexp.parts.part import import_from, own_folders
 from quadexp.parts.schema import Config
 from quadexp.sweeps.server import PATH, PRELOAD, start_server, undisturbed, without_main
 

@@ -14,15 +14,15 @@ import numpy as np
 
 from quadexp import report
 from quadexp.errors import UsageError
-from quadexp.files.names import file_name
-from quadexp.files.writer import clean, remove
 from quadexp.log.cell_store import CellStore
+from quadexp.names import file_name
 from quadexp.report.frame import SweepFrame
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.report.view import View, automatic
 from quadexp.sweeps.engine import Workers, cause
+from quadexp.writer import clean, remove
 
 FOLDER = "figures"
 LONGEST = 600.0  # s that one figure may take

@@ -20,7 +20,6 @@ import quadexp
 from quadexp.errors import DataError, QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
-from quadexp.files.writer import make_inside
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
@@ -42,6 +41,7 @@ from quadexp.sweeps.engine import (
 )
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
+from quadexp.writer import make_inside
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
 

@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.files.names import NAMED, check_names
-from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_table, write_table
+from quadexp.names import NAMED, check_names
 from quadexp.report.metrics import (
     INTEGER_COLUMNS,
     ROW_COLUMNS,
@@ -29,6 +28,7 @@ from quadexp.report.metrics import (
 )
 from quadexp.report.statistics import Statistics, results_statistics
 from quadexp.report.tables import ErrorTable, comparison_texts, write_comparison
+from quadexp.writer import write_text
 
 RESULTS = "results.parquet"
 OPTIONAL = ("speed", "reference_residual", "outside_data")  # numbers that not every flight has: None where missing

@@ -10,8 +10,8 @@ from types import TracebackType
 from typing import Any
 
 from quadexp.errors import QuadexpError
-from quadexp.files.writer import write_text
 from quadexp.report.live import Live, page
+from quadexp.writer import write_text
 
 FILE = "watch.html"  # in the folder of results
 RENEWED = 2.0  # s between two pages at least

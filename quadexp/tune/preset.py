@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.files.names import file_name
-from quadexp.files.writer import write_text
 from quadexp.messages import printable
+from quadexp.names import file_name
 from quadexp.parts.compose import Composer
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import REMEDIES, Config
 from quadexp.parts.settings import record
+from quadexp.writer import write_text
 
 SUFFIX = "_tuned"
 HEAD = "# Provenance:"

@@ -22,7 +22,6 @@ from quadexp.errors import QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell
 from quadexp.experiment.identity import canonical, digest
-from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_record, read_text
 from quadexp.parts.cells import Cell
@@ -34,6 +33,7 @@ from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import fly_cells, flying
 from quadexp.tune.objective import LOST, Worth, worth
 from quadexp.tune.space import TUNED, Axis, overrides
+from quadexp.writer import write_text
 
 FIRST_SEED = 1_000_000  # of the flights that tune, far from those that evaluate
 SEEDS = 2  # of the flights that tune

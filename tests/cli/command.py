@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from quadexp.cli.app import app, main
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from quadexp.cli.bench import _controllers
+from quadexp.cli.fly import _controllers
 from tests.bench.rows import board
 from tests.cli.command import run
 

@@ -73,14 +73,14 @@ def shorter(flight, rows):
 
 def test_figures_of_flights_of_one_name_too(folder, tmp_path):
     flight, drawn = read_flight(folder / "turned.parquet"), []
-    for copy, one in (("x", shorter(flight, 300)), ("y", shorter(flight, 280)), ("z/y", shorter(flight, 260))):
+    for copy, one in (("x", shorter(flight, 300)), ("z/x", shorter(flight, 260))):
         (tmp_path / copy).mkdir(parents=True)
         drawn.append(tmp_path / copy / "a.parquet")
         write_flight(drawn[-1], one)
     code, out, _ = run("check", *drawn, "--figures", tmp_path / "figures")
     figures = sorted((tmp_path / "figures").rglob("*.svg"))
     assert code == 1 and all(str(figure) in out for figure in figures)
-    assert len(figures) == len({figure.read_bytes() for figure in figures}) == 3
+    assert len(figures) == len({figure.read_bytes() for figure in figures}) == 2
 
 
 def test_a_log_is_a_duplicate_only_of_one_that_was_imported(folder, tmp_path):

@@ -7,9 +7,8 @@ import io
 import json
 
 import pytest
-import typer.main
 
-from quadexp.cli.app import COMMANDS, app
+from quadexp.cli.app import app
 from quadexp.log.store import write_flight
 from tests.bench.rows import board
 from tests.cli.command import run
@@ -46,7 +45,14 @@ CALLS = {  # of each command: a call that answers with a table
     "options": ("options", "wind=gust"),
 }  # fmt: skip
 
-LONG = ("fit-gp", "fit-nn", "report")  # checked in two forms: what prints is the same for all
+LONG = (
+    "fit-gp",
+    "fit-nn",
+    "report",
+    "validate",
+    "tune",
+    "animate",
+)  # checked in two forms: what prints is the same for all
 HEADS = {"evaluate": 1}  # rows of a heading, which CSV has not
 
 
@@ -76,14 +82,14 @@ def folder(tmp_path_factory):
 
 
 def test_every_command_is_here_and_has_the_option():
-    assert set(CALLS) == set(COMMANDS)
-    group = typer.main.get_command(app)
-    for name, command in group.commands.items():
+    assert set(CALLS) == set(app.commands)
+
+    for name, command in app.commands.items():
         options = {option for parameter in command.params for option in parameter.opts}
         assert {"--format", "--json"} <= options, name
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", app.commands)
 def test_every_form_of_an_answer(name, folder, monkeypatch):
     """JSON is one object; the others hold a table, Markdown as many rows as CSV."""
     monkeypatch.chdir(folder)
@@ -100,15 +106,10 @@ def test_every_form_of_an_answer(name, folder, monkeypatch):
         assert forms["latex"].count(r"\begin{tabular}") == forms["latex"].count(r"\end{tabular}") >= 1
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", app.commands)
 def test_a_form_that_there_is_not_is_refused_before_anything_is_done(name, folder, monkeypatch):
     monkeypatch.chdir(folder)
     before = sorted(folder.rglob("*"))
     code, out, err = run(*CALLS[name], "--format", "xml")
     assert (code, out) == (2, "") and "--format xml: must be one of text, json, csv, markdown, latex" in err
     assert run(*CALLS[name], "--format", "csv", "--json")[0] == 2 and sorted(folder.rglob("*")) == before
-
-
-def test_the_format_of_a_log_is_another_option(here):
-    code, _, err = run("import", "a.ulg", "--format", "ulog")
-    assert code == 2 and "that of the log is --log-format" in err and err.count("\n") == 1

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 
-from quadexp.log.store import write_flight
 from tests.cli.command import run
-from tests.log.flights import straight_flight
 
 QUICK = ("trajectory=hover", "trajectory.duration=0.3", "controller.backend=interpreted", "plant.backend=interpreted")
 
@@ -25,18 +23,3 @@ def test_from_a_sweep_to_a_page(here):
     code, out, _ = run("report", "results/hover", "--out", "page.html", "--force", "--json")
     record = json.loads(out)
     assert code == 0 and record["path"] == "page.html" and len(record["answer"]) == 2
-
-
-def test_no_results_is_one_line(here):
-    code, out, err = run("report", "results/none")
-    assert (code, out) == (2, "") and err.count("\n") == 1 and "results/none: no such file" in err
-
-
-def test_export_prints_the_files(here):
-    write_flight("a.parquet", straight_flight(5))
-    code, out, _ = run("export", "a.parquet", "--to", "tum", "--out", "out/a.tum")
-    assert code == 0 and out.splitlines() == ["out/a.tum", "out/a_reference.tum"]
-    code, out, _ = run("export", "a.parquet", "--to", "csv", "--json")
-    assert code == 0 and json.loads(out)["files"]["csv"] == "a.csv"
-    code, _, err = run("export", "a.parquet", "--to", "rosbag")
-    assert code == 2 and "no such format" in err

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.api.loop import controller
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle, build_world, unshared
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import flight_entropy, flight_record
+from quadexp.loop import controller
 from quadexp.parts.compose import compose, expand
 from quadexp.parts.schema import WORLD, world_parts
 from quadexp.physics.state import POSITION, STATE_COLUMNS

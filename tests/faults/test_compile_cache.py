@@ -12,9 +12,9 @@ import time
 import casadi as ca
 import pytest
 
+from quadexp.cache import cache_folder
 from quadexp.compile.backend import compiler, realise
 from quadexp.errors import QuadexpError
-from quadexp.files.cache import cache_folder
 from tests.faults.command import ROOT
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")

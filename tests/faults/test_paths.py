@@ -8,8 +8,8 @@ import stat
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.files.writer import check_output
 from quadexp.parts.compose import compose, expand, session
+from quadexp.writer import check_output
 
 NAMES = (
     "a=b", "jürgen", "飛行", "a#b", "q'uo", "back\\slash", "end\\", "mix\\'x", "(copy)", "~t", "run [2]", "{x}",

@@ -155,7 +155,7 @@ def test_cleaning_removes_what_killed_writers_left_and_nothing_else(tmp_path):
 
 # Modules that make files in another way, and which.
 ELSEWHERE = {
-    "quadexp.files.writer": "the writer",
+    "quadexp.writer": "the writer",
     "quadexp.compile.backend": "a lock, and what is compiled, in a private folder",
     "quadexp.log.cell_store": "a lock",
     "quadexp.log.exporters": "in a private folder",

@@ -8,9 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from quadexp.errors import DataError, UsageError
-from quadexp.files.writer import check_output, written
 from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
 from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
+from quadexp.writer import check_output, written
 from tests.log.flights import straight_flight
 
 

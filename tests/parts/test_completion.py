@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from dataclasses import asdict
-from types import SimpleNamespace
-
 import pytest
 
-from quadexp.parts.completion import complete, keys
-from quadexp.parts.compose import session
-from quadexp.parts.option_files import groups
+from quadexp.parts.listing import candidates, key_words
+from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.schema import PARTS
+from quadexp.parts.settings import plain
 
 
 def typed(*words, conf=None):
     *before, incomplete = words
-    return complete(SimpleNamespace(params={"overrides": list(before), "conf": conf}), incomplete)
+    return candidates(before, incomplete, conf)
 
 
 @pytest.mark.parametrize(
@@ -41,10 +36,6 @@ def test_candidates(words, expected, prefix):
     assert all(word.startswith(prefix) for word in offered)
 
 
-def test_nothing_is_offered_for_what_is_nothing():
-    assert typed("nothing_like_it") == []
-
-
 def test_an_empty_word_offers_groups_and_plain_keys():
     offered = typed("")
     assert {"vehicle=", "controller=", "model=", "seed="} <= set(offered)
@@ -58,26 +49,7 @@ def test_a_folder_of_ones_own(tmp_path):
 
 
 def test_every_key_offered_can_be_set_with_some_option():
-    found = set()
-    with session() as composer:
-        for group in PARTS:
-            for option in composer.options(group):
-                extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
-                found |= set(flat(asdict(composer.compose([f"{group}={option}", *extra]))))
-    assert set(keys()) <= found
+    files, root = OptionFiles(), key_words("")
+    keys = {f"{group}.{name}" for group in PARTS for part in files.parts(group).values() for name in plain(part)}
+    assert {key if key in root else ".".join(key.split(".")[:2]) for key in key_words()} <= keys | set(root)
     assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "gp", "drag", "experiment"}
-
-
-def flat(node, prefix=""):
-    for name, value in node.items():
-        yield prefix + name
-        if isinstance(value, dict):
-            yield from flat(value, f"{prefix}{name}.")
-
-
-def test_hydra_is_not_imported():
-    code = (
-        "import sys; from types import SimpleNamespace; from quadexp.parts.completion import complete;"
-        "complete(SimpleNamespace(params={}), 'contr'); print('hydra' in sys.modules, 'numpy' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split() == ["False"] * 2

@@ -27,8 +27,3 @@ def test_in_a_file_of_the_users_own_too(tmp_path):
     (tmp_path / "engine" / "ours.yaml").write_text(content)
     with pytest.raises(UsageError, match="engine.queue: is no more: engine=jobs 'engine.options={queue: NAME}'"):
         compose(["engine=ours"], tmp_path)
-
-
-def test_what_replaces_the_keys_of_a_queue():
-    engine = compose(["engine=jobs", "engine.options={queue: short, walltime: 02:00:00, memory: 3GB}"]).engine
-    assert engine.system == "slurm" and engine.options == {"queue": "short", "walltime": "02:00:00", "memory": "3GB"}

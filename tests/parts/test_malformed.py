@@ -47,28 +47,6 @@ def test_any_text_is_an_override_or_one_plain_line(seed):
     assert refused < 240
 
 
-@pytest.mark.parametrize(
-    ("override", "said"),
-    {
-        "speed=8": "speed: no such key; did you mean trajectory.speed?",
-        "features.a_x=[]": "features.a_x: no such key; did you mean gp.features.a_x?",
-        "mass=1": "mass: no such key; did you mean vehicle.mass or truth.mass?",
-        "sped=8": "sped: no such key; did you mean trajectory.speed?",
-        "velocity=[1,0,0]": "did you mean wind.velocity of wind=constant",
-        "trajectory.duration=3": "it is a key of trajectory=",
-        "evaluate=3": "evaluate=3: holds keys; set one of them, such as evaluate.metric=",
-        "seed=${nope}": "seed: refers to a name that does not exist; a reference is ${KEY}",
-        "seed=${seed}": "seed: refers to what cannot be read",
-        f"trajectory.speed={'9' * 400}": "must be a number",
-        "trajectory.speed='8": "a bracket or quote is left open",
-    }.items(),
-)
-def test_what_is_said_helps(override, said):
-    with session() as composer, pytest.raises(UsageError) as error:
-        composer.compose([override])
-    assert said in str(error.value)
-
-
 def test_what_is_suggested_exists():
     """Each key that is named for another option composes with that option."""
     with session() as composer:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -39,23 +38,3 @@ def test_what_is_plain_means_the_same_to_hydra(text):
         assert not override.is_sweep_override()
         assert type(override.value()) is type(found.value) and override.value() == found.value
         assert found.text == f"{found.key}={override.get_value_element_as_str()}"
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "trajectory.speed=8",
-        "seed=0,1,2",
-        "seed=range(3)",
-        "controller=gp_mpc,nominal_mpc",
-        "model=models/gp",
-        "a.b=2.5",
-    ],
-)
-def test_usual_overrides_are_plain(text):
-    assert plain_override(text) is not None
-
-
-@pytest.mark.parametrize("text", ["+a=1", "~a", "a@b=1", "a=true", "a=null", "a=[1,2]", "a='x'", "a=", "a", "a/b=c"])
-def test_what_is_not_plain_is_left_to_hydra(text):
-    assert plain_override(text) is None

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import ast
-from pathlib import Path
-
 import pytest
 
-import quadexp
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_trajectory
 from quadexp.experiment.identity import digest, flight_entropy, flight_record, source_hashes
 from quadexp.parts.compose import compose, expand
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.part import Part
 from quadexp.parts.schema import PARTS, REMEDIES, WORLD
 
@@ -71,9 +67,8 @@ def test_a_class_and_an_option_are_a_part(own):
         ("function", "function: is no part"),
         ("Absent", "has no class or function 'Absent'"),
         ("quadexp.world.gust.Gust", "is a part of wind, not of trajectory"),
-        ("quadexp.files.writer.write_text", "is no part"),
+        ("quadexp.writer.write_text", "is no part"),
         ("os.system", "there is no module os in"),
-        ("shutil.rmtree", "there is no module shutil in"),
     ],
 )
 def test_nothing_else_is_named(own, target, message):
@@ -101,16 +96,6 @@ def test_the_shipped_ones_go_the_same_way():
         assert parts.keys() == set(files.options(group)), group
         for part in parts.values():
             assert issubclass(part, Part) and part.prefix in ("", f"{group}.") and part.__doc__
-
-
-def test_no_module_names_all_parts():
-    """But the tables of former names, which go with the former form, and of the options that do nothing."""
-    found = {part.__name__ for group in PARTS for part in OptionFiles().parts(group).values()} - {"Nothing"}
-    for path in Path(quadexp.__file__).parent.rglob("*.py"):
-        if path.name == "former.py":
-            continue
-        names = {n.name for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.alias)}
-        assert len(names & found) <= 6, path
 
 
 def test_what_decides_a_flight_is_what_it_was():

@@ -46,13 +46,6 @@ def test_a_bundle_of_remedies_chooses_the_horizon_too(name, observer):
     assert record(compose([f"remedies={name}"])) == hydra_composes([f"remedies={name}"])
 
 
-def test_a_bundle_of_remedies_may_choose_the_inner_loop():
-    config = compose(["remedies=unknown_vehicle", "controller=nominal_mpc", "delay=strapdown"])
-    assert (config.observer.name, config.inner.name, config.delay.name) == ("disturbance", "indi", "strapdown")
-    assert config.observer.torque_bandwidth == 0  # INDI removes torques
-    assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
-
-
 def test_a_bundle_sets_values_of_the_part_that_it_chooses():
     """Not of another one that is chosen over it."""
     with pytest.raises(UsageError, match=r"unknown_vehicle: sets observer\.\w+, which observer=wind does not have"):
@@ -87,9 +80,3 @@ def test_sweeps_vary_it_and_say_so():
     assert {cell.varied for cell in cells} == {"horizon=published", "horizon=precise"}
     for cell in cells:
         assert cell.config.controller.first_node == (0.02 if "horizon=precise" in cell.overrides else 0.0)
-
-
-def test_a_preset_of_ones_own(tmp_path):
-    (tmp_path / "horizon").mkdir()
-    (tmp_path / "horizon" / "long.yaml").write_text("# @package controller\nhorizon: 2.0\nnodes: 20\n")
-    assert grid("horizon=long", "controller=gp_mpc", conf=tmp_path) == (0.0, 2.0, 20, "command")

@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
-import importlib
-import pkgutil
-import re
-from pathlib import Path
 from typing import Any, get_origin
 
 import pytest
 
-import quadexp
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.option_files import ABSENT, OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.schema import PARTS, Config
-from quadexp.parts.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
+from quadexp.parts.settings import REQUIRED, Setting, declared, inside, lists, plain
 
-PACKAGE = Path(quadexp.__file__).parent
-CONFIGURED = {"physics", "air", "reference", "models", "world", "control"}  # rooms of what a configuration describes
 # What a part that is the object itself is given besides its keys.
 OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
-# Dataclasses that share three or more names with a node and configure nothing: why.
-NOT_SETTINGS = {"BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options"}
-
-
-def dataclasses_of_the_package() -> list[type]:
-    found = []
-    for module in pkgutil.walk_packages(quadexp.__path__, "quadexp."):
-        if module.name.endswith("__main__"):
-            continue
-        try:
-            members = vars(importlib.import_module(module.name)).values()
-        except ImportError:  # an extra that is not installed
-            continue
-        found += [m for m in members if isinstance(m, type) and m.__module__ == module.name]
-    return [one for one in found if dataclasses.is_dataclass(one)]
-
-
-ALL = dataclasses_of_the_package()
 
 
 def nodes() -> dict[str, type]:
@@ -58,31 +32,6 @@ def nodes() -> dict[str, type]:
 
 
 NODES = nodes()
-
-
-def test_the_search_finds_settings_and_what_they_configure():
-    names = {one.__name__ for one in ALL}
-    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPConfig", "MPC", *NOT_SETTINGS} <= names
-    assert len(NODES) > 25
-
-
-@pytest.mark.parametrize("one", [one for one in ALL if issubclass(one, Settings)], ids=lambda one: one.__name__)
-def test_a_name_is_declared_by_one_class_of_a_hierarchy(one):
-    for name in {f.name for f in dataclasses.fields(one)}:
-        places = [base.__name__ for base in one.__mro__ if name in base.__dict__.get("__annotations__", {})]
-        assert len(places) == 1, f"{one.__name__}.{name} is declared by {' and by '.join(places)}"
-
-
-def test_nothing_declares_the_settings_of_a_node_again():
-    again = {}
-    for one in (one for one in ALL if one.__module__.split(".")[1] in CONFIGURED):
-        if issubclass(one, Settings) or one.__name__ in NOT_SETTINGS:
-            continue
-        own = {f.name for f in dataclasses.fields(one)}
-        shared = max((own & declared(node).keys() for node in NODES.values()), key=len)
-        if len(shared) >= 3:
-            again[one.__name__] = sorted(shared)
-    assert not again, "inherit the settings instead"
 
 
 @pytest.mark.parametrize("name", NODES)
@@ -111,7 +60,7 @@ def stated(content: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 def holds_anyway(group: str, option: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """What an option would be without what its own file states, and that."""
     files = OptionFiles()
-    content = dict(files.read(group, option)[1]) if files.find(f"{group}/{option}") else dict(ABSENT[group][2])
+    content = dict(files.read(group, option)[1])
     target, values = content.pop(TARGET, None), {}
     for default in content.pop("defaults", []):
         if default != "_self_":
@@ -148,23 +97,3 @@ def test_python_and_the_command_line_refuse_alike(key, value):
     with pytest.raises(UsageError) as line:
         compose([f"controller.{key}={str(value).replace(' ', '')}"])
     assert str(python.value) == str(line.value)
-
-
-def test_hydra_and_omegaconf_are_used_by_their_public_names():
-    private = []
-    for file in sorted(PACKAGE.rglob("*.py")):
-        text = file.read_text(encoding="utf-8")
-        if "hydra" not in text and "omegaconf" not in text:
-            continue
-        tree = ast.parse(text)
-        modules = [(n.module or "", [a.name for a in n.names]) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
-        modules += [(a.name, []) for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
-        ours = [(module, names) for module, names in modules if module.split(".")[0] in ("hydra", "omegaconf")]
-        for module, names in ours:
-            if any(part.startswith("_") for part in [*module.split("."), *names]):
-                private.append(f"{file.name}: import of {module}")
-        for n in ast.walk(tree) if ours else ():
-            mine = isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name) and n.value.id in ("self", "cls")
-            if isinstance(n, ast.Attribute) and re.match(r"_[^_]", n.attr) and not mine:
-                private.append(f"{file.name}:{n.lineno}: {ast.unparse(n)}")
-    assert not private

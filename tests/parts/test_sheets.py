@@ -7,7 +7,7 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose, expand
 from quadexp.parts.listing import listed
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.settings import record
 
 LAB = """

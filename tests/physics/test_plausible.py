@@ -11,7 +11,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import heavy_drag
 from quadexp.parts.compose import compose
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 
 SHIPPED = OptionFiles().options("vehicle")
 

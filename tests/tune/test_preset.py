@@ -6,11 +6,11 @@ import shutil
 
 import pytest
 
-from quadexp.api.frames import Tuning
 from quadexp.errors import UsageError
+from quadexp.frames import Tuning
 from quadexp.log.store import read_metadata, read_table
 from quadexp.parts.compose import compose, session
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import REMEDIES
 from quadexp.parts.settings import record
 from quadexp.tune import Tune

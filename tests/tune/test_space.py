@@ -6,7 +6,7 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.options import OptionFiles
 from quadexp.tune.space import default_space, overrides, read_axes
 
 CONFIG = compose(["controller=nominal_mpc", "controller.position_weight=[6,6,15]"])

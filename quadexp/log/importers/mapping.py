@@ -32,7 +32,7 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.log.units import BODY_FRAMES, ELECTRICAL, UNITS, WORLD_FRAMES, axes_matrix, mounting_matrix, unit_factor
 from quadexp.messages import suggestion
-from quadexp.parts.plain_data import read_mapping
+from quadexp.parts.options import read_mapping
 
 
 class Quantity(NamedTuple):

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
@@ -23,6 +22,7 @@ from quadexp.report.metrics import position_error
 from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, save, styled
 from quadexp.report.table import Table
 from quadexp.report.text import speed_text
+from quadexp.writer import write_text
 
 EXPECTED = {  # time average of ||e_xi|| over 60 s, m, by trajectory, speed and controller
     ("rectangle", 5.0, "rls_feedback"): 1.65,

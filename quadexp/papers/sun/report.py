@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
@@ -33,6 +32,7 @@ from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.style import Figure, looks, plain_log, save, styled
 from quadexp.report.table import Table
+from quadexp.writer import write_text
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from quadexp import __version__
-from quadexp.files.names import file_name
-from quadexp.files.writer import check_output, write_text
 from quadexp.messages import script
+from quadexp.names import file_name
 from quadexp.report.document import Block, Section, document, template_text
 from quadexp.report.page.answer import answer
 from quadexp.report.page.panels import Pareto, Swept, pareto_section, swept_section
@@ -20,6 +19,7 @@ from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, r
 from quadexp.report.page.source import Comparison, read_comparison
 from quadexp.report.pairing import condition_of
 from quadexp.report.style import Figure, save_figure
+from quadexp.writer import check_output, write_text
 
 MOST_LINES = 200  # of a table
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from quadexp.errors import DEVICE, QuadexpError, WriteError
-from quadexp.files.writer import FOLDER_FLAGS, clean
+from quadexp.writer import FOLDER_FLAGS, clean
 
 BOUND = 1_000_000_000  # bytes of all libraries
 LONG_AGO = 86400.0  # s

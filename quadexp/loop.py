@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quadexp.api.overrides import Given, overrides
+from quadexp.api import Given, overrides
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord

@@ -1,4 +1,5 @@
-"""`quadexp new`: a start for a part of your own, made from the examples. Only light modules are imported here."""
+"""Commands that say what there is to choose, begin a part of one's own, and show what is kept: `quadexp options`,
+`new`, `cache`. Only light modules are imported at the top."""
 
 from __future__ import annotations
 
@@ -8,8 +9,59 @@ import shlex
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from quadexp.cli.command import Answer, Ask, command
+from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
+from quadexp.writer import check_output, write_text
+
+
+@command
+def options(
+    asked: Annotated[
+        str, Ask("A group, an option, or a word to look for.", "[GROUP | GROUP=OPTION | WORD]", word=True)
+    ] = "",
+    conf: Conf = None,
+) -> Answer:
+    """What there is to choose: groups, options, and the keys of an option with value, range, unit and meaning.
+
+    \b
+    quadexp options
+    quadexp options wind
+    quadexp options wind=gust
+    quadexp options delay
+    """
+    from quadexp.parts.listing import listed
+
+    records = listed(asked, conf)
+    first = max((len(next(iter(record.values()))) for record in records), default=0)
+    lines = []
+    for record in records:
+        name, *rest = record.values()
+        if "key" in record:
+            rest = [f"{record['value']:12s}", f"{record['allowed']:18s}", record["meaning"]]
+        lines.append("  ".join([f"{name:{min(first, 34)}s}", *rest]).rstrip())
+    return Answer({"asked": asked, "found": records}, records, lines)
+
+
+@command
+def cache(clear: Annotated[bool, Ask("Remove all of it; it is made again when needed.")] = False) -> Answer:
+    """Show, or clear, the folder of compiled functions.
+
+    It is QUADEXP_CACHE, or else the user's cache folder. Compiled functions that were not used for longest go first.
+
+    \b
+    quadexp cache
+    quadexp cache --clear
+    """
+    from quadexp import cache as kept
+
+    folder = kept.cache_folder()
+    if clear:
+        kept.clear(folder)
+    sizes = [about.st_size for about in kept.libraries(folder).values()]
+    record = {"folder": folder.path, "libraries": len(sizes), "bytes": sum(sizes), "bound": kept.BOUND}
+    full = f"{sum(sizes) / 1e6:.1f} of at most {kept.BOUND / 1e6:.0f} MB"
+    return Answer(record, [record], [f"{len(sizes)} compiled functions, {full}", folder.path])
+
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 WORDS = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan", "conftest"}  # of YAML, overrides and pytest
@@ -47,8 +99,6 @@ def new(
     quadexp new trajectory spiral --to my_parts
     quadexp new residual flapping
     """
-    from quadexp.files.writer import check_output, write_text
-
     if part not in TEMPLATES:
         raise UsageError(f"new: {part!r} is none of {', '.join(TEMPLATES)}")
     template = TEMPLATES[part]
@@ -98,7 +148,7 @@ def _check_name(part: str, name: str, option: str, template: Template, to: Path)
     """Raise UsageError where the name cannot be one of a module, of an option and of a test, or is taken."""
     from importlib.util import find_spec
 
-    from quadexp.parts.option_files import groups
+    from quadexp.parts.options import groups
 
     if not NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
         raise UsageError(f"new {part}: {name!r} is no name for a module: a letter, then letters, digits or _")

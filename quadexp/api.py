@@ -1,7 +1,7 @@
 """The commands as functions. What each takes, and the same results to the last bit, is that of its command.
 
 Settings are given as on the command line ("trajectory.speed=8"), as dictionaries ({"trajectory.speed": 8}, or nested
-{"trajectory": {"speed": 8}}), or as keywords; see quadexp/api/overrides.py. Nothing is written unless `out` is given.
+{"trajectory": {"speed": 8}}), or as keywords; see `overrides`. Nothing is written unless `out` is given.
 conf: a configuration folder of your own, as --conf. force: replace what is at `out`. progress: show it on the error
 stream. Errors are QuadexpError and its kinds (quadexp/errors.py) with a one-line message.
 """
@@ -10,46 +10,30 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, get_origin
 
 import pandas as pd
 
-from quadexp.api.checkpoint import Checkpoint
-from quadexp.api.frames import Dataset, Flight, Frame, Leaderboard, Results, Tuning
-from quadexp.api.overrides import Given, overrides
-from quadexp.bench import Bench
+from quadexp import requests
 from quadexp.errors import UsageError
-from quadexp.experiment.collect import collect_dataset
-from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.fit import fit_checkpoint
-from quadexp.files.writer import check_output
-from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
-from quadexp.parts.compose import compose, session
+from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
+from quadexp.log.store import read_flight, read_metadata, read_table, write_table
+from quadexp.parts.override import quoted
+from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
 from quadexp.progress import Progress
-from quadexp.tune import Tune
+from quadexp.requests import RESULTS, Bench, Tune
 
 Place = str | os.PathLike[str]
-RESULTS, MODEL = "results.parquet", "model.json"
-
-
-class Scratch:
-    """A folder that is removed when nothing refers to it any more, at the latest when Python ends."""
-
-    def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="quadexp-", ignore_cleanup_errors=True)
-
-    def __fspath__(self) -> str:
-        return self._folder.name
-
-    def __truediv__(self, name: str) -> Path:
-        return Path(self._folder.name) / name
-
-    def __reduce__(self) -> tuple[type[Path], tuple[str]]:
-        return Path, (self._folder.name,)  # a copy in another process does not own the folder
+Given = str | Mapping[str, Any]
+MODEL = "model.json"
+TOP = {*(f.name for f in fields(Config)), "experiment"}
+_PLAIN = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
 
 
 def simulate(
@@ -61,11 +45,7 @@ def simulate(
     Returns the flight, a row a control instant; how it went is its `outcome`, no error.
     Raises UsageError for wrong settings, a missing model, or a path that the vehicle cannot fly.
     """
-    config = compose(overrides(settings, keywords), _folder(conf))
-    path = None if out is None else check_output(Path(out), force=force)
-    flight = fly_one(config)
-    if path is not None:
-        write_flight(path, flight, force=force)
+    flight = requests.simulate(overrides(settings, keywords), _path(out), _path(conf), force=force).flight
     return Flight.of(flight.columns, flight.metadata)
 
 
@@ -82,12 +62,12 @@ def collect(
 
     A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
     """
-    config = compose(overrides(settings, keywords, "collect"), _folder(conf))
     scratch = Scratch()
-    path = scratch / "residuals.parquet" if out is None else check_output(Path(out), force=force)
-    given = [_file(one, scratch, f"flight_{i:03d}") for i, one in enumerate(flights)]
+    path = _path(out) or scratch / "residuals.parquet"
+    recorded = [_file(flight, scratch, f"flight_{i:03d}") for i, flight in enumerate(flights)]
     with _shown("seconds of flight", progress) as shown:
-        collect_dataset(config, path, flights=given, force=force, progress=shown)
+        texts = overrides(settings, keywords, "collect")
+        requests.collect(texts, path, _path(conf), flights=recorded, force=force, progress=shown)
     return Dataset.of(*read_table(path, "residuals"))
 
 
@@ -122,12 +102,11 @@ def _fit(
     progress: bool = False,
     **keywords: Any,
 ) -> Checkpoint:
-    config = compose(overrides(settings, keywords, kind), _folder(conf))
     scratch = Scratch()
-    path = scratch / kind if out is None else check_output(Path(out), force=force, folder=True)
-    file = _file(data, scratch, "residuals")
+    path = _path(out) or scratch / kind
     with _shown("fit", progress) as shown:
-        fit_checkpoint(kind, config, file, path, force=force, figures=False, progress=shown)
+        file, texts = _file(data, scratch, "residuals"), overrides(settings, keywords, kind)
+        requests.fit(kind, file, texts, path, _path(conf), force=force, figures=False, progress=shown)
     return Checkpoint(path, scratch if out is None else None)
 
 
@@ -147,20 +126,14 @@ def sweep(
     for as long as the table. old: cells at `out` flown by other sources than these: refuse, fly again, or keep.
     Returns a row a flight; of one that could not be flown `outcome` and `cause` say why.
     """
-    from quadexp.sweeps.sweep import build_engine, run_sweep
-
-    with session(_folder(conf)) as composer:
-        cells = composer.expand(overrides(settings, keywords, lists=True), check=False)
-    first = cells[0].config
     folder = Scratch() if out is None else Path(out)
-    chosen = first.evaluate
-    with _shown("flights", progress) as shown:
-        made = run_sweep(
-            cells, os.fspath(folder), metric=chosen.metric, baseline=chosen.baseline, confidence=chosen.confidence,
-            engine=build_engine(first), force=force, old=old, progress=shown,
-        )  # fmt: skip
+    texts = overrides(settings, keywords, lists=True)
+    swept = requests.evaluate(
+        texts, Path(folder), _path(conf), figures=False, old=old, force=force,
+        progress=lambda below: _shown("flights", progress),
+    )  # fmt: skip
     results = _results(folder)
-    results.attrs["notes"] = made.notes
+    results.attrs["notes"] = swept.result.notes
     return results
 
 
@@ -176,14 +149,11 @@ def tune(
     Returns a row a trial, the first one as it was; `choice` names what was found, `settings` what it changes.
     Raises UsageError where the budget does not pay two trials, or several controllers are asked for.
     """
-    from quadexp.tune.call import HISTORY
-    from quadexp.tune.call import tune as search
-
     folder, asked = Scratch() if out is None else Path(out), _request(Tune, keywords)
-    place: dict[str, Any] = {"out": Path(folder), "conf": _folder(conf), "force": force, "figure": out is not None}
+    place: dict[str, Any] = {"out": Path(folder), "conf": _path(conf), "force": force, "figure": out is not None}
     with _shown("flights", progress) as shown:
-        tuned = search(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
-    table = Tuning.of(*read_table(Path(folder) / HISTORY, "tuning"), folder)
+        tuned = requests.tune(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
+    table = Tuning.of(*read_table(Path(folder) / requests.TRIALS, "tuning"), folder)
     table.attrs |= {"best": tuned.best, "choice": tuned.choice, "lines": list(tuned.lines)}
     table.attrs["settings"] = dict(tuned.record["settings"])
     return table
@@ -201,16 +171,12 @@ def bench(
     Raises UsageError before anything is flown, also for results of another protocol. A flight that failed is a row with
     its cause, and counts as lost.
     """
-    from quadexp.bench.board import FILE
-    from quadexp.bench.run import bench as fly
-
     folder, asked = Scratch() if out is None else Path(out), _request(Bench, keywords)
     with _shown("flights", progress) as shown:
-        given = overrides(settings, keywords, "evaluate")
-        made = fly(given, asked, out=Path(folder), conf=_folder(conf), progress=shown)
-    table = Leaderboard.of(*read_table(Path(folder) / FILE, "leaderboard"), folder)
-    failed = [f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}"] if made.failed else []
-    table.attrs["notes"] = [*made.notes, *failed]
+        texts = overrides(settings, keywords, "evaluate")
+        board = requests.bench(texts, asked, out=Path(folder), conf=_path(conf), progress=shown)
+    table = Leaderboard.of(*read_table(Path(folder) / requests.LEADERBOARD, "leaderboard"), folder)
+    table.attrs["notes"] = [*board.notes, *requests.failed_flights(board)]
     return table
 
 
@@ -247,12 +213,29 @@ def load(path: Place) -> Flight | Dataset | Results | Checkpoint | Frame:
     return kinds.get(kind, Frame).of(*read_table(path, kind))
 
 
+# ---------------------------------------------------------------------------------------------------------------- files
+class Scratch:
+    """A folder that is removed when nothing refers to it any more, at the latest when Python ends."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="quadexp-", ignore_cleanup_errors=True)
+
+    def __fspath__(self) -> str:
+        return self._folder.name
+
+    def __truediv__(self, name: str) -> Path:
+        return Path(self._folder.name) / name
+
+    def __reduce__(self) -> tuple[type[Path], tuple[str]]:
+        return Path, (self._folder.name,)  # a copy in another process does not own the folder
+
+
 def _results(folder: Path | Scratch) -> Results:
     return Results.of(*read_table(folder / RESULTS, "results"), folder)
 
 
-def _folder(folder: Place | None) -> Path | None:
-    return None if folder is None else Path(folder)
+def _path(place: Place | None) -> Path | None:
+    return None if place is None else Path(place)
 
 
 def _file(given: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
@@ -266,4 +249,55 @@ def _file(given: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
 
 def _shown(label: str, wanted: bool) -> Any:
     """Progress where it is asked for, as a context."""
-    return Progress(label) if wanted else contextlib.nullcontext(lambda done, total: None)
+    return Progress(label) if wanted else contextlib.nullcontext(requests.quiet)
+
+
+# ------------------------------------------------------------------------------------------------------------- settings
+def overrides(
+    given: Sequence[Given], keywords: Mapping[str, Any], group: str = "trajectory", *, lists: bool = False
+) -> list[str]:
+    """Every setting as KEY=VALUE, in order.
+
+    given: texts KEY=VALUE as on the command line, and dictionaries {key: value}, where a key may be dotted and a value
+    a dictionary of its own. keywords: the same; a name that is no key of the configuration belongs to `group`: speed=8
+    is trajectory.speed=8. lists: a list is several values of a sweep, and a list inside it one value.
+    Raises UsageError for what is neither.
+    """
+    texts: list[str] = []
+    for one in given:
+        if isinstance(one, str):
+            texts.append(one)
+        elif isinstance(one, Mapping):
+            texts += _pairs(one, "", lists)
+        else:
+            raise UsageError(f"{one!r}: settings are text KEY=VALUE, dictionaries or keywords")
+    full = {name if name in TOP else f"{group}.{name}": value for name, value in keywords.items()}
+    return [*texts, *_pairs(full, "", lists)]
+
+
+def _pairs(values: Mapping[str, Any], prefix: str, lists: bool) -> Iterator[str]:
+    for name, value in values.items():
+        if not isinstance(name, str):
+            raise UsageError(f"{name!r}: keys are text, such as 'trajectory.speed'")
+        key, value = f"{prefix}{name}", value.tolist() if hasattr(value, "tolist") else value
+        if isinstance(value, Mapping):
+            yield from _pairs(value, f"{key}.", lists)
+        elif lists and isinstance(value, (list, tuple, range)):
+            if not value:
+                raise UsageError(f"{key}: an empty list leaves nothing to fly")
+            yield f"{key}={','.join(_text(key, one) for one in value)}"
+        else:
+            yield f"{key}={_text(key, value)}"
+
+
+def _text(key: str, value: Any) -> str:
+    """One value in the grammar of overrides."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if value is None or isinstance(value, (bool, int, float)):
+        return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
+    if isinstance(value, (list, tuple, range)):
+        return f"[{','.join(_text(key, one) for one in value)}]"
+    if isinstance(value, (str, os.PathLike)):
+        text = os.fspath(value)
+        return text if _PLAIN.fullmatch(text) else quoted(text)
+    raise UsageError(f"{key}: a {type(value).__name__} is no value: numbers, text, paths, lists and dictionaries are")

@@ -1,0 +1,398 @@
+"""Commands that learn from flights: `quadexp import`, `check`, `collect`, `fit-gp`, `fit-drag`, `fit-nn`, `identify`,
+`validate`. Only light modules are imported at the top."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+
+from quadexp.cli.command import Answer, Ask, Conf, Figures, Force, Out, Overrides, command, single_values
+from quadexp.cli.terminal import print_lines, say
+from quadexp.errors import UsageError
+from quadexp.progress import Progress
+
+_READERS = (Path(__file__).parents[1] / "log" / "importers" / "readers").glob("[a-z]*.py")
+LOG_FORMATS = ("auto", *sorted(file.stem for file in _READERS), "nanobench", "blackbird")
+BAD_ROWS = (
+    "Repeated rows, outliers, stretches of a dead logger: refuse the log, drop them (bridged where short), or make each"
+    " a gap."
+)
+Flights = Annotated[tuple[Path, ...], Ask("Of `quadexp import` or `simulate`.", "FLIGHT...")]
+Vehicle = Annotated[str | None, Ask("Of the configuration, not the flight's own.", "NAME")]
+
+
+# ----------------------------------------------------------------------------------------------------- recorded flights
+@command
+def import_(
+    logs: Annotated[tuple[Path, ...], Ask("Log files (or folders of ROS 2).", "LOG...")],
+    form: str,
+    log_format: Annotated[str, Ask(f"Of the log: {', '.join(LOG_FORMATS)}.", "FORMAT")] = "auto",
+    vehicle: Annotated[str | None, Ask("Which vehicle of the configuration flew.", "NAME")] = None,
+    out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("flights"),
+    mapping: Annotated[Path | None, Ask("What the columns of a table are (YAML).")] = None,
+    rate: Annotated[float | None, Ask("Of the flight; the log's own unless given.", "HZ")] = None,
+    describe: Annotated[bool, Ask("Propose a mapping for a table, and say how sure it is.")] = False,
+    crop: Annotated[bool, Ask("Cut off what is on the ground.", flag="--crop/--no-crop")] = True,
+    align: Annotated[bool, Ask("Move gyro and accelerometer by the offsets found.")] = False,
+    mounting: Annotated[str | None, Ask("Roll, pitch, yaw of the accelerometer in the body (deg).", "R,P,Y")] = None,
+    gyro_mounting: Annotated[str | None, Ask("The same of the gyro.", "R,P,Y")] = None,
+    bad_rows: Annotated[str, Ask(BAD_ROWS, "HOW")] = "refuse",
+    keep: Annotated[bool, Ask("Write flights with blocking findings too.")] = False,
+    conf: Conf = None,
+    force: Force = False,
+) -> Answer:
+    """Make flights of logs: one clock, SI units, ENU and FLU, ground phases cut off, quality checked.
+
+    \b
+    quadexp import logs/*.ulg --vehicle crazyflie --out flights
+    quadexp import --describe log.csv > mapping.yaml
+    quadexp import log.csv --mapping mapping.yaml --out flights
+    """
+    from quadexp import requests
+
+    if describe:
+        if len(logs) != 1:
+            raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
+        proposed = requests.describe_log(logs[0])
+        return Answer(proposed.record(), [], proposed.yaml().splitlines(), proposed.warnings)
+    turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
+    options = requests.ImportOptions(log_format, mapping, rate, crop, align, *turned, bad_rows)
+    records: list[dict[str, Any]] = []
+    for log in requests.import_logs(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
+        records.append(log.record())
+        if form == "text":  # as they come: a log may take minutes
+            print_lines(log.lines())
+            sys.stdout.flush()
+    lost = sum(record["path"] is None for record in records)
+    failed = [f"{lost} of {len(records)} logs were not imported"] if lost else []
+    return Answer({"out": out, "logs": records}, [_of_log(record) for record in records], [], failed=failed)
+
+
+def _of_log(record: dict[str, Any]) -> dict[str, Any]:
+    """One log as a row: what was found in it by name."""
+    findings = ", ".join(dict.fromkeys(finding["name"] for finding in record["findings"]))
+    return {**record, "notes": "; ".join(record["notes"]), "findings": findings}
+
+
+def _angles(option: str, text: str | None) -> tuple[float, float, float] | None:
+    """Three angles (deg) with commas between."""
+    if text is None:
+        return None
+    try:
+        roll, pitch, yaw = (float(word) for word in text.split(","))
+    except ValueError:
+        raise UsageError(f"{option}: '{text}' must be roll,pitch,yaw in degrees, as {option}=0.5,-7.8,0") from None
+    if not all(math.isfinite(x) and abs(x) <= 360 for x in (roll, pitch, yaw)):
+        raise UsageError(f"{option}: '{text}' must be in [-360, 360] deg")
+    return roll, pitch, yaw
+
+
+@command
+def check(
+    flights: Annotated[tuple[Path, ...], Ask("Flights of `quadexp import`.", "FLIGHT...")],
+    vehicle: Vehicle = None,
+    figures: Annotated[Path | None, Ask("Draw every flight's streams against each other.", "DIR")] = None,
+    strict: Annotated[bool, Ask("Warnings block as well.")] = False,
+    conf: Conf = None,
+) -> Answer:
+    """Check units, frames, signs, clock, sensors and commands of flights, and whether one is there twice.
+
+    Exit code 1 where a finding blocks: what would be learned from that flight would be wrong.
+
+    \b
+    quadexp check flights/nanobench/*.parquet
+    quadexp check flights/a.parquet --figures figures/check --strict
+    """
+    from quadexp import requests
+    from quadexp.report.table import Table
+
+    names = ("severity", "name", "where", "measured", "allowed", "advice")
+    stops = {"blocking", "warning"} if strict else {"blocking"}
+    checked = requests.check(flights, vehicle, conf)
+    drawn = _draw(figures, checked) if figures is not None else {}
+    records: list[dict[str, Any]] = []
+    lines: list[Any] = []
+    blocked = 0
+    for flight in checked:
+        stopped = not stops.isdisjoint(flight.severities)
+        blocked += stopped
+        records.append({
+            "path": flight.path, "rows": len(flight.flight), "duration": flight.duration, "vehicle": flight.vehicle,
+            "blocked": stopped, "findings": [finding.record() for finding in flight.findings],
+            "figure": drawn.get(flight.path),
+        })  # fmt: skip
+        title = f"{flight.path}: {len(flight.flight)} rows, {flight.duration:.1f} s"
+        cells = [[getattr(finding, name) for name in names] for finding in flight.findings]
+        lines += [Table(names, cells, title, left=frozenset(range(6)))] if cells else [title, "  nothing found"]
+        lines += [f"  {drawn[flight.path]}", ""] if flight.path in drawn else [""]
+    clean = sum(flight.severities <= {"info"} for flight in checked)
+    warned, stopping = (sum(name in flight.severities for flight in checked) for name in ("warning", "blocking"))
+    count = "1 flight" if len(checked) == 1 else f"{len(checked)} flights"
+    lines.append(f"{count}: {clean} clean, {warned} with warnings, {stopping} blocked")
+    by = " (--strict)" if strict else ""
+    failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"] if blocked else []
+    findings = [(flight.path, finding) for flight in checked for finding in flight.findings]
+    cells = [[path, *(getattr(finding, name) for name in names)] for path, finding in findings]
+    table = Table(("flight", *names), cells, left=frozenset(range(7)))
+    return Answer({"flights": records, "blocked": blocked, "strict": strict}, [table], lines, failed=failed)
+
+
+def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:
+    from quadexp.report.flight_figures import consistency_figure
+    from quadexp.report.style import save
+
+    drawn: dict[str, Path] = {}
+    for flight in checked:
+        stem = Path(flight.path).stem
+        more = (f"{stem}_{k}" for k in range(2, len(checked) + 2))
+        names = (stem, f"{Path(flight.path).parent.name}_{stem}", *more)
+        file = next(folder / f"{name}.png" for name in names if folder / f"{name}.svg" not in drawn.values())
+        drawn[flight.path] = save(consistency_figure(stem, flight.flight, flight.findings), file)
+    return drawn
+
+
+# ----------------------------------------------------------------------------------------------------------------- fits
+@command
+def collect(
+    overrides: Overrides = (),
+    out: Out = Path("data/residuals.parquet"),
+    flight: Annotated[tuple[Path, ...], Ask("Use this recorded flight; repeatable.", "PATH", "--flight")] = (),
+    save_flights: Annotated[Path | None, Ask("Write the flights too.", "DIR")] = None,
+    sweep: Annotated[bool, Ask("Fly in every combination of the worlds given, one after another.")] = False,
+    conf: Conf = None,
+    force: Force = False,
+) -> Answer:
+    """Fly random paths, or take recorded flights, and write the residual: what the rigid body does not explain.
+
+    \b
+    quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
+    quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
+    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] truth.mass=1,1.2 --out data/worlds.parquet
+    """
+    from quadexp import requests
+
+    with Progress("seconds of flight") as progress:
+        report = requests.collect(
+            overrides, out, conf, flights=flight, save_flights=save_flights, sweep=sweep, force=force, progress=progress
+        )
+    return Answer(report, [single_values(report)], [*report["lines"], out])
+
+
+DataSet = Annotated[Path, Ask("Data set of `quadexp collect`.", "DATASET")]
+After = Annotated[Path | None, Ask("Checkpoint that explains a part; the rest is fitted, for a sum of the two.")]
+
+
+@command
+def fit_gp(
+    dataset: DataSet,
+    overrides: Overrides = (),
+    out: Out = Path("models/gp"),
+    figures: Annotated[bool, Ask("Draw the fit.", flag="--figures/--no-figures")] = True,
+    after: After = None,
+    conf: Conf = None,
+    force: Force = False,
+) -> Answer:
+    """Fit Gaussian processes to a data set and write the checkpoint.
+
+    \b
+    quadexp fit-gp data/residuals.parquet --out models/gp
+    quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
+    """
+    return _fit("gp", dataset, overrides, out, conf, force, figures=figures, after=after)
+
+
+@command
+def fit_drag(
+    dataset: DataSet, overrides: Overrides = (), out: Out = Path("models/drag"), conf: Conf = None, force: Force = False
+) -> Answer:
+    """Fit linear rotor drag to a data set and write the checkpoint.
+
+    \b
+    quadexp fit-drag data/residuals.parquet --out models/drag
+    """
+    return _fit("drag", dataset, overrides, out, conf, force)
+
+
+@command
+def fit_nn(
+    dataset: DataSet,
+    overrides: Overrides = (),
+    out: Out = Path("models/nn"),
+    after: After = None,
+    conf: Conf = None,
+    force: Force = False,
+) -> Answer:
+    """Fit a neural network to a data set and write the checkpoint.
+
+    \b
+    quadexp fit-nn data/residuals.parquet --out models/nn
+    quadexp fit-nn data/residuals.parquet nn.hidden=[24,24] nn.spectral=8 --out models/nn24
+    """
+    return _fit("nn", dataset, overrides, out, conf, force, after=after)
+
+
+def _fit(
+    kind: str, dataset: Path, overrides: Sequence[str], out: Path, conf: Path | None, force: bool, **options: Any
+) -> Answer:
+    from quadexp import requests
+
+    with Progress("fit") as progress:
+        report = requests.fit(kind, dataset, overrides, out, conf, force=force, progress=progress, **options)
+    return Answer(report, report["rows"], [*report["lines"], out])
+
+
+# ------------------------------------------------------------------------------------------------------- identification
+CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
+KINDS = "linear,quadratic,blade_element"
+SIGNAL = "Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all."
+CURVE = "Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage."
+VOLTAGE = "Voltage the curve is stated at; 0: the voltage is not used."
+# Options that not every method has.
+OPTIONS = {
+    "rls": ("out", "force", "paper"),
+    "regression": (
+        "out", "force", "drag", "signal", "curve", "voltage", "exponent", "radius", "loss", "figures",
+    ),
+    "delays": ("figure",),
+}  # fmt: skip
+
+
+@command
+def identify(
+    flights: Flights,
+    out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("data/estimates"),
+    method: Annotated[
+        str | None, Ask("rls where rotor speeds and geometry are known.", "rls|regression|delays")
+    ] = None,
+    vehicle: Vehicle = None,
+    paper: Annotated[bool, Ask("rls: P_0 = 50 and unit noise, as Lei & Li.")] = False,
+    drag: Annotated[str, Ask(f"Drag models to fit, of {KINDS}.", "MODELS")] = KINDS,
+    signal: Annotated[str | None, Ask(SIGNAL, "COLUMNS")] = None,
+    curve: Annotated[str, Ask(CURVE, "s+s2|s|s2|auto", "--thrust-curve")] = "auto",
+    voltage: Annotated[float | None, Ask(VOLTAGE, "V", "--reference-voltage")] = None,
+    exponent: Annotated[str, Ask("Exponent of the voltage; fit: estimated.", "G|fit", "--voltage-exponent")] = "1",
+    radius: Annotated[float | None, Ask("Rotor radius for the induced velocity.", "M", "--rotor-radius")] = None,
+    loss: Annotated[str, Ask("Loss that is minimised.", "squares|huber")] = "squares",
+    figures: Figures = True,
+    figure: Annotated[Path | None, Ask("delays: draw the search, as SVG and PNG.")] = None,
+    verbose: Annotated[bool, Ask("Print all that was found, as `quadexp show` does.")] = False,
+    conf: Conf = None,
+    force: Force = False,
+) -> Answer:
+    """Identify a vehicle from its flights: thrust curve, drag, blade-element coefficients, with 95 % intervals.
+
+    --method rls: recursive least squares, flight by flight, for flights with rotor speeds of a vehicle whose rotors are
+    known; gives time series of C_d0, C_la and C_D, one file a flight. --method regression: all other flights together;
+    gives a vehicle model, a folder that collect, validate and evaluate read. --method delays: age of the estimate, dead
+    time of the commands and lag of the motors, with the settings to give; writes nothing but --figure.
+
+    \b
+    quadexp identify flights/a.parquet flights/b.parquet --out models/crazyflie
+    quadexp identify runs/a.parquet --out data/estimates        # simulated with vehicle=lei_li plant=blade_element
+    quadexp identify --method delays runs/a.parquet
+    """
+    from quadexp import requests
+
+    if curve not in CURVES:
+        raise UsageError(f"identify --thrust-curve: '{curve}' is none of {', '.join(CURVES)}")
+    settings = {
+        "signal": signal, "reference_voltage": voltage, "voltage_exponent": _exponent(exponent),
+        "powers": CURVES[curve], "radius": radius, "loss": loss,
+        "kinds": tuple(name.strip() for name in drag.split(",") if name.strip()),
+    }  # fmt: skip
+    report = requests.identify(
+        flights, out, conf, chosen=_accepted, method=method, vehicle=vehicle, paper=paper, settings=settings,
+        figures=figures, figure=figure, force=force,
+    )  # fmt: skip
+    taken = report["method"]
+    record = {key: value for key, value in report.items() if key not in ("lines", "main")}
+    if taken == "delays":
+        rows = [{**flight, "overrides": " ".join(flight["overrides"])} for flight in report["flights"]]
+        return Answer({"method": taken, "flights": report["flights"]}, rows, report["lines"])
+    if taken == "rls":
+        rows = [row for flight in report["flights"] for row in _of_flight(flight)]
+        return Answer(record, rows, report["lines"])
+    rows = [{"model": name, **row} for name, model_rows in report["models"].items() for row in model_rows]
+    return Answer(record, rows, [*report["lines" if verbose else "main"], out])
+
+
+def _accepted(method: str, reason: str) -> None:
+    """Say which method is taken; UsageError for an option on the command line that it does not have."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        having = [other for other, names in OPTIONS.items() if option.name in names]
+        source = context.get_parameter_source(str(option.name))
+        if having and method not in having and source is click.core.ParameterSource.COMMANDLINE:
+            raise UsageError(f"identify {option.opts[0]}: is for --method {' or '.join(having)}, not {method}")
+    if method != "delays":
+        say(f"{method}: {reason}")
+
+
+def _of_flight(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The coefficients identified in one flight, a row each."""
+    intervals = record.get("interval_95", {})
+    return [
+        {
+            "flight": record["flight"], "coefficient": name, "value": value,
+            "low": intervals.get(name, [None, None])[0], "high": intervals.get(name, [None, None])[1],
+            "recursion": record["recursion"][name], "path": record["path"],
+        }
+        for name, value in record["estimates"].items()
+    ]  # fmt: skip
+
+
+def _exponent(text: str) -> float | None:
+    if text == "fit":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(f"identify --voltage-exponent: '{text}' is neither a number nor fit") from None
+
+
+@command
+def validate(
+    words: Annotated[
+        tuple[str, ...], Ask("Folders of `quadexp identify`, `fit-gp` or `fit-drag`.", "MODEL... [KEY=VALUE...]")
+    ],
+    flights: Annotated[tuple[Path, ...], Ask("Flights to predict; several may follow.", "FLIGHT...", "--flights")] = (),
+    horizons: Annotated[str, Ask("Horizons of the open-loop predictions (s).", "S,S,...")] = "0.1,0.5,1",
+    leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,
+    out: Annotated[Path | None, Ask("Write report and figures there.", "DIR", "--out -o")] = None,
+    figures: Annotated[bool, Ask("Draw figures (with --out).", flag="--figures/--no-figures")] = True,
+    conf: Conf = None,
+    force: Force = False,
+) -> Answer:
+    """Compare what models predict with what flights did: sample by sample, and open loop from many start points.
+
+    The vehicle is the flights' own unless vehicle=NAME is given.
+
+    \b
+    quadexp validate models/crazyflie models/gp --flights flights/c.parquet --out results/validation
+    quadexp validate models/crazyflie --flights flights/a.parquet flights/b.parquet flights/c.parquet --leave-one-out
+    """
+    from quadexp import requests
+
+    overrides = [text for text in words if "=" in text]
+    paths = [Path(text) for text in words if "=" not in text]
+    tested = [*flights, *(path for path in paths if path.suffix == ".parquet")]
+    models = [path for path in paths if path.suffix != ".parquet"]
+    if not tested:
+        raise UsageError("validate: no flight given; add --flights FLIGHT...")
+    try:
+        seconds = [float(text) for text in horizons.split(",")]
+    except ValueError:
+        raise UsageError(f"--horizons: '{horizons}' must be numbers of seconds with commas between") from None
+    config = requests.vehicle_of(tested, overrides, conf)
+    with Progress("validate") as progress:
+        report = requests.validate(
+            models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
+            force=force, progress=progress,
+        )  # fmt: skip
+    record = {key: value for key, value in report.items() if key != "lines"}
+    return Answer(record, report["rows"], [*report["lines"], *([out] if out else [])])

@@ -1,0 +1,352 @@
+"""Options: found in the folders of configuration, read as data, and joined with those that they extend.
+
+The folders are conf/, then those of installed plugins, then a user's own. An option is a file GROUP/NAME.yaml:
+
+    defaults: [nominal_mpc, _self_]       # an option extends others of its group
+    defaults: [override /wind: gust]      # a bundle, or an experiment, chooses options of other groups
+
+or an entry of a sheet, options/SHEET.yaml, which holds several, by group and option:
+
+    controller:
+      nominal_mpc_tuned: {of: nominal_mpc, position_weight: [28.5, 28.5, 28.5]}
+    world:
+      heavy: {meaning: 30 % more mass than believed, actuator: first_order, truth.mass: 1.3}
+
+`of` names the option that it extends, `meaning` says in words what it is, `provenance` where its values come from; the
+rest is what a file would state. Of a bundle (world, remedies) a key that names a group chooses its option, and
+GROUP.KEY sets a value. A part of a world whose values are set so is an option too: truth=heavy.
+
+A folder may come from anybody. So a file that is none (a pipe, a device) is not opened to be waited for; aliases of
+YAML (&a, *a) stand for a bounded number of values, and nothing is nested without end; `${KEY}` names a key of the
+configuration, and no resolver of a library (`${oc.env:HOME}`) is ever asked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import os
+import re
+import stat
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from quadexp.errors import UsageError
+from quadexp.messages import MOST_NAMED, ending_in
+from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name
+from quadexp.parts.part import TARGET, Part, part_class, plugin_folders
+from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
+from quadexp.parts.settings import declared
+
+SHEETS = "options"  # folder of the sheets, in a folder of configuration
+NOTHING = "nothing"  # the sheet of the options that do nothing, for each of which `none` stands
+ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
+LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
+GLOBAL = ("experiment", *BUNDLES)  # groups whose options set values of the whole configuration
+MOST_BYTES = 1_000_000  # of a file
+MOST_VALUES = 20_000  # of a file, every alias counted as what it stands for
+DEEPEST = 40  # mappings and lists within each other
+REFERENCE = re.compile(r"\$\{([A-Za-z_]\w*(?:\.\w+)*)\}")
+REFERENCES = (
+    "a reference is ${KEY} with a key of the configuration, such as ${seed} or ${trajectory.speed}, and none that leads"
+    " back to itself"
+)
+
+
+class Entry(NamedTuple):
+    """An option of a sheet. content: what a file of its own would state, with `defaults`."""
+
+    sheet: Path
+    content: dict[str, Any]
+    meaning: str
+    provenance: dict[str, Any] | None
+
+
+class Option(NamedTuple):
+    """An option with those that it extends. values: what they set. chosen: options of other groups, by group."""
+
+    values: dict[str, Any]
+    chosen: dict[str, str]
+
+
+def folders(extra: Path | None = None) -> list[Path]:
+    """Folders of configuration files, in the order in which an option is looked for."""
+    return [conf_folder(), *plugin_folders().values(), *([extra] if extra else [])]
+
+
+def groups(extra: Path | None = None) -> dict[str, list[str]]:
+    """Configuration groups and their options: a listing of the folders and of the sheets."""
+    options: dict[str, set[str]] = {}
+    for root in folders(extra):
+        files = [path for path in root.glob("*/*.yaml") if path.is_file() and path.parent.name != SHEETS]
+        names = [(path.parent.name, path.stem) for path in files]
+        for group, option in [*names, *(name.split("/", 1) for name in entries(root))]:
+            options.setdefault(group, set()).add(option)
+    return {group: sorted(names) for group, names in sorted(options.items())}
+
+
+class OptionFiles:
+    """folders: in the order in which a file is looked for. groups: the options of every group. entries: the options
+    that stand in sheets, but for those that a folder before has as a file."""
+
+    def __init__(self, extra: Path | None = None) -> None:
+        self.folders = folders(extra)
+        self.groups = groups(extra)
+        self.entries: dict[str, Entry] = {}
+        for place, folder in enumerate(self.folders):
+            for name, entry in entries(folder).items():
+                if not any((other / f"{name}.yaml").is_file() for other in self.folders[: place + 1]):
+                    self.entries.setdefault(name, entry)
+        self._options: dict[tuple[str, str], Option] = {}
+
+    def options(self, group: str) -> list[str]:
+        """Names of a group's options."""
+        return [name for name in self.groups.get(group, ()) if not name.startswith("_")]
+
+    def named(self, group: str, option: Any) -> str | None:
+        """The option of this name; None where there is none. `none` is the one that does nothing."""
+        if option in self.options(group):
+            return str(option)
+        idle = (name for name in self.options(group) if option == "none" and self._does_nothing(f"{group}/{name}"))
+        return next(idle, None)
+
+    def _does_nothing(self, name: str) -> bool:
+        return name in self.entries and self.entries[name].sheet.stem == NOTHING
+
+    def find(self, name: str) -> Path | None:
+        """The file of a name such as "plant/ideal"; None where there is none."""
+        if name in self.entries:
+            return self.entries[name].sheet
+        return next((path for folder in self.folders if (path := folder / f"{name}.yaml").is_file()), None)
+
+    def meaning(self, group: str, option: str) -> str:
+        """What an option is, in words: as its sheet says, or the comment at the head of its file."""
+        name = f"{group}/{option}"
+        if name in self.entries:
+            return self.entries[name].meaning
+        path = self.find(name)
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path else []
+        return " ".join(line.lstrip("# ") for line in lines if line.startswith("#") and "@package" not in line)
+
+    def read(self, group: str, option: str) -> tuple[Path, Mapping[str, Any]]:
+        """An option's file, and what it says; UsageError where it is none of settings."""
+        path, content = self._stated(group, option)
+        return path, {key: value for key, value in content.items() if key != LOOK}
+
+    def look(self, group: str, option: str) -> Mapping[str, Any]:
+        """How an option is drawn: hue, marker, dash; empty where it does not say."""
+        look = self._stated(group, option)[1].get(LOOK) or {}
+        return look if isinstance(look, Mapping) else {}
+
+    def _stated(self, group: str, option: str) -> tuple[Path, Mapping[str, Any]]:
+        name = f"{group}/{option}"
+        if name in self.entries:
+            return self.entries[name].sheet, self.entries[name].content
+        path = self.find(name)
+        if path is None:
+            raise UsageError(f"{group}={option}: there is no file {name}.yaml")
+        return path, read_mapping(path)
+
+    def option(self, group: str, name: str) -> Option:
+        """An option with those that it extends, read once; do not change it."""
+        if (group, name) not in self._options:
+            self._options[group, name] = self._read_option(group, name, ())
+        return self._options[group, name]
+
+    def _read_option(self, group: str, name: str, extending: tuple[str, ...]) -> Option:
+        """extending: the options that led here."""
+        path, content = self.read(group, name)
+        if name in extending:
+            raise UsageError(f"{path}: defaults: {group}={name} extends itself")
+        stated = {str(key): value for key, value in content.items() if key != "defaults"}
+        defaults = content.get("defaults") or []
+        values: dict[str, Any] = {}
+        chosen: dict[str, str] = {}
+        inherited: dict[str, str] = {}
+        for entry in [*defaults, *([] if "_self_" in defaults else ["_self_"])]:
+            text = str(entry)
+            if "${" in text:
+                raise UsageError(f"{path}: defaults: {text}: an option is chosen by its name, not by a reference")
+            if text == "_self_":
+                merge(values, stated)
+            elif isinstance(entry, Mapping) and group in GLOBAL:
+                chosen |= self._choices(path, entry)
+            elif not isinstance(entry, str):
+                raise UsageError(f"{path}: defaults: {text}: an option extends others of its group, by their names")
+            elif former := former_name(text, path):
+                merge(values, self._former(former))
+            else:
+                extended = self._read_option(group, text.removesuffix(".yaml"), (*extending, name))
+                merge(values, extended.values)
+                inherited |= extended.chosen
+        return Option(values, inherited | chosen)
+
+    def _choices(self, path: Path, entry: Mapping[Any, Any]) -> dict[str, str]:
+        """Options that an entry of `defaults` chooses, such as `override /wind: gust`."""
+        choices = {}
+        for key, option in entry.items():
+            group = str(key).removeprefix("override ").strip().lstrip("/")
+            if group not in CHOSEN:
+                raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
+            name = self.named(group, option)
+            if name is None:
+                raise UsageError(f"{path}: defaults: {key}: {option}: there is no such option of {group}")
+            choices[group] = name
+        return choices
+
+    def _former(self, name: str) -> dict[str, str]:
+        if name in FORMER_CLASSES:
+            return {FORMER_TARGET if "/custom" in name else TARGET: f"quadexp.{FORMER_CLASSES[name]}"}
+        group, _, option = name.partition("/")
+        return {TARGET: self.option(group, option).values[TARGET]}
+
+    def part_of(self, group: str, option: str) -> type[Part] | None:
+        """The class of an option's part; None where its file, and those that it extends, name none."""
+        values = self.option(group, option).values
+        target = values.get(FORMER_TARGET) or values.get(TARGET)
+        return part_class(group, str(target)) if target and group in PARTS else None
+
+    def parts(self, group: str) -> dict[str, type[Part]]:
+        """The classes of a group's parts, by option; one whose file is wrong is left out: who takes it is told."""
+        parts: dict[str, type[Part]] = {}
+        for option in self.options(group):
+            with contextlib.suppress(UsageError):
+                if part := self.part_of(group, option):
+                    parts[option] = part
+        return parts
+
+    def having(self, key: str) -> dict[str, list[str]]:
+        """Dotted keys that are the given one or end in it -> the options, chosen or not, that have it."""
+        having: dict[str, list[str]] = {}
+        for group in PARTS:
+            parts = self.parts(group)
+            names = {f"{group}.{name}" for part in parts.values() for name in declared(part)}
+            for name in ending_in(key, sorted(names)) + ([key] if key in names else []):
+                local = name.removeprefix(f"{group}.")
+                options = [f"{group}={option}" for option, part in parts.items() if local in declared(part)]
+                having[name] = options[:MOST_NAMED]
+        return having
+
+
+def merge(values: dict[str, Any], over: Mapping[str, Any]) -> None:
+    """Set values over others, key by key where both are mappings."""
+    for key, value in over.items():
+        if isinstance(value, Mapping) and isinstance(values.get(key), dict):
+            merge(values[key], value)
+        else:
+            values[key] = copy.deepcopy(value)
+
+
+@functools.cache
+def units(group: str) -> dict[str, str]:
+    """Units of the keys of a group's parts, by name; "" for a number without one."""
+    parts = OptionFiles().parts(group).values()
+    return {name: setting.setting.unit for part in parts for name, setting in declared(part).items()}
+
+
+# ------------------------------------------------------------------------------------------------------------ sheets
+def entries(folder: Path) -> dict[str, Entry]:
+    """Name, such as "world/heavy" -> option, of all sheets in a folder of configuration.
+
+    Raises UsageError where a sheet is not of the form above, or two state the same option.
+    """
+    options: dict[str, Entry] = {}
+    for sheet in sorted((folder / SHEETS).glob("*.yaml")):
+        state = sheet.stat()
+        for name, entry in _entries_of(sheet, state.st_mtime_ns, state.st_size).items():
+            if name in options:
+                raise UsageError(f"{sheet}: {name}: stands in {options[name].sheet.name} too")
+            options[name] = entry
+    return options
+
+
+@functools.cache
+def _entries_of(sheet: Path, modified: int, size: int) -> dict[str, Entry]:
+    options: dict[str, Entry] = {}
+    groups = (*PARTS, *PRESETS, *BUNDLES)
+    for group, stated in read_mapping(sheet).items():
+        if group not in groups or not isinstance(stated, Mapping):
+            raise UsageError(f"{sheet}: {group}: must be a group that holds options; groups are {', '.join(groups)}")
+        for option, values in stated.items():
+            if not isinstance(values, Mapping):
+                raise UsageError(f"{sheet}: {group}: {option}: must hold keys and values")
+            extended, meaning, provenance = (values.get(word) for word in ABOUT)
+            settings = {str(key): value for key, value in values.items() if key not in ABOUT}
+            for name, content in _contents(group, str(option), settings, extended).items():
+                options[name] = Entry(sheet, content, " ".join(str(meaning or "").split()), provenance)
+    return options
+
+
+def _contents(group: str, option: str, values: dict[str, Any], extended: Any) -> dict[str, dict[str, Any]]:
+    """Name -> content of the options that an entry stands for. extended: the option that it extends, or None."""
+    defaults: list[Any] = [] if extended is None else [extended]
+    if group not in BUNDLES:
+        return {f"{group}/{option}": {"defaults": [*defaults, "_self_"], **values}}
+    chosen = {key: value for key, value in values.items() if "." not in key}
+    nodes: dict[str, dict[str, Any]] = {}
+    for key in (key for key in values if key not in chosen):
+        part, *parents, last = key.split(".")
+        node = nodes.setdefault(part, {})
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        node[last] = values[key]
+    contents: dict[str, dict[str, Any]] = {}
+    for part in nodes.keys() & WORLD if group == "world" else ():
+        contents |= _contents(part, option, {"name": option, **nodes.pop(part)}, chosen.get(part, CHOSEN[part]))
+        chosen[part] = option
+    overrides = [{f"override /{part}": chosen[part]} for part in chosen]
+    return {**contents, f"{group}/{option}": {"defaults": [*defaults, *overrides, "_self_"], **nodes}}
+
+
+# -------------------------------------------------------------------------------------------------------- plain data
+def read_mapping(path: Path) -> dict[str, Any]:
+    """What a file of configuration states. UsageError where it is more than data, or no mapping."""
+    import yaml
+
+    try:
+        content = read_data(path) or {}
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        reason = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise UsageError(f"{path}{place}: not valid YAML: {reason}") from None
+    if wrong := re.search(r"\$\{[^}]{,60}\}?", REFERENCE.sub("", str(content))):
+        raise UsageError(f"{path}: {wrong[0]}: {REFERENCES}")
+    if not isinstance(content, dict) or not isinstance(content.get("defaults") or [], list):
+        raise UsageError(f"{path}: must be a mapping {{key: value}}, and `defaults` a list")
+    return content
+
+
+def read_data(path: Path) -> Any:
+    """What a file of YAML says. UsageError where it is more than data; YAMLError, UnicodeDecodeError, OSError."""
+    import yaml
+
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(f"{path}: is no regular file")
+        content = file.read(MOST_BYTES + 1)
+    if len(content) > MOST_BYTES:
+        raise UsageError(f"{path}: is larger than {MOST_BYTES / 1e6:g} MB, which no file of settings is")
+    text = content.decode("utf-8")
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    refusal = UsageError(f"{path}: more than {MOST_VALUES} values with their aliases, or {DEEPEST} levels")
+    if not path.is_relative_to(conf_folder()):  # whose own files are what they are
+        level = 0
+        for event in yaml.parse(text, Loader=loader):  # the loader itself would end in a crash
+            level += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if level > DEEPEST:
+                raise refusal
+    data = yaml.load(text, Loader=loader)
+    if any(count > MOST_VALUES or level > DEEPEST for count, level in enumerate(_levels(data))):
+        raise refusal
+    return data
+
+
+def _levels(value: Any, level: int = 0) -> Iterator[int]:
+    """How deep each value lies, what aliases stand for too; without end where a value lies within itself."""
+    yield level
+    if isinstance(value, (dict, list)) and level <= DEEPEST:
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _levels(item, level + 1)

@@ -1,0 +1,429 @@
+"""What can be asked of this program, a function a request: overrides and options in, records out.
+
+The command line prints these records (quadexp/cli), the Python API makes tables of them (quadexp/api.py), so that the
+same request goes the same way from both. Only light modules are imported at the top. Common arguments:
+
+overrides: KEY=VALUE. out: where to write. conf: a configuration folder of the user's own. force: replace what is there.
+progress: called with (done, total). Errors are QuadexpError and its kinds with a one-line message.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from quadexp.bench import Bench as Bench
+from quadexp.errors import DataError, UsageError
+from quadexp.names import file_name
+from quadexp.tune import Tune as Tune
+from quadexp.writer import check_output
+
+if TYPE_CHECKING:
+    from quadexp.log.schema import Flight
+    from quadexp.parts.schema import Config
+
+Progress = Callable[[float, float], None]
+Overrides = Sequence[str]
+FIGURES = 5  # of a usual sweep
+SAMPLED = 200  # cells that are looked at for what their flights import
+DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
+    "random": ("quadexp.reference.random_polynomial", "quadexp.reference.polynomial"),
+    "file": ("quadexp.reference.from_file",),
+    "feedback": ("quadexp.control.feedback.controller",),
+}
+FOREIGN = (".csv", ".json", ".txt", ".mcap", ".ulg", ".h5")  # formats that a flight is exported to, or imported from
+RESULTS = "results.parquet"  # in a folder of results
+# Requests that a function of a room answers as they are.
+ANSWERED = {
+    "tune": "tune.call.tune",
+    "hidden": "tune.preset.hidden",
+    "bench": "bench.run.bench",
+    "validate": "experiment.validate.validate",
+    "vehicle_of": "experiment.vehicle_of.config_for",
+    "import_logs": "experiment.import_flights.import_files",
+    "ImportOptions": "log.importers.Options",
+    "describe_log": "log.importers.describe.describe_log",
+    "select": "sweeps.results.select",
+    "prune": "sweeps.results.prune",
+    "verify": "sweeps.verify.verify_results",
+    "OUTCOME_RULE": "log.outcome.RULE",
+    "TRIALS": "tune.call.HISTORY",
+    "LEADERBOARD": "bench.board.FILE",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in ANSWERED:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, function = ANSWERED[name].rpartition(".")
+    return getattr(import_module(f"quadexp.{module}"), function)
+
+
+def quiet(done: float, total: float) -> None:
+    """Progress that nobody looks at."""
+
+
+# ---------------------------------------------------------------------------------------------------------------- fly
+class Flown(NamedTuple):
+    """A flight, the file it was written to if any, and what to know of it, a line each."""
+
+    flight: Flight
+    path: Path | None
+    notes: list[str]
+
+
+def simulate(
+    overrides: Overrides = (),
+    out: Path | None = None,
+    conf: Path | None = None,
+    *,
+    force: bool = False,
+    keep: bool = False,
+) -> Flown:
+    """Fly one configuration. keep: write the flight, to runs/ where no `out` is given."""
+    from quadexp.experiment.evaluate import fly_one
+    from quadexp.experiment.identity import unused_model
+    from quadexp.log.store import write_flight
+    from quadexp.parts.compose import compose
+    from quadexp.report.summary import delays_note, world_note
+
+    if out is not None and out.suffix in FOREIGN:
+        parquet = out.with_suffix(".parquet")
+        raise UsageError(
+            f"--out {out}: a flight is written as Parquet; write {parquet}, then quadexp export {parquet}, which makes"
+            " other formats of it"
+        )
+    config = compose(overrides, conf)
+    out = Path("runs") / f"{_flight_name(config)}.parquet" if keep and out is None else out
+    path = None if out is None else check_output(out, force=force)
+    flight = fly_one(config)
+    if path is not None:
+        write_flight(path, flight, force=force)
+    about = flight.metadata
+    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"]), delays_note(flight.columns)]
+    return Flown(flight, path, [note for note in notes if note])
+
+
+class Swept(NamedTuple):
+    """A sweep that was flown. result: rows and tables (quadexp/sweeps/sweep.py). metric: of its table. out: its folder.
+    files: figures and tables by name. lines: of a paper's own table, none for that of all controllers. notes: what to
+    know of it, failed: what was not flown or drawn, a line each. invalid: how many cells contradict themselves."""
+
+    result: Any
+    metric: str
+    out: Path
+    files: dict[str, str]
+    lines: Sequence[str]
+    notes: list[str]
+    failed: list[str]
+    invalid: str
+
+
+def evaluate(
+    overrides: Overrides = (),
+    out: Path | None = None,
+    conf: Path | None = None,
+    *,
+    sweep: bool = True,
+    figures: bool | None = None,
+    old: Literal["ask", "refly", "keep"] = "ask",
+    force: bool = False,
+    watch: bool = False,
+    progress: Callable[[Any], Any] | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Swept:
+    """Fly every cell of a sweep, or one cell, and write the tables of results.
+
+    figures: None for those of a sweep only. old: cells at `out` flown by other sources than these: refuse, fly again,
+    or keep. watch: a page that shows the sweep while it runs. progress: makes the context that shows how far it is; it
+    is handed what makes the table to be shown below, or None. say: is told what to know before it is flown.
+    """
+    from quadexp.parts.compose import Cell, session
+    from quadexp.sweeps.server import start_server
+
+    with session(conf) as composer:
+        cells = composer.expand(overrides, check=False) if sweep else [Cell(composer.compose(overrides), (*overrides,))]
+    first = cells[0].config
+    if not sweep and first.sweep:
+        raise UsageError("this experiment is a sweep: add --sweep")
+    out = out or Path("results") / _results_name(overrides, first, sweep)
+    figures = sweep if figures is None else figures
+    preload = _preload(cells[:SAMPLED], figures)
+    if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
+        start_server(preload)  # which imports these while the modules that follow are imported here
+
+    from quadexp.experiment.identity import unused_model
+    from quadexp.report.notes import invalid_text
+    from quadexp.sweeps.engine import Workers
+    from quadexp.sweeps.figures import SweepFigures
+    from quadexp.sweeps.plan import too_few_seeds
+    from quadexp.sweeps.sweep import build_engine, run_sweep
+    from quadexp.sweeps.watch import Watch
+
+    settings = first.evaluate
+    if few := too_few_seeds(getattr(cells, "grids", ()), settings.baseline, settings.confidence):
+        say(f"note: {few}")
+    watching = Watch(out, settings.metric) if watch else None
+    shown = progress or (lambda below: contextlib.nullcontext(quiet))
+    with (
+        watching or contextlib.nullcontext(),
+        Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
+        SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
+        shown((lambda: watching.shot().table().rich()) if watching else None) as counted,
+    ):
+        if watching:
+            say(f"watch it in a browser: {watching.path}")
+        result = run_sweep(
+            cells,
+            out,
+            metric=settings.metric,
+            baseline=settings.baseline,
+            confidence=settings.confidence,
+            engine=build_engine(first, processes),
+            force=force,
+            old=old,
+            isolate=sweep,
+            progress=counted if watching is None else watching.before(counted),
+            landed=watching.landed if watching else lambda row: None,
+            flown=drawn.begin if figures else lambda rows, record: None,
+        )
+        files = dict(result.files) | drawn.end()
+    special, lines = _of_a_paper(settings.figures, result.rows, out, figures)
+    failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
+    if missing := result.not_flown:
+        cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
+        failed.append(cause)
+    doubts = [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes]
+    notes, invalid = [note for note in doubts if note], invalid_text(result.rows) if result.invalid else ""
+    return Swept(result, settings.metric, out, files | special, lines, notes, failed, invalid)
+
+
+def _of_a_paper(
+    kind: str, rows: Sequence[Mapping[str, Any]], out: Path, figures: bool
+) -> tuple[dict[str, str], Sequence[str]]:
+    """Figures of an experiment of a paper, and the lines of its table, where that of all controllers has no room."""
+    if kind == "ladder":
+        from quadexp.report import ladder
+
+        return ladder.draw(rows, out) if figures else {}, ladder.ladder_table(rows).lines()
+    if kind == "sun":
+        from quadexp.papers.sun import report as sun
+
+        return sun.draw(rows, out) if figures else {}, sun.overview(rows).lines()
+    if kind != "standard" and figures:
+        from quadexp.papers.lei_li import report as lei_li
+
+        return lei_li.draw(kind, rows, out), []
+    return {}, []
+
+
+def _doubts(cells: Sequence[Any]) -> list[str]:
+    """What references of a sweep are below the ground, and drag that its vehicles cannot have, as far as its first
+    cells show."""
+    from quadexp.experiment.build import build_trajectory, build_vehicle
+    from quadexp.experiment.evaluate import below_ground, heavy_drag
+
+    nodes: dict[Any, Config] = {}
+    for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
+        if config.trajectory.shipped:  # which is a program of its own: built where it is flown
+            nodes.setdefault((config.trajectory, config.ground, config.vehicle, config.plant), config)
+    low = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
+    lines = {line: None for line in (*low, *map(heavy_drag, nodes.values())) if line}
+    return [*lines][:3]
+
+
+def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
+    """Modules that the processes of a sweep need."""
+    from quadexp.sweeps.server import PRELOAD
+
+    kinds = {part.former_kind for cell in cells for part in (cell.config.trajectory, cell.config.controller)}
+    needed = [module for kind in sorted(kinds) for module in NEEDED.get(kind, ())]
+    return [*PRELOAD, *needed, *(DRAWING if figures else ())]
+
+
+def _flight_name(config: Config) -> str:
+    from quadexp.parts.schema import controller_name
+
+    speed = getattr(config.trajectory, "speed", None)
+    parts = [controller_name(config), config.trajectory.name, "" if speed is None else f"{speed:g}"]
+    parts.append(f"seed{config.seed}" if config.seed else "")
+    return file_name("_".join(part for part in parts if part))
+
+
+def _results_name(overrides: Overrides, config: Config, sweep: bool) -> str:
+    experiments = [text.partition("=")[2] for text in overrides if text.startswith("experiment=")]
+    return file_name(experiments[-1] if experiments else "sweep" if sweep else _flight_name(config))
+
+
+def failed_flights(board: Any) -> list[str]:
+    """A line that says which flights of a leaderboard failed, where some did."""
+    return [f"{len(board.failed)} flights failed; the first: {board.failed[0]['cause']}"] if board.failed else []
+
+
+# -------------------------------------------------------------------------------------------------------------- learn
+def collect(
+    overrides: Overrides,
+    out: Path,
+    conf: Path | None = None,
+    *,
+    flights: Sequence[Path] = (),
+    save_flights: Path | None = None,
+    sweep: bool = False,
+    force: bool = False,
+    progress: Progress = quiet,
+) -> dict[str, Any]:
+    """Fly for data, or take recorded flights, and write what the rigid body does not explain.
+
+    sweep: in every combination of the worlds given, one after another.
+    """
+    from quadexp.experiment.collect import collect_dataset
+    from quadexp.parts.compose import session
+
+    if sweep and flights:
+        raise UsageError(
+            "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
+        )
+    with session(conf) as composer:
+        worlds = [cell.config for cell in composer.expand(overrides).sound()] if sweep else []
+        config = worlds[0] if worlds else composer.compose(overrides)
+    path = check_output(out, force=force)
+    if save_flights is not None:
+        check_output(save_flights, force=force, folder=True)
+    options: dict[str, Any] = {"flights": flights, "worlds": worlds, "save_flights": save_flights}
+    return dict(collect_dataset(config, path, **options, force=force, progress=progress))
+
+
+def fit(
+    kind: str,
+    dataset: Path,
+    overrides: Overrides,
+    out: Path,
+    conf: Path | None = None,
+    *,
+    force: bool = False,
+    **options: Any,
+) -> dict[str, Any]:
+    """Fit a model of a kind (gp, drag, nn) to a data set and write the checkpoint; options of
+    quadexp/experiment/fit.py."""
+    from quadexp.experiment.fit import fit_checkpoint
+    from quadexp.parts.compose import compose
+
+    config = compose(overrides, conf)
+    return dict(
+        fit_checkpoint(kind, config, dataset, check_output(out, force=force, folder=True), force=force, **options)
+    )
+
+
+def identify(
+    flights: Sequence[Path],
+    out: Path,
+    conf: Path | None = None,
+    *,
+    chosen: Callable[[str, str], None] = lambda method, reason: None,
+    method: str | None = None,
+    vehicle: str | None = None,
+    paper: bool = False,
+    settings: Mapping[str, Any],
+    figures: bool = True,
+    figure: Path | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Identify a vehicle from its flights. chosen: is told the method that is taken, and why. settings: of the
+    regression (models.vehicle_model.FitSettings). The report has `method`, and what this method gives."""
+    from quadexp.experiment.identify import choose_method, identify_files
+    from quadexp.experiment.vehicle_of import vehicle_named
+
+    named = None if vehicle is None else vehicle_named(vehicle, conf)
+    choice = choose_method(flights, method, named)
+    chosen(choice.method, choice.reason)
+    if choice.method == "delays":
+        from quadexp.experiment.identify import identify_delays
+
+        return {"method": "delays", **identify_delays(flights, named, conf, figure)}
+    if choice.method == "rls":
+        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)
+        records = [{"path": path, **estimate.metadata()} for path, estimate in estimates]
+        lines = [line for path, estimate in estimates for line in (*estimate.lines(), path)]
+        return {"method": "rls", "out": out, "flights": records, "lines": lines}
+
+    from quadexp.experiment.identify import identify_flights
+    from quadexp.models.vehicle_model import FitSettings
+
+    regression = FitSettings(**settings)
+    return dict(identify_flights(flights, out, named, regression, force=force, figures=figures, conf=conf))
+
+
+class Checked(NamedTuple):
+    """A flight that was checked. vehicle: its name, None for one that is not known. findings: the worst first."""
+
+    path: str
+    flight: Flight
+    vehicle: str | None
+    findings: list[Any]
+
+    @property
+    def duration(self) -> float:
+        """s, from the first row to the last."""
+        return float(self.flight.t.max() - self.flight.t.min()) if len(self.flight) else 0.0
+
+    @property
+    def severities(self) -> set[str]:
+        return {finding.severity for finding in self.findings}
+
+
+def check(paths: Sequence[Path], vehicle: str | None = None, conf: Path | None = None) -> list[Checked]:
+    """Check recorded flights. vehicle: of the configuration, not the flight's own."""
+    from quadexp.log.check import check_flights
+    from quadexp.log.schema import Flight
+    from quadexp.log.store import check_whole, read_table
+
+    flights: dict[str, Flight] = {}
+    for path in map(str, paths):
+        if path in flights:
+            raise UsageError(f"{path}: given twice")
+        flights[path] = Flight(*read_table(path, "flight", required=("t",)))
+        check_whole(flights[path].metadata, path)
+    vehicles = {path: _vehicle_of(flight, vehicle, conf) for path, flight in flights.items()}
+    return [
+        Checked(path, flights[path], getattr(vehicles[path], "name", None), _with_import(now, flights[path]))
+        for path, now in check_flights(flights, vehicles).items()
+    ]
+
+
+def _vehicle_of(flight: Flight, name: str | None, conf: Path | None) -> Any:
+    from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
+
+    if name is not None:
+        return vehicle_named(name, conf)
+    try:
+        return own_vehicle(flight, conf)
+    except (DataError, UsageError):  # a record of another version: the limits are then not known
+        return None
+
+
+def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
+    """Findings now, and those that the import made on the log itself, which the flight no longer shows."""
+    from quadexp.log.check.finding import Finding, worst_first
+
+    names = {finding.name for finding in findings}
+    earlier = []
+    for record in flight.metadata.get("findings") or []:
+        if {"name", "severity", "where"} <= set(record) and record["name"] not in names:
+            severity = record["severity"].replace("blocking", "warning")  # it was mended or accepted at the import
+            texts = {key: record.get(key, "") for key in ("measured", "allowed", "advice")}
+            earlier.append(Finding(record["name"], severity, f"the log, {record['where']}", **texts))
+    return worst_first(findings + earlier)
+
+
+# --------------------------------------------------------------------------------------------------------------- look
+def export(source: Path, to: str, out: Path | None = None, *, force: bool = False) -> dict[str, Path]:
+    """Write a flight for other programs; name -> file."""
+    from quadexp.log.exporters import export_flight
+    from quadexp.log.store import read_metadata
+
+    read_metadata(source, "flight")  # it is one, before a name is made of its own
+    return dict(export_flight(source, to, out, force=force))
