@@ -17,6 +17,7 @@ That is the compiled form, one function (active_set.c). The interpreted one make
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Mapping
 from enum import IntEnum
 from functools import cache
@@ -155,8 +156,9 @@ def bounded_minimum(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Minimum of 1/2 u'Hu + g'u with low <= u <= high: u (m,); side, -1 at the lower, 1 at the upper bound,
     0 free; and the estimated error of u."""
-    found = _daqp(g.size)(h=H, g=g, lbx=low, ubx=high)
-    side, scale, fixed = np.sign(np.array(found["lam_x"]).ravel()), np.diag(H), low == high
+    with _one_at_a_time:
+        multiplier = np.array(_daqp(g.size)(h=H, g=g, lbx=low, ubx=high)["lam_x"]).ravel()
+    side, scale, fixed = np.sign(multiplier), np.diag(H), low == high
     for _ in range(ROUNDS):
         side = np.where(fixed, 1.0, side)
         free = side == 0
@@ -169,6 +171,9 @@ def bounded_minimum(
         side = np.where(wrong > TOLERANCE, 0.0, side)
         side = np.where(excess > TOLERANCE, np.where(u > high, 1.0, -1.0), side)
     return np.clip(u, low, high), np.where(fixed, 1.0, side), float(max(wrong.max(), excess.max(), 0.0))
+
+
+_one_at_a_time = threading.Lock()  # two threads in DAQP end the process
 
 
 @cache
