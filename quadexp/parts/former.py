@@ -16,6 +16,7 @@ FORMER_TARGET = "_former_"  # key of a node: the class that stands for a user's 
 
 _HOSTS = "start `dask scheduler` and `dask worker` on the hosts, and give engine=dask engine.address=tls://HEAD:PORT"
 _TLS = "what is started here is always encrypted, and engine.address says by tls:// or tcp:// whether it is"
+_DASK = "give Dask's own settings, DASK_DISTRIBUTED__COMM__TLS__CA_FILE and others (docs/scaling.md)"
 _JOBS = "engine=jobs 'engine.options={{{}}}'"
 
 FORMER = {
@@ -33,6 +34,12 @@ FORMER = {
     "engine.interface": _JOBS.format("interface: ib0"),
     "plant.payload": "payload=fixed payload.mass=KG; on plant=blade_element also plant.schedule=[{t: 0, payload: KG}]",
     "gp.split": "whole flights are held out, always",
+    "gp.alternatives": "fit again with other gp.features.a_x=[..], whose verdict says what they are worth",
+    "gp.max_exact_rows": "gp.method=subset gp.inducing=ROWS",
+    "nn.device": "networks train on the CPU",
+    "engine.tls_ca": _DASK,
+    "engine.tls_cert": _DASK,
+    "engine.tls_key": _DASK,
     "engine.python": _JOBS.format("python: PATH"),
 }
 
