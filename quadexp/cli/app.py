@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
+from typing import Annotated, Any
 
-import click
-from click.exceptions import Abort, Exit
+import typer
+from typer.core import TyperGroup
 
 from quadexp import __version__
 from quadexp.cli import extend, fly, learn, look
 from quadexp.cli.terminal import end, fail, output_failed, prepare
 
-GROUPS: dict[str, tuple[click.Command, ...]] = {
+GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Fly": (fly.simulate, fly.evaluate, fly.tune, fly.bench),
     "Learn": (
         learn.import_, learn.check, learn.collect, learn.fit_gp, learn.fit_drag, learn.fit_nn, learn.identify,
@@ -27,51 +27,54 @@ GROUPS: dict[str, tuple[click.Command, ...]] = {
     "Look": (look.show, look.compare, look.results, look.plot, look.report, look.animate, look.export),
     "Extend": (extend.options, extend.new, extend.cache),
 }  # fmt: skip
+INTERRUPTED = 130  # what typer returns for Ctrl-C
 
 
-class Grouped(click.Group):
+class Grouped(TyperGroup):
     """Commands in the help by what they are for."""
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Called by click."""
-        for heading, commands in GROUPS.items():
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Called by typer."""
+        for heading, functions in GROUPS.items():
             with formatter.section(heading):
-                formatter.write_dl([(str(each.name), each.get_short_help_str(200)) for each in commands])
+                names = [each.__name__ for each in functions]
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(200)) for name in names])
 
 
-def _debug(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+app = typer.Typer(
+    cls=Grouped,
+    name="quadexp",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"quadexp {__version__}")
+        raise typer.Exit()
+
+
+def _debug(wanted: bool) -> None:
     if wanted:
         os.environ["QUADEXP_DEBUG"] = "1"
 
 
-def _completion(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
-    """Say the line that makes the user's shell complete words."""
-    if wanted:
-        shell = Path(os.environ.get("SHELL", "bash")).name
-        source = f"_QUADEXP_COMPLETE={shell}_source quadexp"
-        print(f"{source} | source" if shell == "fish" else f'eval "$({source})"')
-        print(f"put this line into the file that {shell} reads when it starts", file=sys.stderr)
-        raise Exit()
-
-
-@click.group(
-    cls=Grouped,
-    name="quadexp",
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-)
-@click.version_option(__version__, message="quadexp %(version)s", help="Print the version.")
-@click.option("--debug", is_flag=True, expose_value=False, callback=_debug, help="Show where an error came from.")
-@click.option(
-    "--install-completion", is_flag=True, expose_value=False, is_eager=True, callback=_completion,
-    help="Print the line that makes the shell complete words.",
-)  # fmt: skip
-def app() -> None:
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", callback=_debug, help="Show where an error came from.")] = False,
+) -> None:
     """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation."""
 
 
-for command in (command for commands in GROUPS.values() for command in commands):
-    app.add_command(command)
+for functions in GROUPS.values():
+    for function in functions:
+        app.command(function.__name__)(function)
 
 
 def main() -> None:
@@ -81,19 +84,24 @@ def main() -> None:
 
 
 def _run() -> int:
-    code: Any
+    code: object
     try:
         code = app(standalone_mode=False, prog_name="quadexp")
-    except Abort:  # Ctrl-C before the command began
-        code = fail("interrupted before anything was done: run the same command again", 1).exit_code
+        if code == INTERRUPTED:  # Ctrl-C before the command began
+            code = fail("interrupted before anything was done: run the same command again", 1).exit_code
+    except typer.Abort:
+        code = 1
     except OSError as error:
         code = output_failed(error).exit_code  # from help or version; the commands themselves are guarded
-    except click.exceptions.NoArgsIsHelpError as error:
-        print(error.format_message(), file=sys.stderr)
-        code = error.exit_code
-    except click.ClickException as error:
-        hint = _as_setting(getattr(error, "option_name", ""))
-        code = fail(error.format_message().rstrip(".") + hint, error.exit_code).exit_code
+    except Exception as error:
+        if not hasattr(error, "format_message"):
+            raise
+        if type(error).__name__ == "NoArgsIsHelpError":
+            print(error.format_message(), file=sys.stderr)
+            code = 2
+        else:
+            fail(f"{error.format_message().rstrip('.')}{_as_setting(getattr(error, 'option_name', ''))}", 2)
+            code = getattr(error, "exit_code", 2)
     return code if isinstance(code, int) else 0
 
 

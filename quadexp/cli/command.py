@@ -14,11 +14,9 @@ import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
-import click
-from click.shell_completion import CompletionItem
+import typer
 
 from quadexp.cli.terminal import emit, fail, format_of, guarded, print_lines, print_rendered, print_table, say
 from quadexp.errors import QuadexpError
@@ -33,7 +31,7 @@ class Ask(NamedTuple):
     help: str
     metavar: str | None = None
     flag: str = ""
-    complete: Callable[[click.Context, str], list[str]] | None = None
+    complete: Callable[[typer.Context, str], list[str]] | None = None
     least: float | None = None
     word: bool = False
 
@@ -53,7 +51,7 @@ class Answer(NamedTuple):
     remarks: Sequence[str] = ()
 
 
-def complete(context: click.Context, incomplete: str) -> list[str]:
+def complete(context: typer.Context, incomplete: str) -> list[str]:
     """Candidates for an override."""
     from quadexp.parts.listing import candidates
 
@@ -74,81 +72,58 @@ FORMAT = Ask("Print json, csv, markdown or latex instead of text.", "FORMAT", "-
 JSON = Ask("One JSON object on standard output.")
 
 
-def command(function: Callable[..., Answer], **asked: Ask) -> click.Command:
-    """The function as a command. asked: of keys of its records that need more than their meaning says."""
+def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., None]:
+    """The function as a command of typer, under its name. asked: of keys of its records that need more than their
+    meaning says."""
     hints = get_type_hints(function, include_extras=True)
     parameters, records = [], {}
     for name, parameter in inspect.signature(function).parameters.items():
         hint = hints[name]
         if isinstance(hint, type) and issubclass(hint, Settings):
-            records[name] = hint
+            records[name], keys = hint, get_type_hints(hint)
             for key, about in declared(hint).items():
                 ask = asked.get(key, Ask(about.setting.meaning))
-                parameters.append(_parameter(key, about.type, ask, about.default))
+                parameters.append(_parameter(key, keys[key], ask, about.default))
+        elif hint is typer.Context:
+            parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=hint))
         elif name != "form":  # which is handed what is asked for by --format and --json
             kind, ask = get_args(hint)
             parameters.append(_parameter(name, kind, ask, parameter.default))
-    parameters += [_parameter("form", str, FORMAT, None), _parameter("json", bool, JSON, False)]
+    parameters += [_parameter("form", str | None, FORMAT, None), _parameter("json", bool, JSON, False)]
+    several = {
+        each.name
+        for each in parameters
+        if get_origin(each.annotation) and get_origin(get_args(each.annotation)[0]) is list
+    }
     name = function.__name__.rstrip("_").replace("_", "-")  # import_ is `import`
 
     def run(form: str | None, json: bool, **given: Any) -> None:
         with guarded(name):
             shown = format_of(form, json)
+            given |= {key: tuple(given[key] or ()) for key in several}
             for argument, record in records.items():
                 given[argument] = record(**{key: given.pop(key) for key in declared(record)})
             _print(function(**given, **({"form": shown} if "form" in hints else {})), shown, name)
 
-    return Command(name, callback=run, params=parameters, help=inspect.getdoc(function))
+    run.__name__, run.__doc__ = name, inspect.getdoc(function)
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    return run
 
 
-class Command(click.Command):
-    """A command whose help says what its words mean too."""
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Called by click."""
-        words = [(word.make_metavar(ctx), word.meaning) for word in self.params if isinstance(word, Word)]
-        if words:
-            with formatter.section("Arguments"):
-                formatter.write_dl(words)
-        super().format_options(ctx, formatter)
-
-
-class Word(click.Argument):
-    """An argument with a meaning for the help."""
-
-    meaning = ""
-
-
-def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> click.Parameter:
+def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:
     """An option, or a word. kind: of its value; a tuple is repeatable."""
-    if get_origin(kind) in (Union, UnionType):
-        kind = next(choice for choice in get_args(kind) if choice is not NoneType)
-    several = get_origin(kind) is tuple
-    kind = get_args(kind)[0] if several else kind
-    required = default is inspect.Parameter.empty
-    flags = ask.flag.split() or [f"--{name.replace('_', '-')}"]
-    if kind is bool:
-        return click.Option([*flags, name], default=default, is_flag=True, help=ask.help)
-    about: dict[str, Any] = {
-        "type": _type(kind, ask.least),
-        "metavar": ask.metavar or (kind is Path and "FILE") or None,
-    }
-    about |= {"required": True} if required else {} if several else {"default": default}
-    if given := ask.complete:
-        about["shell_complete"] = lambda context, _, start: [CompletionItem(text) for text in given(context, start)]
-    if ask.word or (required and not ask.flag):
-        word = Word([name], nargs=-1 if several else 1, **about)
-        word.meaning = ask.help
-        return word
-    return click.Option([*flags, name], multiple=several, help=ask.help, **about)
-
-
-def _type(kind: Any, least: float | None) -> Any:
-    if get_origin(kind) is Literal:
-        return click.Choice(get_args(kind))
-    if kind is Path:
-        return click.Path(path_type=Path)
-    return click.IntRange(min=int(least)) if least is not None else kind
+    if get_origin(kind) is tuple:
+        kind = list[get_args(kind)[0]]  # type: ignore[misc]  # made at run time
+        default = default if default is inspect.Parameter.empty else []
+    given: dict[str, Any] = {"help": ask.help, "metavar": ask.metavar or ("FILE" if "Path" in str(kind) else None)}
+    if ask.complete:
+        given["autocompletion"] = ask.complete
+    if ask.word or (default is inspect.Parameter.empty and not ask.flag):
+        about: Any = typer.Argument(**given)
+    else:
+        about = typer.Option(*(ask.flag.split() or [f"--{name.replace('_', '-')}"]), **given, min=ask.least)
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, about])
 
 
 def _print(answer: Answer, form: str, what: str) -> None:

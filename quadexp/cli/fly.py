@@ -6,7 +6,7 @@ import shlex
 from functools import partial
 from typing import Annotated, Any
 
-import click
+import typer
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete
 from quadexp.cli.terminal import say
@@ -124,7 +124,7 @@ def tune(
     return Answer(tuned.record, tuned.rows, lines)
 
 
-def _controllers(context: click.Context, incomplete: str) -> list[str]:
+def _controllers(context: typer.Context, incomplete: str) -> list[str]:
     from quadexp.parts.options import groups
 
     return [name for name in groups(context.params.get("conf"))["controller"] if name.startswith(incomplete)]

@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
+import typer
 
 from quadexp.cli.command import Answer, Ask, Conf, Figures, Force, Out, Overrides, command, single_values
 from quadexp.cli.terminal import print_lines, say
@@ -264,6 +265,7 @@ OPTIONS = {
 
 @command
 def identify(
+    context: typer.Context,
     flights: Flights,
     out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("data/estimates"),
     method: Annotated[
@@ -306,7 +308,7 @@ def identify(
         "kinds": tuple(name.strip() for name in drag.split(",") if name.strip()),
     }  # fmt: skip
     report = requests.identify(
-        flights, out, conf, chosen=_accepted, method=method, vehicle=vehicle, paper=paper, settings=settings,
+        flights, out, conf, chosen=partial(_accepted, context), method=method, vehicle=vehicle, paper=paper, settings=settings,
         figures=figures, figure=figure, force=force,
     )  # fmt: skip
     taken = report["method"]
@@ -321,13 +323,12 @@ def identify(
     return Answer(record, rows, [*report["lines" if verbose else "main"], out])
 
 
-def _accepted(method: str, reason: str) -> None:
+def _accepted(context: typer.Context, method: str, reason: str) -> None:
     """Say which method is taken; UsageError for an option on the command line that it does not have."""
-    context = click.get_current_context()
     for option in context.command.params:
         having = [other for other, names in OPTIONS.items() if option.name in names]
         source = context.get_parameter_source(str(option.name))
-        if having and method not in having and source is click.core.ParameterSource.COMMANDLINE:
+        if having and method not in having and source is not None and source.name == "COMMANDLINE":
             raise UsageError(f"identify {option.opts[0]}: is for --method {' or '.join(having)}, not {method}")
     if method != "delays":
         say(f"{method}: {reason}")

@@ -17,8 +17,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import click
-from click.exceptions import Abort, Exit
+import typer
+from typer import Abort, Exit
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.messages import CleanStream, printable, raw
@@ -150,7 +150,7 @@ def fail(message: object, code: int) -> Exit:
     text = printable(" ".join(str(message).split()))
     if len(text) > LONGEST:
         text = f"{text[: LONGEST * 2 // 3]} ... {text[-LONGEST // 3 :]}"
-    click.secho(f"error: {text}", fg="red", file=raw(sys.stderr))
+    typer.secho(f"error: {text}", fg="red", file=raw(sys.stderr))
     return Exit(code)
 
 

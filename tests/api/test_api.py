@@ -48,7 +48,7 @@ def same(one: pd.DataFrame, columns: dict[str, np.ndarray]) -> None:
 
 class TestImport:
     def test_it_is_light(self):
-        heavy = "('torch', 'casadi', 'pandas', 'hydra', 'numpy', 'pyarrow', 'matplotlib', 'scipy', 'rich', 'click')"
+        heavy = "('torch', 'casadi', 'pandas', 'hydra', 'numpy', 'pyarrow', 'matplotlib', 'scipy', 'rich', 'typer')"
         code = f"import sys, quadexp as qx; dir(qx); print([name for name in {heavy} if name in sys.modules])"
         assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT).stdout == "[]\n"
 

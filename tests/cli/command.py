@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 
-from click.testing import CliRunner
+from typer.testing import CliRunner
 
 from quadexp.cli.app import app, main
 

@@ -7,8 +7,11 @@ import io
 import json
 
 import pytest
+from typer.main import get_command
 
 from quadexp.cli.app import app
+
+GROUP = get_command(app)
 from quadexp.log.store import write_flight
 from tests.bench.rows import board
 from tests.cli.command import run
@@ -82,14 +85,14 @@ def folder(tmp_path_factory):
 
 
 def test_every_command_is_here_and_has_the_option():
-    assert set(CALLS) == set(app.commands)
+    assert set(CALLS) == set(GROUP.commands)
 
-    for name, command in app.commands.items():
+    for name, command in GROUP.commands.items():
         options = {option for parameter in command.params for option in parameter.opts}
         assert {"--format", "--json"} <= options, name
 
 
-@pytest.mark.parametrize("name", app.commands)
+@pytest.mark.parametrize("name", GROUP.commands)
 def test_every_form_of_an_answer(name, folder, monkeypatch):
     """JSON is one object; the others hold a table, Markdown as many rows as CSV."""
     monkeypatch.chdir(folder)
@@ -106,7 +109,7 @@ def test_every_form_of_an_answer(name, folder, monkeypatch):
         assert forms["latex"].count(r"\begin{tabular}") == forms["latex"].count(r"\end{tabular}") >= 1
 
 
-@pytest.mark.parametrize("name", app.commands)
+@pytest.mark.parametrize("name", GROUP.commands)
 def test_a_form_that_there_is_not_is_refused_before_anything_is_done(name, folder, monkeypatch):
     monkeypatch.chdir(folder)
     before = sorted(folder.rglob("*"))

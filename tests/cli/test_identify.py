@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
 from quadexp.cli.app import app
 from quadexp.cli.learn import OPTIONS
@@ -122,7 +123,7 @@ def test_options_of_other_methods_are_refused(logged, tmp_path, method):
     """Of those that a method does not have, each alone; that no option is missing in the table shows the help."""
     words = {"--out": tmp_path / "e", "--reference-voltage": 4, "--rotor-radius": 0.1}
     switches = ("force", "paper", "figures")
-    flags = {one.name: one.opts[0] for one in app.commands["identify"].params}
+    flags = {one.name: one.opts[0] for one in get_command(app).commands["identify"].params}
     for name in {name for names in OPTIONS.values() for name in names} - set(OPTIONS[method]):
         value = [] if name in switches else [words.get(flags[name], "nonsense")]
         code, _, error = run("identify", logged[0], "--method", method, flags[name], *value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from click.testing import CliRunner
+from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.log.store import read_flight, write_flight

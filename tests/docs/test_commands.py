@@ -11,7 +11,8 @@ from pathlib import Path
 
 import click
 import pytest
-from click.testing import CliRunner
+from typer.main import get_command
+from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.parts.compose import session
@@ -38,7 +39,7 @@ def name(page: Path) -> str:
 
 def read_as_it_stands(words: list[str]) -> None:
     """Parsed and composed, but not run."""
-    group = app
+    group = get_command(app)
     command = group.get_command(click.Context(group), words[0])
     assert command is not None, words
     context = command.make_context(words[0], list(words[1:]))
@@ -63,7 +64,7 @@ def test_options_and_overrides_are_those_that_there_are(page):
 @pytest.mark.parametrize("page", [page for page in PAGES if inline(page) and page.name != "migrating.md"], ids=name)
 def test_commands_in_running_text_too(page):
     """Alone, `quadexp fit-gp` names a command; with more words it must be one that runs."""
-    group = app
+    group = get_command(app)
     for words in inline(page):
         if len(words) > 1 and "--help" not in words:
             read_as_it_stands(words)

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from tests.docs.commands import ROOT, commands

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.control.delay.timing import Stream, find_delays
