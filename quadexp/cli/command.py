@@ -60,7 +60,7 @@ def complete(context: typer.Context, incomplete: str) -> list[str]:
 
 # Words and options that several commands have.
 Overrides = Annotated[
-    tuple[str, ...], Ask("Settings, such as trajectory.speed=8", "[KEY=VALUE]...", complete=complete, word=True)
+    tuple[str, ...], Ask("Settings, such as trajectory.speed=8", "KEY=VALUE", complete=complete, word=True)
 ]
 _OUT = Ask("Where to write.", "PATH", "--out -o")
 Out = Annotated[Path, _OUT]
@@ -90,11 +90,7 @@ def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., None
             kind, ask = get_args(hint)
             parameters.append(_parameter(name, kind, ask, parameter.default))
     parameters += [_parameter("form", str | None, FORMAT, None), _parameter("json", bool, JSON, False)]
-    several = {
-        each.name
-        for each in parameters
-        if get_origin(each.annotation) and get_origin(get_args(each.annotation)[0]) is list
-    }
+    several = {each.name for each in parameters if "list[" in str(each.annotation)}
     name = function.__name__.rstrip("_").replace("_", "-")  # import_ is `import`
 
     def run(form: str | None, json: bool, **given: Any) -> None:
@@ -114,8 +110,8 @@ def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., None
 def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:
     """An option, or a word. kind: of its value; a tuple is repeatable."""
     if get_origin(kind) is tuple:
-        kind = list[get_args(kind)[0]]  # type: ignore[misc]  # made at run time
-        default = default if default is inspect.Parameter.empty else []
+        kind, required = list[get_args(kind)[0]], default is inspect.Parameter.empty  # type: ignore[misc]  # made at run time
+        kind, default = (kind, default) if required else (kind | None, None)
     given: dict[str, Any] = {"help": ask.help, "metavar": ask.metavar or ("FILE" if "Path" in str(kind) else None)}
     if ask.complete:
         given["autocompletion"] = ask.complete

@@ -308,8 +308,8 @@ def identify(
         "kinds": tuple(name.strip() for name in drag.split(",") if name.strip()),
     }  # fmt: skip
     report = requests.identify(
-        flights, out, conf, chosen=partial(_accepted, context), method=method, vehicle=vehicle, paper=paper, settings=settings,
-        figures=figures, figure=figure, force=force,
+        flights, out, conf, chosen=partial(_accepted, context), method=method, vehicle=vehicle, paper=paper,
+        settings=settings, figures=figures, figure=figure, force=force,
     )  # fmt: skip
     taken = report["method"]
     record = {key: value for key, value in report.items() if key not in ("lines", "main")}

@@ -10,8 +10,6 @@ import pytest
 from typer.main import get_command
 
 from quadexp.cli.app import app
-
-GROUP = get_command(app)
 from quadexp.log.store import write_flight
 from tests.bench.rows import board
 from tests.cli.command import run
@@ -19,6 +17,7 @@ from tests.models.recorded_flights import crazyflie, recorded_flight
 from tests.report.sweeps import noise, swept
 from tests.tune.parts import open_loop
 
+GROUP = get_command(app)
 BARE = ("controller.backend=interpreted", "plant.backend=interpreted")
 SHORT = ("trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2", *BARE)
 CALLS = {  # of each command: a call that answers with a table
