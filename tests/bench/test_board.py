@@ -30,7 +30,7 @@ def test_rows_come_back(tmp_path):
     back = read_board(path)
     assert str([{name: one[name] for name in ROWS[0]} for one in back]) == str(ROWS)  # NaN is the same here
     write_table(tmp_path / "c.parquet", {"t": [0.0]}, {}, "flight")
-    with pytest.raises(Exception, match="is a flight, leaderboard is needed here"):
+    with pytest.raises(Exception, match="is a flight, a leaderboard is needed here"):
         read_board(tmp_path / "c.parquet")
 
 

@@ -121,7 +121,8 @@ def test_regression_as_json_and_its_options(logged, tmp_path):
 @pytest.mark.parametrize("method", OPTIONS)
 def test_options_of_other_methods_are_refused(logged, tmp_path, method):
     """Of those that a method does not have, each alone; that no option is missing in the table shows the help."""
-    words = {"--out": tmp_path / "e", "--reference-voltage": 4, "--rotor-radius": 0.1}
+    words = {"--out": tmp_path / "e", "--reference-voltage": 4, "--rotor-radius": 0.1, "--thrust-curve": "s"}
+    words |= {"--voltage-exponent": 1}
     switches = ("force", "paper", "figures")
     flags = {one.name: one.opts[0] for one in get_command(app).commands["identify"].params}
     for name in {name for names in OPTIONS.values() for name in names} - set(OPTIONS[method]):

@@ -155,7 +155,7 @@ def bounded_minimum(
     H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Minimum of 1/2 u'Hu + g'u with low <= u <= high: u (m,); side, -1 at the lower, 1 at the upper bound,
-    0 free; and the estimated error of u."""
+    0 free; and the estimated error of u, infinite where H is singular to rounding."""
     with _one_at_a_time:
         multiplier = np.array(_daqp(g.size)(h=H, g=g, lbx=low, ubx=high)["lam_x"]).ravel()
     side, scale, fixed = np.sign(multiplier), np.diag(H), low == high
@@ -163,7 +163,10 @@ def bounded_minimum(
         side = np.where(fixed, 1.0, side)
         free = side == 0
         u = np.where(side > 0, high, low)
-        u[free] = np.linalg.solve(H[np.ix_(free, free)], -g[free] - H[np.ix_(free, ~free)] @ u[~free])
+        try:
+            u[free] = np.linalg.solve(H[np.ix_(free, free)], -g[free] - H[np.ix_(free, ~free)] @ u[~free])
+        except np.linalg.LinAlgError:
+            return np.zeros(g.size), np.zeros(g.size), np.inf
         wrong = np.where(free | fixed, 0.0, side * (H @ u + g) / scale)  # multipliers of the other sign
         excess = np.where(free, np.maximum(u - high, low - u), 0.0)
         if max(wrong.max(), excess.max()) <= TOLERANCE:
