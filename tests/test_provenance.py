@@ -28,7 +28,6 @@ ASIDE = {
     "quadexp.log.schema": "what a flight is on disk, like the next two",
     "quadexp.log.store": "",
     "quadexp.log.integrity": "refuses files",
-    "quadexp.log.signal": "derivatives for fits, and what was fitted is in the key",
     "quadexp.report": "empty",
     "quadexp.report.table": "how a table is printed",
 }

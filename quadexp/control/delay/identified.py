@@ -177,7 +177,8 @@ class Identified(WrappedController):
         lag = min(found.lag, LARGEST_LAG)
         settings = replace(self._own if found.age_known else self._soft, dead_time=dead_time, motor_lead=lag)
         self._prediction.tune(self._prediction.delay, found.dead_time, lag)
-        self._ahead.tune(dead_time, lag, self._prediction.commands.values)
+        scale = 1.0 if self._core.believed is None else self._core.believed.numbers[9]
+        self._ahead.tune(dead_time, lag, scale * self._prediction.commands.values)
         self._core.use(settings, self._ahead, MotorLead(self.vehicle, settings) if lag else None)
         self._made_good = (self._made_good[0], self._made_good[1], dead_time, lag)
         self.recompose()
@@ -200,7 +201,8 @@ class CommandsAhead:
         self._parts, self._lag, self._thrust = parts, 0.0, np.zeros(n)
 
     def tune(self, dead_time: float, lag: float, commands: np.ndarray) -> None:
-        """Dead time and lag (s) from now on, and the commands before, (k, n) (N), the oldest first."""
+        """Dead time and lag (s) from now on, and what was delivered of the commands before, (k, n) (N), the oldest
+        first."""
         self._lag = lag
         self._sent.values[...] = commands[-len(self._sent.values) :]
         starts = np.minimum(np.arange(self._parts) * STEP, dead_time)

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from quadexp.control.delay.identified import CommandsAhead, soft
+from quadexp.control.delay.timing import Delays
 from quadexp.control.instant import run
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_vehicle, build_world
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.parts.compose import compose
 from quadexp.report.summary import delays_note
 from tests.models.residuals import make_residual
@@ -80,6 +82,20 @@ def test_the_prediction_that_may_change_is_that_of_fixed_times(vehicle, rng, dea
     assert np.abs(ours - theirs).max() < 2e-3 and len(ours) == 13 + 4 * bool(lag)
     if lag:
         assert np.abs(ours[13:] - theirs[13:]).max() < 1e-6
+
+
+def test_what_was_sent_before_counts_as_far_as_it_is_delivered():
+    """Delays are looked for again: by then the observer knows what the rotors give of a command."""
+    hover = ["trajectory=hover", "trajectory.duration=0.1"]
+    config = compose([*INTERPRETED, *hover, "observer=disturbance", "delay=identified"])
+    vehicle = build_vehicle(config.vehicle)
+    plant = build_world(config, vehicle)
+    controller = build_controller(config, vehicle, plant, None)
+    fly(plant, controller, SampledReference(build_trajectory(config.trajectory), controller), np.random.default_rng(0))
+    innermost(controller).believed.numbers[9] = 0.8
+    controller._make_early(Delays(0.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.03, 0.0))
+    sent, delivered = controller._prediction.commands.values, controller._ahead._sent.values
+    assert sent.min() > 0 and np.array_equal(delivered, 0.8 * sent[-len(delivered) :])
 
 
 @pytest.mark.parametrize("told", ["controller.dead_time=0.01", "motor=states", "motor=lead"])
