@@ -29,7 +29,7 @@ from quadexp.models.gaussian_process import GPConfig, fit_gp, gaussian_process_r
 from quadexp.parts.compose import compose
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
-from tests.house import PACKAGE, modules
+from tests.house import PACKAGE
 
 SETTINGS = (
     "trajectory=step",
