@@ -106,6 +106,8 @@ def new(
     option = name + template.ending
     _check_name(part, name, option, template, to)
     for path in texts:
+        if (to / path).exists():
+            raise UsageError(f"new {part}: {to / path} exists already: choose another name, or another --to")
         check_output(to / path)
     for path, text in texts.items():
         write_text(to / path, text, force=False)

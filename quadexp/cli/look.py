@@ -24,7 +24,7 @@ Folder = Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")]
 def results(
     folder: Folder,
     filters: Annotated[
-        tuple[str, ...], Ask("Only these rows, such as controller='gp_*' or seed=0,1", "KEY=VALUE", word=True)
+        tuple[str, ...], Ask("Only these rows, such as controller='gp_*' or seed=0,1", "[KEY=VALUE]...", word=True)
     ] = (),
     where: Annotated[str | None, Ask("Only these rows: 'speed > 6'; see above.", "CONDITION")] = None,
     sort: Annotated[str | None, Ask("Sort by these columns; -KEY for descending order.", "KEYS")] = None,
@@ -40,7 +40,8 @@ def results(
     """List, filter, sort and prune the flights of a sweep.
 
     A column is one of the table or any key of the configuration (controller.nodes). --where knows == != < <= > >=, and,
-    or, not, in [A, B], like 'gp_*', is null, and brackets; numbers are in SI units, or with a unit: mean_error < 5mm.
+    or, not, in [A, B], like 'gp_*', is null, and brackets; a number has the unit of the table's column, or its own:
+    mean_error < 5mm.
 
     --verify compares every flight and table with its hashes, rows with their flights, and texts with their rows; exit
     code 1 if something is wrong. The next run of the sweep flies such cells again and writes such tables again.
@@ -211,7 +212,7 @@ def show(path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or re
 @command
 def compare(
     first: Annotated[Path, Ask("A flight, results folder, or checkpoint folder.")],
-    others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.")],
+    others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE...")],
     out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
 ) -> Answer:
@@ -293,7 +294,7 @@ def _files(files: Mapping[str, Path]) -> list[dict[str, Any]]:
 
 @command
 def animate(
-    flights: Annotated[tuple[Path, ...], Ask("Flights over one reference, such as those of one sweep.")],
+    flights: Annotated[tuple[Path, ...], Ask("Flights over one reference, such as those of one sweep.", "FILE...")],
     out: Out = Path("replay.gif"),
     rate: Annotated[float, Ask("Frames a second, 1 to 50.", "HZ")] = 20.0,
     begin: Annotated[float, Ask("Time of the first frame.", "S", "--from")] = 0.0,

@@ -64,7 +64,8 @@ class Table:
     def latex(self) -> str:
         """A LaTeX tabular with booktabs rules; with `over`, rows of different first cells are set apart."""
         columns = "".join("l" if i in self.left else "r" for i in range(len(self.columns)))
-        lines = [rf"% {'' if self.over else f'{printable(self.title)}; '}needs \usepackage{{booktabs}}"]
+        title = f"{printable(self.title)}; " if self.title and not self.over else ""
+        lines = [rf"% {title}needs \usepackage{{booktabs}}"]
         lines += [*(f"% {printable(note)}" for note in self.notes), rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
         if self.over:
             span = rf"\multicolumn{{{len(columns) - self.beside}}}{{c}}{{{latex(self.over)}}}"

@@ -41,6 +41,13 @@ class TestHelp:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
         assert done.stderr.strip() == "[]" and "simulate" in done.stdout
 
+    @pytest.mark.parametrize(
+        "words", ["results DIR [KEY=VALUE]...", "compare FILE FILE...", "animate FILE...", "import LOG..."]
+    )
+    def test_it_says_which_words_may_be_several(self, words):
+        name, rest = words.split(" ", 1)
+        assert run(name, "--help")[1].startswith(f"Usage: quadexp {name} [OPTIONS] {rest}\n")
+
     def test_version(self):
         assert run("--version")[1].startswith("quadexp ")
 

@@ -74,7 +74,7 @@ def test_nothing_is_overwritten_and_nothing_written_half(here):
     before = {path: path.read_bytes() for path in here.rglob("*.*")}
     for _ in range(2):
         code, _, errors = run("new", "plant", "mine", "--to", "parts")
-        assert code == 2 and "exists already" in errors and errors.count("\n") == 1
+        assert code == 2 and "exists already: choose another name" in errors and errors.count("\n") == 1
         assert {path: path.read_bytes() for path in here.rglob("*.*")} == before
         (here / "parts" / "mine.py").unlink(missing_ok=True)
         before = {path: path.read_bytes() for path in here.rglob("*.*")}

@@ -82,6 +82,7 @@ def test_latex_translates_marks_and_escapes_the_rest():
     assert r"a\_b \& c & 8 & 10.0 $<$x$>$ (1 solver\_failed) \\" in latex
     assert r"\begin{tabular}{lrr}" in latex and latex.count(r"\midrule") == 2
     assert latex.splitlines()[0] == r"% mean error (mm); needs \usepackage{booktabs}"
+    assert Table(TABLE.columns, ROWS).latex().startswith("% needs")
     over = Table(TABLE.columns, ROWS, TABLE.title, head=1, over="error").latex()
     assert r"\multicolumn{1}{c}{error} \\ \cmidrule(l){3-3}" in over and over.count(r"\addlinespace") == 1
 
