@@ -23,14 +23,14 @@ BAD_ROWS = (
     "Repeated rows, outliers, stretches of a dead logger: refuse the log, drop them (bridged where short), or make each"
     " a gap."
 )
-Flights = Annotated[tuple[Path, ...], Ask("Of `quadexp import` or `simulate`.", "FLIGHT...")]
+Flights = Annotated[tuple[Path, ...], Ask("Of `quadexp import` or `simulate`.", "FLIGHT")]
 Vehicle = Annotated[str | None, Ask("Of the configuration, not the flight's own.", "NAME")]
 
 
 # ----------------------------------------------------------------------------------------------------- recorded flights
 @command
 def import_(
-    logs: Annotated[tuple[Path, ...], Ask("Log files (or folders of ROS 2).", "LOG...")],
+    logs: Annotated[tuple[Path, ...], Ask("Log files (or folders of ROS 2).", "LOG")],
     form: str,
     log_format: Annotated[str, Ask(f"Of the log: {', '.join(LOG_FORMATS)}.", "FORMAT")] = "auto",
     vehicle: Annotated[str | None, Ask("Which vehicle of the configuration flew.", "NAME")] = None,
@@ -95,7 +95,7 @@ def _angles(option: str, text: str | None) -> tuple[float, float, float] | None:
 
 @command
 def check(
-    flights: Annotated[tuple[Path, ...], Ask("Flights of `quadexp import`.", "FLIGHT...")],
+    flights: Annotated[tuple[Path, ...], Ask("Flights of `quadexp import`.", "FLIGHT")],
     vehicle: Vehicle = None,
     figures: Annotated[Path | None, Ask("Draw every flight's streams against each other.", "DIR")] = None,
     strict: Annotated[bool, Ask("Warnings block as well.")] = False,
@@ -361,7 +361,7 @@ def validate(
     words: Annotated[
         tuple[str, ...], Ask("Folders of `quadexp identify`, `fit-gp` or `fit-drag`.", "MODEL... [KEY=VALUE...]")
     ],
-    flights: Annotated[tuple[Path, ...], Ask("Flights to predict; several may follow.", "FLIGHT...", "--flights")] = (),
+    flights: Annotated[tuple[Path, ...], Ask("Flights to predict; several may follow.", "FLIGHT", "--flights")] = (),
     horizons: Annotated[str, Ask("Horizons of the open-loop predictions (s).", "S,S,...")] = "0.1,0.5,1",
     leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,
     out: Annotated[Path | None, Ask("Write report and figures there.", "DIR", "--out -o")] = None,

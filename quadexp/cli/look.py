@@ -24,7 +24,7 @@ Folder = Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")]
 def results(
     folder: Folder,
     filters: Annotated[
-        tuple[str, ...], Ask("Only these rows, such as controller='gp_*' or seed=0,1", "[KEY=VALUE]...", word=True)
+        tuple[str, ...], Ask("Only these rows, such as controller='gp_*' or seed=0,1", "KEY=VALUE", word=True)
     ] = (),
     where: Annotated[str | None, Ask("Only these rows: 'speed > 6'; see above.", "CONDITION")] = None,
     sort: Annotated[str | None, Ask("Sort by these columns; -KEY for descending order.", "KEYS")] = None,
@@ -212,7 +212,7 @@ def show(path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or re
 @command
 def compare(
     first: Annotated[Path, Ask("A flight, results folder, or checkpoint folder.")],
-    others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE...")],
+    others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE")],
     out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
 ) -> Answer:
@@ -294,7 +294,7 @@ def _files(files: Mapping[str, Path]) -> list[dict[str, Any]]:
 
 @command
 def animate(
-    flights: Annotated[tuple[Path, ...], Ask("Flights over one reference, such as those of one sweep.", "FILE...")],
+    flights: Annotated[tuple[Path, ...], Ask("Flights over one reference, such as those of one sweep.", "FILE")],
     out: Out = Path("replay.gif"),
     rate: Annotated[float, Ask("Frames a second, 1 to 50.", "HZ")] = 20.0,
     begin: Annotated[float, Ask("Time of the first frame.", "S", "--from")] = 0.0,

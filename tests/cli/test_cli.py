@@ -42,7 +42,7 @@ class TestHelp:
         assert done.stderr.strip() == "[]" and "simulate" in done.stdout
 
     @pytest.mark.parametrize(
-        "words", ["results DIR [KEY=VALUE]...", "compare FILE FILE...", "animate FILE...", "import LOG..."]
+        "words", ["results {DIR} [KEY=VALUE]...", "compare {FILE} {FILE}...", "animate {FILE}...", "import {LOG}..."]
     )
     def test_it_says_which_words_may_be_several(self, words):
         name, rest = words.split(" ", 1)
