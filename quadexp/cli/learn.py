@@ -358,9 +358,7 @@ def _exponent(text: str) -> float | None:
 
 @command
 def validate(
-    words: Annotated[
-        tuple[str, ...], Ask("Folders of `quadexp identify`, `fit-gp` or `fit-drag`.", "MODEL")
-    ],
+    words: Annotated[tuple[str, ...], Ask("Folders of `quadexp identify`, `fit-gp` or `fit-drag`.", "MODEL")],
     flights: Annotated[tuple[Path, ...], Ask("Flights to predict; several may follow.", "FLIGHT", "--flights")] = (),
     horizons: Annotated[str, Ask("Horizons of the open-loop predictions (s).", "S,S,...")] = "0.1,0.5,1",
     leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,
