@@ -97,7 +97,7 @@ def test_logs_give_a_vehicle_model_with_intervals_and_figures(logged, tmp_path):
     assert any(line.startswith("+ linear drag") for line in lines) and "each flight alone" in lines
     model = load_model(out)
     assert model.linear_drag.drag == pytest.approx(DRAG, abs=0.04)
-    for name in ("thrust", "drag", "models"):
+    for name in ("thrust", "drag"):
         assert (out / "figures" / f"{name}.png").stat().st_size > 10_000
     shown = run("show", out)[1]
     assert "checkpoint, vehicle_model" in shown and "thrust      on motor_command V/4" in shown

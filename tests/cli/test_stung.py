@@ -126,7 +126,7 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["report", "results/none"], "results/none: no such file"),
         (["simulate", "--seed", "3"], "a setting is given without dashes: seed=VALUE"),
         (["simulat"], "No such command"),
-        (["simulate", "--ot", "x"], "No such option '--ot'"),
+        (["simulate", "--ot", "x"], "No such option: --ot"),
         (["fit-gp"], "Missing argument"),
         (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),

@@ -301,7 +301,8 @@ def on_a_terminal(*words, patience=3.0, width=180):
     """What a command sends to a terminal. patience: s, after which it says what it does."""
     ours, theirs = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": str(width)}
-    start = f"import quadexp.progress; quadexp.progress.PATIENCE = {patience}; {START}"
+    waits = f"quadexp.progress.PATIENCE = {patience}; quadexp.progress.AGAIN = {min(patience, 1)}"
+    start = f"import quadexp.progress; {waits}; {START}"
     command = [sys.executable, "-c", start, *map(str, words)]
     process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment)
     os.close(theirs)

@@ -88,7 +88,7 @@ def test_the_linearised_node(kind, vehicle, rng):
 
 @given(vehicles(), generators)
 def test_the_plant_s_residual_by_hand(vehicle, rng):
-    """Drag linear and quadratic per axis, motor loss of the simplified plant, value and derivative."""
+    """Drag linear and quadratic per axis, motor loss and lift of the simplified plant, value and derivative."""
     effects, z = make_effects(rng), make_features(rng, vehicle)
     residual = SimplifiedPlant(vehicle, effects, backend="interpreted").residual()
     linear, quadratic = np.array(effects.linear_drag), np.array(effects.quadratic_drag)
@@ -100,6 +100,7 @@ def test_the_plant_s_residual_by_hand(vehicle, rng):
         v, u = z[:3], z[6:]
         lost = effects.motor_loss * u**2 / vehicle.thrust_max
         force = -linear * v - sign * quadratic * v**2 + np.array([0, 0, 1]) * (u - lost).sum()
+        force = force + np.array([0, 0, 1]) * effects.lift * (v[0] ** 2 + v[1] ** 2)
         acceleration = force / vehicle.mass - np.array([0, 0, 1]) * u.sum() / vehicle.mass
         return np.concatenate([acceleration, -lever @ lost])
 
