@@ -86,7 +86,7 @@ def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., None
                 parameters.append(_parameter(key, keys[key], ask, about.default))
         elif hint is typer.Context:
             parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=hint))
-        elif name != "form":  # which is handed what is asked for by --format and --json
+        elif name != "form":  # set from --format and --json
             kind, ask = get_args(hint)
             parameters.append(_parameter(name, kind, ask, parameter.default))
     parameters += [_parameter("form", str | None, FORMAT, None), _parameter("json", bool, JSON, False)]

@@ -11,6 +11,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
@@ -27,6 +28,8 @@ from quadexp.models.validation import Track, predictors, rollout_errors
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
+from quadexp.physics.state import STATE_COLUMNS
+from tests.models.test_dataset import VEHICLE
 from tests.models.test_recorded import VEHICLE as RECORDED_VEHICLE
 from tests.models.test_recorded import recorded_flight
 
@@ -53,6 +56,33 @@ def test_the_air_velocity_is_that_of_scipy_s_rotation(rng):
     for k in range(3):
         assert air_velocity(q[k], v[k], wind[k]) == pytest.approx(expected[k], abs=1e-14)
         assert np.array(air_velocity(ca.DM(q[k]), ca.DM(v[k]), ca.DM(wind[k]))).ravel() == pytest.approx(expected[k])
+
+
+@pytest.mark.parametrize("frame", ["midpoint", "start"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_linear_drag_is_the_truth_in_a_flight_integrated_in_wind(frame, seed):
+    """Newton-Euler in numpy with drag on R'(v - wind), turned in the middle; D = .654 N s/m over 1.2 kg."""
+    drag, rng = np.array([0.654, 0.654, 0.3]), np.random.default_rng(seed)
+    dt, x, rows = 0.01, np.r_[np.zeros(3), 0.9, 0.2, -0.3, 0.25, 8.0, -5.0, 3.0, 0.5, -0.8, 0.3], []
+    x[3:7] /= np.linalg.norm(x[3:7])
+    for k in range(300):
+        wind = WIND * (1 if k < 150 else -0.5)
+        u = VEHICLE.hover_thrust * (1 + 0.02 * rng.uniform(-1, 1, 4))
+        rows.append(np.r_[k * dt, x, u, wind, k >= 150])
+
+        def slope(_, x, u=u, wind=wind):
+            body, w, inertia = Rotation.from_quat(x[3:7], scalar_first=True), x[10:], VEHICLE.inertia_matrix
+            wrench = VEHICLE.allocation @ u
+            force = np.array([0, 0, wrench[0]]) - drag * body.inv().apply(x[7:10] - wind)
+            q_dot = 0.5 * np.r_[-x[4:7] @ w, x[3] * w + np.cross(x[4:7], w)]
+            turn = np.linalg.solve(inertia, wrench[1:] - np.cross(w, inertia @ w))
+            return np.r_[x[7:10], q_dot, body.apply(force / VEHICLE.mass) - [0, 0, 9.81], turn]
+
+        x = solve_ivp(slope, (0, dt), x, rtol=1e-9, atol=1e-10).y[:, -1]
+    names = ["t", *STATE_COLUMNS, *(f"u_{i}" for i in range(4)), "wind_x", "wind_y", "wind_z", "segment"]
+    flight = Flight(dict(zip(names, np.array(rows).T.copy(), strict=True)), {})
+    fitted = fit_linear_drag(residual_dataset([flight], VEHICLE, frame=frame), thrust=False, loss="squares")
+    assert VEHICLE.mass * fitted.drag == pytest.approx(drag, rel=2e-3 if frame == "midpoint" else 5e-2)
 
 
 def test_transitions_do_not_depend_on_the_frame_that_moves_along():
@@ -119,3 +149,25 @@ def test_drag_collected_in_a_wind_is_that_of_still_air(tmp_path, wind):
         told.append(replace(flight, columns=columns))
     untold = fit_linear_drag(residual_dataset(told, build_vehicle(config.vehicle)))
     assert np.abs(untold.intercept[:2]).max() > 0.2
+
+
+def test_an_identified_vehicle_is_validated_in_gusts_by_the_wind_of_its_flights():
+    """Drag of the plant from flights in gusts; half a second ahead another flight is predicted better with its wind."""
+    plant = ["plant.quadratic_drag=[0,0,0]", "plant.motor_loss=0", "wind=gust", "wind.amplitude=[6,-3,1]"]
+    configs = [
+        compose(
+            [*plant, "trajectory=random", "trajectory.speed=5", f"trajectory.seed={seed}", f"wind.onset={1 + seed}"]
+        )
+        for seed in range(3)
+    ]
+    vehicle, flights = build_vehicle(configs[0].vehicle), [fly_one(config) for config in configs]
+    model = fit_vehicle_model(flights[:2], vehicle, FitSettings(powers=(1,), kinds=("linear",)))
+    assert model.linear_drag.drag[:2] == pytest.approx([0.3, 0.3], abs=2e-3)
+    columns = {name: values for name, values in flights[2].columns.items() if not name.startswith("wind_")}
+    errors = []
+    for flight in (flights[2], replace(flights[2], columns=columns)):
+        drag = predictors(model, "x", vehicle, None)[1]
+        track = Track(read_rows(flight, "flight", model.thrust.signal), drag)
+        (rollout,) = rollout_errors([track], [0.5], tracked=False)
+        errors.append(rollout["velocity"])
+    assert errors[0] < 0.1 * errors[1]

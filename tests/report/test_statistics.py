@@ -151,6 +151,16 @@ class TestConditions:
 
 
 class TestOverall:
+    @staticmethod
+    def rows(rng, reduction, seeds=5, scales=(0.1, 0.2, 0.5)):
+        flights = []
+        for speed, scale in enumerate(scales, 4):
+            base = scale * np.exp(0.1 * rng.normal(size=seeds))
+            reduced = base * (1 - reduction) * np.exp(0.05 * rng.normal(size=seeds))
+            flights += errors("nominal_mpc", list(base), speed=float(speed))
+            flights += errors("gp_mpc", list(reduced), speed=float(speed))
+        return flights
+
     def test_a_ratio_that_is_the_same_everywhere(self):
         rows = errors("nominal_mpc", [0.1, 0.2], speed=4.0) + errors("gp_mpc", [0.02, 0.04], speed=4.0)
         rows += errors("nominal_mpc", [1.0, 2.0], speed=8.0) + errors("gp_mpc", [0.2, 0.4], speed=8.0)
@@ -194,6 +204,14 @@ class TestOverall:
         assert gp.text().startswith("gp_mpc: 20.0 % more than nominal_mpc over 1 condition (2 seeds")
         (gp,) = overall(errors("nominal_mpc", ["lost"]) + errors("gp_mpc", [0.1]))
         assert gp.text() == "gp_mpc: no pair with nominal_mpc (1 lost by nominal_mpc)"
+
+    def test_coverage_and_error_rate(self):
+        rng = np.random.default_rng(29)
+        lines = [overall(self.rows(rng, 0.4))[0] for _ in range(400)]
+        covered = np.mean([line.reduction_low <= 40 <= line.reduction_high for line in lines])
+        assert 0.917 <= covered <= 0.983  # 95 % and 3 standard errors
+        p = np.array([overall(self.rows(rng, 0.0))[0].p for _ in range(400)])
+        assert np.mean(p <= 0.05) <= 0.083
 
     def test_an_error_of_zero_has_no_ratio(self):
         (gp,) = overall(errors("nominal_mpc", [0.0, 0.2]) + errors("gp_mpc", [0.1, 0.1]))
