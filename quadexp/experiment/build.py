@@ -12,6 +12,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -76,11 +77,9 @@ def build_plant(vehicle: Vehicle, config: Any, believed: Vehicle | None = None) 
     vehicle: that is flown. believed: the one that controllers, and a model identified from flights, are made for, where
     it is another.
     """
-    believed = believed or vehicle
-    given = Given(
-        vehicle=vehicle, believed=believed, plant_model=lambda path, kind: model_residual(believed, Path(path), kind)
-    )
-    of_model = [believed.fingerprint] if hasattr(config, "model") else []
+    of = believed or vehicle
+    given = Given(vehicle=vehicle, believed=of, plant_model=lambda path, kind: model_residual(of, Path(path), kind))
+    of_model = [of.fingerprint] if hasattr(config, "model") else []
     return keep([*plant_record(vehicle, config), *of_model], lambda: checked("plant", config, config.build(given)))
 
 
@@ -201,25 +200,20 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     record = ["controller", vehicle.fingerprint, controller.recorded(), believed]
     record += [{group: one.recorded() for group, one in around.items()}]
 
-    def residual(*kinds: str) -> Any:
-        return build_residual(kinds, vehicle, plant, model)
-
     given = Given(
-        vehicle=vehicle,
-        plant=plant,
-        remedies=tuple(around.values()),
-        residual=residual,
+        vehicle=vehicle, plant=plant, remedies=tuple(around.values()),
+        residual=lambda *kinds: build_residual(kinds, vehicle, plant, model),
         residuals=lambda kinds: residuals(kinds, vehicle, model),
         checkpoint=lambda index: load_checkpoint(vehicle, model.files[index]) if model else None,
-    )
+    )  # fmt: skip
 
     def make() -> Any:
         built = checked("controller", controller, controller.build(given))
-        for one in around.values():
-            try:
-                built = one.around(built)
-            except UsageError as error:
-                raise UsageError(f"controller={controller.name}: {error}") from None
+        try:
+            for remedy in around.values():
+                built = remedy.around(built)
+        except UsageError as error:
+            raise UsageError(f"controller={controller.name}: {error}") from None
         return built
 
     return keep(record, make)
@@ -234,12 +228,9 @@ def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: 
     if kinds == ("plant",):
         plant.reset()  # as things stand before any change in flight
         return plant.residual()
-    parts = residuals(kinds, vehicle, model)
-    if len(parts) == 1:
-        return parts[0]
     from quadexp.models.residual import sum_residual
 
-    return sum_residual(parts)
+    return sum_residual(residuals(kinds, vehicle, model))
 
 
 def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
@@ -264,44 +255,25 @@ def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
     """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
     from quadexp.models.checkpoint import load_model
 
-    folder = Path(model.path)
-    if content_hash(folder / MODEL_FILE) != model.sha256:
+    if content_hash(Path(model.path) / MODEL_FILE) != model.sha256:
         raise DataError(f"{model.path}: has changed since this run began")
-    return load_model(folder, vehicle=vehicle)
+    return load_model(model.path, vehicle=vehicle)
 
 
 def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
     """The models of the air of some kinds, each from its own checkpoint."""
-    files = iter(model.files if model else ())
-    return [_residual(kind, vehicle, next(files)) for kind in kinds if kind in LEARNED]
 
+    def of_file(kind: str, file: ModelFile) -> Any:
+        checkpoint = load_checkpoint(vehicle, file)
+        checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
+        if checkpoint.kind != kind:
+            maker = model_class(kind).maker
+            raise UsageError(f"{file.path}: holds {checkpoint.kind}, not {kind}, which {maker} makes")
+        return replace(checkpoint.residual(vehicle, file.path), ranges=checkpoint.feature_range)
 
-def _residual(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
-
-
-def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    checkpoint = load_checkpoint(vehicle, model)
-    checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
-    if checkpoint.kind != kind:
-        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {model_class(kind).maker} makes")
-    return replace(checkpoint.residual(vehicle, model.path), ranges=checkpoint.feature_range)
-
-
-def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
-    """A checkpoint for this vehicle; one of flights that do not say their vehicle is taken as it is.
-
-    Raises UsageError where it was fitted for another vehicle.
-    """
-    from quadexp.models.checkpoint import load_model
-
-    model = load_model(path)
-    if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):
-        raise UsageError(
-            f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({model.vehicle.get('fingerprint')}), not for"
-            f" '{vehicle.name}' ({vehicle.fingerprint}): pass the vehicle=... of its flights"
-        )
-    return model
+    files = zip((kind for kind in kinds if kind in LEARNED), model.files if model else (), strict=False)
+    record = ["residual", vehicle.fingerprint]
+    return [keep([*record, kind, file.sha256], partial(of_file, kind, file)) for kind, file in files]
 
 
 def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
@@ -309,4 +281,6 @@ def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
 
     Raises UsageError where the checkpoint has none of that kind.
     """
-    return load_identified(path, vehicle).residual(vehicle, str(path), kind)
+    from quadexp.models.checkpoint import load_model
+
+    return load_model(path, vehicle=vehicle, unknown=True).residual(vehicle, str(path), kind)

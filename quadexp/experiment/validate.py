@@ -11,9 +11,10 @@ import numpy as np
 from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.build import build_vehicle, load_identified
+from quadexp.experiment.build import build_vehicle
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.models.checkpoint import load_model
 from quadexp.models.recorded import recorded_dataset
 from quadexp.models.samples import FlightRows, gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
@@ -115,7 +116,7 @@ def validate(
 
 def _load(paths: Sequence[Path], vehicle: Vehicle) -> list[tuple[str, Any]]:
     """Label and checkpoint of every model; identified vehicles first, because they have the thrust curve."""
-    loaded = [(path.name, load_identified(path, vehicle)) for path in paths]
+    loaded = [(path.name, load_model(path, vehicle=vehicle, unknown=True)) for path in paths]
     labels = [label for label, _ in loaded]
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice:

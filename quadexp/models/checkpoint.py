@@ -45,10 +45,10 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     return write_folder(path, files, force=force)
 
 
-def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
+def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: bool = False) -> Any:
     """Read a checkpoint directory (or its model.json).
 
-    vehicle: for which it must have been fitted; None: any.
+    vehicle: for which it must have been fitted; None: any. unknown: also one of flights that do not say their vehicle.
     Raises UsageError where there is none, DataError where it is damaged, of another schema, or for another vehicle.
     """
     path = Path(path)
@@ -79,10 +79,10 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
         raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None
     if vehicle is not None:
         fitted = model.vehicle.get("fingerprint")
-        if fitted != vehicle.fingerprint:
+        if fitted != vehicle.fingerprint and not (unknown and fitted is None):
             raise DataError(
-                f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({fitted}), not for"
-                f" '{vehicle.name}' ({vehicle.fingerprint}); fit it again from this vehicle's flights"
+                f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({fitted}), not for '{vehicle.name}'"
+                f" ({vehicle.fingerprint}): pass the vehicle=... of its flights, or fit it again from this vehicle's"
             )
     return model
 
