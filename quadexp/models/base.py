@@ -23,7 +23,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, get_type_hints
 import msgspec
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, UsageError
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import Adapting
 from quadexp.models.residual import VELOCITY, Residual
@@ -147,6 +147,11 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         Raises UsageError where it holds no such part.
         """
         raise NotImplementedError
+
+    def require(self, part: str, source: str) -> None:
+        """Raise UsageError where a part is asked for that is not the only one."""
+        if part not in ("best", self.kind, self.kind.removesuffix("_drag")):
+            raise UsageError(f"{source}: holds {self.kind}, not '{part}'")
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
         """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit."""

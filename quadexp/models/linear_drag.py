@@ -23,11 +23,10 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
-from quadexp.errors import UsageError
 from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
-from quadexp.models.recorded import with_common_scale
+from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Part
@@ -104,8 +103,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         return {output: Prediction(mean[:, i], None, self.residual_std[i] ** 2) for output, i in AXIS.items()}
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        if part not in ("best", "linear"):
-            raise UsageError(f"{source}: holds linear drag, not '{part}'")
+        self.require(part, source)
         return linear_drag_residual(vehicle, self.drag, self.intercept, self.thrust_gain, source=source)
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
@@ -119,8 +117,8 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         )
 
     def refitted(self, rows: ResidualDataset) -> LinearDrag:
-        """See Model.refitted; without the thrust, whose scale the flights have in common."""
-        return fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=self.loss, intervals=False)
+        """See Model.refitted."""
+        return baseline(rows, loss=self.loss, intervals=False)
 
     @property
     def summary(self) -> str:
@@ -193,6 +191,13 @@ def constant_mean(value: np.ndarray) -> LinearDrag:
     """A constant acceleration, (3,) (m/s^2), as a drag model with zero drag."""
     zero = np.zeros(3)
     return LinearDrag(zero, np.asarray(value, float), 0.0, zero, zero, 0.0, zero, zero, 0, "none")
+
+
+def baseline(rows: ResidualDataset, **options: Any) -> LinearDrag:
+    """Linear drag of the rows, with which every model is compared; options: see fit_linear_drag. Under a thrust curve
+    without the thrust, whose scale the flights have in common: the term would duplicate the curve's."""
+    options = {"thrust": not has_thrust_scale(rows)} | options
+    return fit_linear_drag(with_common_scale(rows).dataset, **options)
 
 
 def fit_linear_drag(

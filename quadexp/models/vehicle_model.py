@@ -244,7 +244,7 @@ def vehicle_record(
             other = vehicle.name if vehicle else recorded[0][1].get("name")
             raise DataError(f"{name}: flown by vehicle {one.get('name')} ({one['fingerprint']}), not by {other}")
     if vehicle:
-        return {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
+        return vehicle.record
     first = recorded[0][1] if recorded else {}
     return {"name": first.get("name"), "fingerprint": first.get("fingerprint"), "mass": mass}
 

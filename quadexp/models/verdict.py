@@ -32,7 +32,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, Prediction, outside_shares, quiet, rms
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
-from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
+from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.terms import MEANS, fit_term_mean
 
@@ -111,13 +111,13 @@ def evaluate(model: Model, train: ResidualDataset, test: ResidualDataset) -> lis
 
     train: rows that the baselines (linear drag, and the standard deviations) are fitted to.
     """
-    drag = model if isinstance(model, LinearDrag) else drag_baseline(train)
-    baseline = {} if drag is model else drag.predict(test)
+    drag = model if isinstance(model, LinearDrag) else baseline(train, intervals=False)
+    of_drag = {} if drag is model else drag.predict(test)
     rows = []
     for output, of_model in model.predict(test).items():
         target = test.matrix([output])[:, 0]
         zero = Prediction(np.zeros(len(target)), None, float(np.mean(train.matrix([output]) ** 2)))
-        for name, prediction in ((model.predictor, of_model), (drag.predictor, baseline.get(output)), ("zero", zero)):
+        for name, prediction in ((model.predictor, of_model), (drag.predictor, of_drag.get(output)), ("zero", zero)):
             if prediction is not None:
                 rows.append({"output": output, "predictor": name} | score(target, prediction.mean, prediction.std))
     return rows
@@ -136,12 +136,6 @@ def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
         raise UsageError(f"{label}: {error}; --after needs a checkpoint of fit-drag, fit-gp or fit-nn") from None
     columns = {output: data.matrix([output])[:, 0] - part.mean for output, part in predictions.items()}
     return ResidualDataset(dict(data.columns) | columns, dict(data.metadata) | {"after": label})
-
-
-def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
-    """Linear drag of the train rows, the baseline of every comparison; options go to `fit_linear_drag`."""
-    options = {"thrust": not has_thrust_scale(train), "intervals": False} | options
-    return fit_linear_drag(with_common_scale(train).dataset, **options)
 
 
 def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
@@ -210,7 +204,7 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
     """Comparison that `fit-gp` reports, JSON-able: flights, outputs {a_x: {...}} and, for recorded flights, identified
     [...]: the same for the terms of `quadexp identify`, fitted to the same rows. model: fitted to train."""
     flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
-    of_drag, predictions = target - drag_baseline(train).acceleration(test), model.predict(test)
+    of_drag, predictions = target - baseline(train, intervals=False).acceleration(test), model.predict(test)
     of_model = of_drag.copy()
     outputs: dict[str, Any] = {}
     for output, axis in ((name, axis) for name, axis in AXIS.items() if name in predictions):

@@ -32,7 +32,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -154,12 +154,14 @@ class Vehicle(Part):
     @cached_property
     def fingerprint(self) -> str:
         """Short hash of all physical parameters, without the name: vehicles with equal fingerprints fly identically."""
-        physics = {
-            FORMER_NAMES.get(key, key): value
-            for key, value in asdict(self).items()
-            if key != "name" and value is not None
-        }
+        given = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
+        physics = {FORMER_NAMES.get(key, key): value for key, value in given.items()}
         return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What data sets and models keep of it."""
+        return {"name": self.name, "fingerprint": self.fingerprint, "mass": self.mass}
 
 
 class Ratio(NamedTuple):
