@@ -269,24 +269,17 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
 
 def result_row(config: Config, flight: Flight) -> dict[str, Any]:
     """The row of one flight in a table of results."""
-    metadata, rate = flight.metadata, getattr(config.controller, "rate", None)
-    period = 1 / rate if rate else None
+    metadata, rate, vehicle = flight.metadata, getattr(config.controller, "rate", None), config.vehicle
+    metrics = flight_metrics(flight, vehicle.thrust_min, vehicle.thrust_max, 1 / rate if rate else None)
     return {
         "plant": config.plant.name if config.world == "clean" else f"{config.plant.name}/{config.world}",
-        "vehicle": config.vehicle.name,
-        "trajectory": config.trajectory.name,
-        "speed": getattr(config.trajectory, "speed", None),
-        "controller": controller_name(config),
-        "model": metadata["model"],
-        "seed": config.seed,
-        **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max, period),
+        "vehicle": vehicle.name, "trajectory": config.trajectory.name,
+        "speed": getattr(config.trajectory, "speed", None), "controller": controller_name(config),
+        "model": metadata["model"], "seed": config.seed, **metrics,
         "reference_residual": metadata.get("reference_residual"),
-        "outside_data": (metadata.get("outside_data") or {}).get("share"),
-        "outcome": metadata["outcome"],
-        "backend": metadata.get("backend", ""),
-        "cause": metadata.get("cause", ""),
-        **program_record(),
-    }
+        "outside_data": (metadata.get("outside_data") or {}).get("share"), "outcome": metadata["outcome"],
+        "backend": metadata.get("backend", ""), "cause": metadata.get("cause", ""), **program_record(),
+    }  # fmt: skip
 
 
 def program_record() -> dict[str, str]:

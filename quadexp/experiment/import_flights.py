@@ -46,15 +46,9 @@ class Outcome:
 
 
 def import_files(
-    logs: Sequence[Path],
-    out: Path,
-    options: Options,
-    *,
-    vehicle: str | None = None,
-    conf: Path | None = None,
-    force: bool = False,
-    keep: bool = False,
-) -> Iterator[Outcome]:
+    logs: Sequence[Path], out: Path, options: Options, *, vehicle: str | None = None, conf: Path | None = None,
+    force: bool = False, keep: bool = False,
+) -> Iterator[Outcome]:  # fmt: skip
     """Write <out>/<name of the log>.parquet for every log that can be imported, one after the other.
 
     A log with a blocking finding, and a second log with the content of another, are not written unless `keep`.

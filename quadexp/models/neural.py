@@ -177,8 +177,8 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     @classmethod
     def fit(cls, rows: ResidualDataset, settings: NNConfig, *, callback: Callback = quiet, **_: Any) -> NeuralModel:
         """See Model.fit; always from the start that the seed gives."""
-        drag, rows = baseline(rows, intervals=False), with_common_scale(rows).dataset
         require_variation(rows, settings.features, (), "nn.features")
+        drag, rows = baseline(rows, intervals=False), with_common_scale(rows).dataset
         x, y = rows.matrix(settings.features), rows.matrix(settings.outputs)
         centre, spread = x.mean(axis=0), x.std(axis=0)
         unit = np.sqrt(np.mean(y**2, axis=0))

@@ -11,7 +11,7 @@ import numpy as np
 
 from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
 from quadexp.reference.phasor import phasor
-from quadexp.reference.profile import ProfiledPath
+from quadexp.reference.profile import OVERSHOOT, ProfiledPath
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,8 @@ class Circle(ProfiledPath):
 
     @property
     def peak_speed(self) -> float:
-        return self.peak_angle_speed
+        """Largest speed, v + (4/pi - 1) a (m/s)."""
+        return self.speed + OVERSHOOT * self.acceleration
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         t, inside = hold_outside(t, self.duration)

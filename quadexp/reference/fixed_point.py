@@ -57,13 +57,9 @@ class Iterated:
 
 
 def consistent_air(
-    demand: Demand,
-    vehicle: Vehicle,
-    model: AirModel | None,
-    calculus: Calculus,
-    settings: Settings,
+    demand: Demand, vehicle: Vehicle, model: AirModel | None, calculus: Calculus, settings: Settings,
     start: np.ndarray | None = None,
-) -> tuple[Air, Motion]:
+) -> tuple[Air, Motion]:  # fmt: skip
     """The residual outputs consistent with the motion they cause, and the motion; model None: no residual.
 
     calculus: derivatives and integrals over the demand's times. start: initial guess of the outputs, (6, k).
