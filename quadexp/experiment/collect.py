@@ -36,7 +36,7 @@ from quadexp.models.rotor_thrust import fit_timing, mean_thrust
 from quadexp.parts.schema import WORLD, Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
-from quadexp.reference.base import FlatOutput
+from quadexp.reference.base import FlatOutput, standing
 from quadexp.reference.random_polynomial import RandomPolynomial
 
 PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
@@ -84,9 +84,7 @@ class Setpoints:
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         """See Trajectory.flat_output; all derivatives are zero."""
         t = np.atleast_1d(np.asarray(t, float))
-        position = np.zeros((len(t), 5, 3))
-        position[:, 0] = self.points[np.searchsorted(self.times, t, side="right").clip(1) - 1]
-        return FlatOutput(position, np.zeros((len(t), 3)))
+        return standing(self.points[np.searchsorted(self.times, t, side="right").clip(1) - 1])
 
 
 def collect_flights(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.base import FlatOutput, flat_output_held, hold_outside, level_path
 from quadexp.reference.phasor import phasor
 from quadexp.reference.profile import OVERSHOOT, ProfiledPath
 
@@ -31,8 +31,4 @@ class Circle(ProfiledPath):
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         t, inside = hold_outside(t, self.duration)
         point = self.radius * phasor(self.angle(t))
-        position = np.zeros((len(t), N_DERIVATIVES, 3))
-        position[:, :, 0] = point.real
-        position[:, :, 1] = point.imag
-        position[:, 0, 2] = self.height
-        return flat_output_held(position, self.yaw, inside)
+        return flat_output_held(level_path(point.real, point.imag, self.height), self.yaw, inside)

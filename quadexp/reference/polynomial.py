@@ -27,7 +27,7 @@ from scipy.optimize import brentq
 
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, derivatives, flat_output_held, hold_outside
 from quadexp.reference.motion import Air, Demand, allocation_inverse, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
@@ -122,7 +122,7 @@ class ScaledPath:
 
     @cached_property
     def _derivatives(self) -> tuple[PPoly, ...]:
-        return tuple(self.path.derivative(order) if order else self.path for order in range(N_DERIVATIVES))
+        return derivatives(self.path)
 
 
 def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, margin: float) -> ScaledPath:
@@ -163,8 +163,8 @@ class _Demands:
 
     def worst(self, factor: float) -> tuple[float, str]:
         """The largest excess over a limit, relative to its range (below 0: within limits), and its name."""
-        grid, derivatives = self._sampled
-        values = derivatives / factor ** np.arange(N_DERIVATIVES)[:, None, None]
+        grid, sampled = self._sampled
+        values = sampled / factor ** np.arange(N_DERIVATIVES)[:, None, None]
         force = values[2, :3] + [[0.0], [0.0], [self.vehicle.gravity]]
         yaw = np.ascontiguousarray(values[:3, 3]) if values.shape[1] > 3 else None
         demand = Demand(factor * grid.times, np.ascontiguousarray(values[:, :3]), force, yaw)
@@ -187,8 +187,7 @@ class _Demands:
         x, pieces = self.path.x, np.diff(self.path.x)
         spacing = max(min(pieces.mean() / STEPS, pieces.min() / FEWEST), (x[-1] - x[0]) / MOST)
         grid = TimeGrid.over(x[0], x[-1], spacing)
-        values = [self.path.derivative(n)(grid.times) if n else self.path(grid.times) for n in range(N_DERIVATIVES)]
-        return grid, np.stack([value.T for value in values])
+        return grid, np.stack([derivative(grid.times).T for derivative in derivatives(self.path)])
 
     @cached_property
     def _ranges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
