@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -99,8 +98,12 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     seen = tuple(model.dataset.get("names", ()))
     if isinstance(model, VehicleModel):
         curve, ranges, torque = model.thrust, model.feature_range, model.torque
+
+        def of(terms: TermModel) -> Acceleration:
+            return lambda v, w, a: terms.acceleration(v, a)
+
         return [nominal(curve, seen, torque)] + [
-            Predictor(_KIND_NAMES[kind], curve, partial(_of_terms, terms), seen, ranges, torque=torque)
+            Predictor(_KIND_NAMES[kind], curve, of(terms), seen, ranges, torque=torque)
             for kind, terms in model.models.items()
         ]
     record = model.dataset.get("thrust")
@@ -113,10 +116,6 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
         return model.acceleration(feature_rows(v, w, vehicle.mass * a))
 
     return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
-
-
-def _of_terms(terms: TermModel, v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
-    return terms.acceleration(v, a)
 
 
 @dataclass(frozen=True)
@@ -333,36 +332,37 @@ def rollout_errors(
     """
     rows = []
     for horizon in horizons:
-        sums: dict[str, list[np.ndarray]] = {}
-        for track in tracks:
-            steps = max(1, round(horizon / track.dt))
-            starts = track.starts(steps)
-            if not len(starts):
-                continue
-            end = starts + steps
-            if vehicle is None:
-                position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
-            else:
-                last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
-                position, velocity = last[:, POSITION], last[:, VELOCITY]
-                level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
-                turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
-                angle = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
-                sums.setdefault("attitude", []).append(angle)
-                sums.setdefault("rate", []).append(np.linalg.norm(last[:, RATE] - track.rate[end], axis=1))
-            sums.setdefault("position", []).append(np.linalg.norm(position - track.position[end], axis=1))
-            sums.setdefault("velocity", []).append(np.linalg.norm(velocity - track.velocity[end], axis=1))
-            sums.setdefault("speed", []).append(track.speed[starts])
-        if not sums:
+        steps_of = [(track, max(1, round(horizon / track.dt))) for track in tracks]
+        flown = [(track, starts, steps) for track, steps in steps_of if len(starts := track.starts(steps))]
+        if not flown:
             continue
-        speed = np.concatenate(sums.pop("speed"))
-        row: dict[str, Any] = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
-        row |= {"horizon": float(horizon), "thrust_tracked": tracked, "starts": len(speed)}
-        for name, parts in sums.items():
-            values = np.concatenate(parts)
+        parts = [_end_errors(*each, vehicle, tracked=tracked, mode=mode) for each in flown]
+        mode_name = "attitude" if vehicle is None else mode
+        row: dict[str, Any] = {"predictor": tracks[0].predictor.name, "mode": mode_name, "horizon": float(horizon)}
+        row |= {"thrust_tracked": tracked, "starts": sum(len(starts) for _, starts, _ in flown)}
+        for name in parts[0]:
+            values = np.concatenate([part[name] for part in parts])
             finite = values[np.isfinite(values)]
             row["lost"] = float(1 - len(finite) / len(values))
             row[name] = float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
             row[f"{name}_median"] = float(np.median(finite)) if len(finite) else float("nan")
         rows.append(row)
     return rows
+
+
+def _end_errors(
+    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle | None, *, tracked: bool, mode: str
+) -> dict[str, np.ndarray]:
+    """Size of each error at the end of predictions from some starts, (starts,)."""
+    end, errors = starts + steps, dict[str, np.ndarray]()
+    if vehicle is None:
+        position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
+    else:
+        last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
+        position, velocity = last[:, POSITION], last[:, VELOCITY]
+        level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
+        turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
+        errors["attitude"] = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
+        errors["rate"] = np.linalg.norm(last[:, RATE] - track.rate[end], axis=1)
+    errors["position"] = np.linalg.norm(position - track.position[end], axis=1)
+    return errors | {"velocity": np.linalg.norm(velocity - track.velocity[end], axis=1)}
