@@ -34,6 +34,7 @@ from quadexp.models.base import AXIS, Callback, Model, Prediction, outside_share
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.recorded import has_thrust_scale, with_common_scale
+from quadexp.models.regression import half_width
 from quadexp.models.terms import MEANS, fit_term_mean
 
 Row = dict[str, Any]
@@ -70,21 +71,17 @@ def fit_with_report(dataset: ResidualDataset, kind: type[Model], settings: Any, 
     train, test = split_by_flight(dataset, settings.holdout, settings.seed)
     refit = getattr(settings, "refit", True)
     share = 0.8 if refit else 1.0
-    first = model = kind.fit(
-        train, settings, callback=lambda message, done: callback(message, share * done), intervals=not refit
-    )
+
+    def told(begin: float, length: float) -> Callback:
+        """The callback of a part of the work."""
+        return lambda message, done: callback(message, begin + length * done)
+
+    first = model = kind.fit(train, settings, callback=told(0.0, share), intervals=not refit)
     if refit:
-        rest = 1.0 - share
-        model = kind.fit(
-            dataset, settings, start=first, callback=lambda message, done: callback(message, share + rest * done)
-        )
-    report = {
-        "rows": evaluate(first, train, test),
-        "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
-        "refitted": refit,
-        "out_of_range": outside_shares(first.feature_range, test),
-    }
-    return Fit(model, first, train, test, report)
+        model = kind.fit(dataset, settings, start=first, callback=told(share, 1.0 - share))
+    held_out = sorted(set(map(str, test.columns["flight_name"])))
+    report: dict[str, Any] = {"rows": evaluate(first, train, test), "held_out_flights": held_out, "refitted": refit}
+    return Fit(model, first, train, test, report | {"out_of_range": outside_shares(first.feature_range, test)})
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
@@ -176,16 +173,12 @@ class Ratio(NamedTuple):
 
 def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ratio:
     """Ratio of the RMSEs of two predictors' errors, (k,) or (k, 3) each, paired over flights (k,)."""
-    from scipy.stats import t as student_t
-
     logs = []
     for index in np.unique(flight):
         mean, base = (max(float(np.mean(values[flight == index] ** 2)), 1e-24) for values in (error, other))
         logs.append(0.5 * np.log(mean / base))
     n, middle = len(logs), float(np.mean(logs))
-    if n < 2:
-        return Ratio(float(np.exp(middle)), np.nan, np.nan, n)
-    half = student_t.ppf(0.5 + CONFIDENCE / 2, n - 1) * float(np.std(logs, ddof=1)) / np.sqrt(n)
+    half = float(half_width(np.std(logs, ddof=1), n - 1, CONFIDENCE)) / np.sqrt(n) if n > 1 else np.nan
     return Ratio(float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half)), n)
 
 
