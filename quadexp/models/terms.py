@@ -232,12 +232,9 @@ class TermStructure(NamedTuple):
 
     def acceleration(self, features: Expression, theta: Expression) -> Expression:
         """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta, the coefficients of all axes one after the other."""
+        numbers = iter(range(self.n_parameters))
         phi = term_expressions(self.terms, features[:3], features[6:] / self.mass, self.momentum)
-        components, k = [], 0
-        for of_axis in phi:
-            components.append(sum((theta[k + j] * term for j, term in enumerate(of_axis)), ca.SX(0)))
-            k += len(of_axis)
-        return ca.vertcat(*components)
+        return ca.vertcat(*(sum((theta[next(numbers)] * term for term in axis), ca.SX(0)) for axis in phi))
 
 
 def term_residual(vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "") -> Residual:
@@ -253,11 +250,12 @@ def adapting_terms(vehicle: Vehicle, deviation: float) -> Adapting:
     structure = TermStructure(ADAPTING, vehicle.mass)
     residual = term_residual(vehicle, structure, np.zeros(structure.n_parameters), "adapted in flight")
     hover = np.full((1, vehicle.n_rotors), vehicle.gravity / vehicle.n_rotors)
-    blocks, first = [], 0
-    for axis, phi in enumerate(all_columns(ADAPTING, np.full((1, 3), TYPICAL_SPEED), hover)):
-        at = np.arange(first, first + phi.size)
-        blocks.append(Block(axis, at, np.zeros(len(at)), deviation * np.diag(1 / np.abs(phi[0]))))
-        first += phi.size
+    phi = all_columns(ADAPTING, np.full((1, 3), TYPICAL_SPEED), hover)
+    places = np.split(np.arange(structure.n_parameters), np.cumsum([columns.size for columns in phi])[:-1])
+    blocks = [
+        Block(axis, at, np.zeros(len(at)), deviation * np.diag(1 / np.abs(columns[0])))
+        for axis, (at, columns) in enumerate(zip(places, phi, strict=True))
+    ]
     return Adapting(replace(residual, name="terms"), tuple(blocks))
 
 
@@ -339,19 +337,19 @@ def fit_terms(
     targets = list(target.T)
     if isinstance(z, tuple):
         designs[2], targets[2] = z
-    fits = [
-        z if i == 2 and isinstance(z, Regression) else regress(
-            designs[i], targets[i], [f"{name}_{AXES[i]}" for name in names], stretch, flight,
-            what=f"{what} along {AXES[i]}", **options,
-        )
-        for i, names in enumerate(terms)
-    ]  # fmt: skip
-    last = [slice(len(fit.coefficients) - len(names), None) for fit, names in zip(fits, terms, strict=True)]
+    fits: list[Regression] = []
+    for axis, names, design, along in zip(AXES, terms, designs, targets, strict=True):
+        if axis == "z" and isinstance(z, Regression):
+            fits.append(z)
+        else:
+            named, where = [f"{name}_{axis}" for name in names], f"{what} along {axis}"
+            fits.append(regress(design, along, named, stretch, flight, what=where, **options))
+    last = [(fit, slice(len(fit.coefficients) - len(names), None)) for fit, names in zip(fits, terms, strict=True)]
     return TermModel(
-        kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in zip(fits, last, strict=True)),
-        tuple(fit.covariance[k, k] for fit, k in zip(fits, last, strict=True)),
-        tuple(int(fit.freedom) for fit in fits), np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]),
-        np.array([fit.condition for fit in fits]), rotors.shape[1], momentum, options.get("loss", "squares"),
+        kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in last),
+        tuple(fit.covariance[k, k] for fit, k in last), tuple(int(fit.freedom) for fit in fits),
+        np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]), np.array([fit.condition for fit in fits]),
+        rotors.shape[1], momentum, options.get("loss", "squares"),
     )  # fmt: skip
 
 

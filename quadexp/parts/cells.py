@@ -99,15 +99,14 @@ class Cells(Combinations, Sequence[Cell]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         overrides = self.overrides(index)
+        kept, refusal = list(overrides), None
         try:
             config = self._compose(overrides)
-            return Cell(config, overrides, self._differing(overrides, config))
         except UsageError as error:
-            kept = self._consistent(overrides)
+            kept, refusal = self._consistent(overrides), error
             config = self._compose(kept)
-            return Cell(
-                config, overrides, self._differing(overrides, config), error, frozenset(overrides).difference(kept)
-            )
+        varied, refused = self._differing(overrides, config), frozenset(overrides).difference(kept)
+        return Cell(config, overrides, varied, refusal, refused)
 
     def _differing(self, overrides: Sequence[str], config: Config) -> str:
         """The keys that vary with their values; that of a key that is not given here is what the configuration has."""
@@ -118,9 +117,8 @@ class Cells(Combinations, Sequence[Cell]):
     def sound(self) -> list[Cell]:
         """All cells; raises the UsageError of the first that is invalid."""
         cells = list(self)
-        for cell in cells:
-            if cell.error is not None:
-                raise cell.error
+        if error := next((cell.error for cell in cells if cell.error), None):
+            raise error
         return cells
 
     def _consistent(self, overrides: Sequence[str]) -> list[str]:
