@@ -48,11 +48,11 @@ _kept = _Kept()
 def keep(record: Any, make: Callable[[], T]) -> T:
     """What this thread made before of an equal record, else a new one."""
     key, things = digest(record), _kept.things
-    made = things.pop(key) if key in things else make()
+    thing = things.pop(key) if key in things else make()
     while len(things) >= KEPT:
         del things[next(iter(things))]
-    things[key] = made
-    return made
+    things[key] = thing
+    return thing
 
 
 @contextlib.contextmanager
@@ -104,8 +104,8 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
 
     _check_one_lag(config, believed)
     effects, true_vehicle = build_effects(vehicle, *parts.values())
-    read = [content_hash(one.path) for one in effects if hasattr(one, "path")]
-    given = {group: one.recorded() for group, one in parts.items()}
+    read = [content_hash(effect.path) for effect in effects if hasattr(effect, "path")]
+    given = {group: part.recorded() for group, part in parts.items()}
     record = ["world", plant_record(vehicle, config.plant), given, read]
 
     def make() -> Any:
@@ -128,7 +128,7 @@ def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
     not hover.
     """
-    effects = [_with_file(one) for one in parts]
+    effects = [_with_file(part) for part in parts]
     for effect in effects:
         vehicle = effect.true_vehicle(vehicle)
     return effects, vehicle
@@ -162,16 +162,14 @@ def _check_one_lag(config: Config, plant: Any) -> None:
 
 def _with_drag(config: Config) -> Any:
     """The plant with `truth.drag` times its drag and lift. Raises UsageError where it has none of these settings."""
-    factor, names = getattr(config.truth, "drag", 1.0), ("linear_drag", "quadratic_drag")
+    factor, plant, names = getattr(config.truth, "drag", 1.0), config.plant, ("linear_drag", "quadratic_drag")
     if factor == 1.0:
-        return config.plant
-    if not all(hasattr(config.plant, name) for name in (*names, "lift")):
-        raise UsageError(
-            f"truth.drag={factor:g}: scales the drag of plant=simplified and its presets; plant={config.plant.name} has"
-            " no such coefficients"
-        )
-    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(config.plant, name)) for name in names}
-    return replace(config.plant, **scaled, lift=factor * config.plant.lift)
+        return plant
+    if not all(hasattr(plant, name) for name in (*names, "lift")):
+        said = f"scales the drag of plant=simplified and its presets; plant={plant.name} has no such coefficients"
+        raise UsageError(f"truth.drag={factor:g}: {said}")
+    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(plant, name)) for name in names}
+    return replace(plant, **scaled, lift=factor * plant.lift)
 
 
 # ------------------------------------------------------------------------------------- trajectory, controller, remedies
@@ -195,10 +193,11 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     """The controller inside its remedies; one is kept for every (configuration, model), and begins anew with every
     flight."""
     controller, around = config.controller, remedies(config)
-    told = [config.plant.recorded(), [*world_parts(config)]]
-    believed = told if controller.knows_plant else model.sha256 if model else ""
+    believed: Any = [config.plant.recorded(), [*world_parts(config)]]
+    if not controller.knows_plant:
+        believed = model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, controller.recorded(), believed]
-    record += [{group: one.recorded() for group, one in around.items()}]
+    record += [{group: remedy.recorded() for group, remedy in around.items()}]
 
     given = Given(
         vehicle=vehicle, plant=plant, remedies=tuple(around.values()),
@@ -236,18 +235,18 @@ def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: 
 def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
     """Raise UsageError where a remedy needs what neither vehicle nor world measure, nor the other parts know."""
     around = tuple(remedies(config).values())
-    for one in around:
-        one.check(vehicle, plant, config.controller, around)
+    for remedy in around:
+        remedy.check(vehicle, plant, config.controller, around)
 
 
-def checked(seam: str, part: Part, made: Any) -> Any:
+def checked(seam: str, part: Part, product: Any) -> Any:
     """What a part made; UsageError where it lacks what its seam asks for."""
-    lacking = [name for name in SEAMS[seam] if not hasattr(made, name)]
+    lacking = [name for name in SEAMS[seam] if not hasattr(product, name)]
     if lacking:
         target = getattr(part, "_target_", f"{type(part).__module__}.{type(part).__qualname__}")
-        key = f"{seam}._target_={target}"
-        raise UsageError(f"{key}: made no {seam}, a {type(made).__name__} without {', '.join(lacking)}")
-    return made
+        said = f"made no {seam}, a {type(product).__name__} without {', '.join(lacking)}"
+        raise UsageError(f"{seam}._target_={target}: {said}")
+    return product
 
 
 # --------------------------------------------------------------------------------------------------------- checkpoints

@@ -114,8 +114,8 @@ def collect_flights(
         loop = build_loop(world, model)
         path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
         speed = settings.speed_min + (offset + index * GOLDEN) % 1.0 * (settings.speed_max - settings.speed_min)
-        left = settings.duration - recorded
-        trajectory = _trajectory(config, vehicle, loop.controller, speed, left, path_rng)
+        rest = settings.duration - recorded
+        trajectory = _trajectory(config, vehicle, loop.controller, speed, rest, path_rng)
         metadata = describe(world, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": settings.mode}
         flown = {group: node for group, node in flight_record(world).items() if group != "trajectory"}
         metadata["config"] = {**flown, "collect": decisive}
@@ -142,18 +142,18 @@ def _check_same(config: Config, other: Config) -> None:
 
 
 def _trajectory(
-    config: Config, vehicle: Vehicle, controller: Any, speed: float, left: float, rng: np.random.Generator
+    config: Config, vehicle: Vehicle, controller: Any, speed: float, rest: float, rng: np.random.Generator
 ) -> Any:
-    """What is flown next, `left` (s) at most where that is possible."""
+    """What is flown next, for `rest` (s) at most where that is possible."""
     settings = config.collect
     if settings.mode == "setpoints":
-        return setpoints(settings.extent, settings.clearance, speed, min(settings.flight_duration, left), rng)
+        return setpoints(settings.extent, settings.clearance, speed, min(settings.flight_duration, rest), rng)
     for _ in range(DRAWS):
         seed = int(rng.integers(2**31))
         path = RandomPolynomial(speed=speed, seed=seed, extent=settings.extent, clearance=settings.clearance)
         if thrust_excess(path, vehicle) is None:
             period = controller.control_period
-            wanted = max(SHORTEST, math.ceil(left / period - 1e-6) * period)
+            wanted = max(SHORTEST, math.ceil(rest / period - 1e-6) * period)
             return Beginning(path, wanted) if path.duration > wanted + OVERTIME * settings.duration else path
     raise QuadexpError(
         f"none of {DRAWS} random paths at {speed:.1f} m/s can be flown; lower collect.speed_max"

@@ -192,7 +192,7 @@ def _rollouts(
     predicted: Sequence[tuple[Predictor, FlightRows]], horizons: Sequence[float], vehicle: Vehicle
 ) -> list[dict[str, Any]]:
     """Open loop with measured attitude; with all 13 states too where the log has a signal per rotor."""
-    tracks = [Track(one, predictor, vehicle.gravity) for predictor, one in predicted]
+    tracks = [Track(rows, predictor, vehicle.gravity) for predictor, rows in predicted]
     records = [row for tracked in (False, True) for row in rollout_errors(tracks, horizons, tracked=tracked)]
     curves = [predictor.curve for predictor, _ in predicted]
     if all(curve.signal != "thrust_acceleration" and curve.rotors == vehicle.n_rotors for curve in curves):

@@ -214,8 +214,9 @@ def residual_dataset(
 
 def as_told(flight: Flight) -> Flight:
     """The flight with the estimate that its controller was told, est_p_x .., in place of the truth where it has one."""
-    told = {name: flight.columns[f"est_{name}"] for name in STATE_COLUMNS if f"est_{name}" in flight.columns}
-    return replace(flight, columns={**flight.columns, **told}) if told else flight
+    columns = flight.columns
+    estimate = {name: columns[f"est_{name}"] for name in STATE_COLUMNS if f"est_{name}" in columns}
+    return replace(flight, columns={**columns, **estimate}) if estimate else flight
 
 
 def joined(

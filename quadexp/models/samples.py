@@ -166,13 +166,13 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
         return samples
     v, target = samples.velocity[rows], samples.force[rows, 2]
     beside = [np.ones(len(rows)), v[:, 2], np.abs(v[:, 2]) * v[:, 2], v[:, 0] ** 2 + v[:, 1] ** 2]
-    left = np.empty(most + 1)
+    error = np.empty(most + 1)
     for late in range(most + 1):
         sent = samples.signal[rows - late]
         design = np.stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)], axis=1)
-        left[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
-    late = int(np.argmin(left))
-    if left[late] > np.exp(-WORTH) * left[0]:
+        error[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
+    late = int(np.argmin(error))
+    if error[late] > np.exp(-WORTH) * error[0]:
         return samples
     known = np.arange(len(samples)) - late >= np.searchsorted(samples.segment, samples.segment)
     return samples.delayed(late * period).rows(known)

@@ -312,9 +312,9 @@ def left_out(level: str, samples: Samples, settings: FitSettings, momentum: floa
     residuals: dict[int, np.ndarray] = {}
     for fold in range(folds):
         out = samples.flight % folds == fold
-        rest, left = samples.rows(~out), samples.rows(out)
-        residual = fit_level(level, rest, settings, momentum, intervals=False).residual(left)
-        residuals |= {index: residual[left.flight == index] for index in range(fold, count, folds)}
+        fitted, tested = samples.rows(~out), samples.rows(out)
+        residual = fit_level(level, fitted, settings, momentum, intervals=False).residual(tested)
+        residuals |= {index: residual[tested.flight == index] for index in range(fold, count, folds)}
     return {name: residuals[index] for index, name in enumerate(samples.names) if index in residuals}
 
 
