@@ -19,17 +19,8 @@ from msgspec.structs import replace as with_changes
 
 from quadexp.errors import UsageError
 from quadexp.experiment.vehicle_of import own_vehicle, recorded_vehicle, refuse_repeated, vehicle_named
+from quadexp.log import store
 from quadexp.log.schema import Flight
-from quadexp.log.store import (
-    check_attitude,
-    check_finite,
-    check_order,
-    check_whole,
-    column_names,
-    read_flight,
-    read_table,
-    write_table,
-)
 from quadexp.models.blade_element import Identification, identify_flight
 from quadexp.models.checkpoint import save_model
 from quadexp.models.rls import RLSSettings
@@ -77,7 +68,7 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
     if not paths:
         raise UsageError("identify: no flight given")
     for path in paths:
-        names, record = column_names(path, "flight")
+        names, record = store.column_names(path, "flight")
         flight = Flight(dict.fromkeys(names, np.empty(0)), record)
         if not rotor_columns(flight, "rotor_speed"):
             return Choice("regression", f"{path} has no rotor speeds")
@@ -93,11 +84,11 @@ def read_recorded(path: Path) -> Flight:
     """Read a flight that may lack commanded thrusts, as a log does. Raises DataError unless time, attitude and velocity
     are finite, time increases and no sample was left out."""
     needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
-    columns, record = read_table(path, "flight", required=needed)
-    check_finite(columns, needed, str(path))
-    check_attitude(columns, str(path))
-    check_whole(record, str(path))
-    check_order(columns["t"], str(path))
+    columns, record = store.read_table(path, "flight", required=needed)
+    store.check_finite(columns, needed, str(path))
+    store.check_attitude(columns, str(path))
+    store.check_whole(record, str(path))
+    store.check_order(columns["t"], str(path))
     return Flight(columns, record)
 
 
@@ -120,11 +111,11 @@ def identify_files(
     settings = RLSSettings() if paper else None
     results = []
     for path in flights:
-        flight = read_flight(path, whole=True)
+        flight = store.read_flight(path, whole=True)
         results.append(identify_flight(flight, named or recorded_vehicle(flight, path), settings, name=str(path)))
     for path, result in zip(paths, results, strict=True):
         record = {**result.metadata(), "versions": versions(), "provenance": provenance()}
-        write_table(path, result.columns(), record, "estimates", force=force)
+        store.write_table(path, result.columns(), record, "estimates", force=force)
     return list(zip(paths, results, strict=True))
 
 

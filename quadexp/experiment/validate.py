@@ -16,23 +16,13 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.models import validation
 from quadexp.models.checkpoint import load_model
 from quadexp.models.recorded import recorded_dataset
 from quadexp.models.samples import FlightRows, gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import TorqueModel, explained, torque_lines
-from quadexp.models.validation import (
-    NOMINAL,
-    TURNING,
-    Predictor,
-    Track,
-    band_rows,
-    nominal,
-    predictors,
-    residuals,
-    rollout_errors,
-    score_rows,
-)
+from quadexp.models.validation import Predictor, Track
 from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
@@ -86,11 +76,11 @@ def validate(
                     said = f"warning: {name} is one of the flights that {predictor.name} was fitted to"
                     notes.append(f"{said}, so this is not a test")
     progress(len(folds), len(folds))
-    scored = [residuals(predicted) for predicted in by_predictor.values()]
+    scored = [validation.residuals(predicted) for predicted in by_predictor.values()]
     report: dict[str, Any] = {
         "models": [str(path) for path in models], "flights": list(flown), "leave_one_out": leave_one_out,
-        "nominal": None if leave_one_out else str(used[0].curve), "rows": score_rows(scored, NOMINAL),
-        "bands": band_rows(scored),
+        "nominal": None if leave_one_out else str(used[0].curve),
+        "rows": validation.score_rows(scored), "bands": validation.band_rows(scored),
         "rollouts": [row for predicted in by_predictor.values() for row in _rollouts(predicted, horizons, vehicle)],
         "torque": torques, "notes": list(dict.fromkeys(notes)), "versions": versions(), "provenance": provenance(),
     }  # fmt: skip
@@ -115,14 +105,14 @@ def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Pre
     all_of_them: list[Predictor] = []
     several = sum(isinstance(model, VehicleModel) for _, model in loaded) > 1
     for label, model in loaded:
-        for predictor in predictors(model, label, vehicle, curve):
+        for predictor in validation.predictors(model, label, vehicle, curve):
             prefix = f"{label}: " if several and isinstance(model, VehicleModel) else ""
             named = replace(predictor, name=f"{prefix}{predictor.name}", torque=predictor.torque or torque)
             all_of_them.append(named)
         curve = curve or getattr(model, "thrust", None)
         torque = torque or getattr(model, "torque", None)
-    if all(predictor.name != NOMINAL for predictor in all_of_them):
-        all_of_them.insert(0, nominal(all_of_them[0].curve, all_of_them[0].seen))
+    if all(predictor.name != validation.NOMINAL for predictor in all_of_them):
+        all_of_them.insert(0, validation.nominal(all_of_them[0].curve, all_of_them[0].seen))
     return all_of_them
 
 
@@ -193,10 +183,10 @@ def _rollouts(
 ) -> list[dict[str, Any]]:
     """Open loop with measured attitude; with all 13 states too where the log has a signal per rotor."""
     tracks = [Track(rows, predictor, vehicle.gravity) for predictor, rows in predicted]
-    records = [row for tracked in (False, True) for row in rollout_errors(tracks, horizons, tracked=tracked)]
+    records = [row for tracked in (False, True) for row in validation.rollout_errors(tracks, horizons, tracked=tracked)]
     curves = [predictor.curve for predictor, _ in predicted]
     if all(curve.signal != "thrust_acceleration" and curve.rotors == vehicle.n_rotors for curve in curves):
-        for mode in TURNING:
+        for mode in validation.TURNING:
             turned = [track for track in tracks if mode != "torque" or track.predictor.torque is not None]
-            records += rollout_errors(turned, horizons, tracked=True, vehicle=vehicle, mode=mode)
+            records += validation.rollout_errors(turned, horizons, tracked=True, vehicle=vehicle, mode=mode)
     return records

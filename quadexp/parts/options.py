@@ -231,6 +231,11 @@ def merge(values: dict[str, Any], over: Mapping[str, Any]) -> None:
             values[key] = copy.deepcopy(value)
 
 
+def nested(key: str, value: Any) -> dict[str, Any]:
+    """{A: {B: value}} of a dotted key A.B."""
+    return functools.reduce(lambda inner, part: {part: inner}, reversed(key.split(".")), value)
+
+
 @functools.cache
 def units(group: str) -> dict[str, str]:
     """Units of the keys of a group's parts, by name; "" for a number without one."""
@@ -277,13 +282,9 @@ def _contents(group: str, option: str, values: dict[str, Any], extended: Any) ->
     if group not in BUNDLES:
         return {f"{group}/{option}": {"defaults": [*defaults, "_self_"], **values}}
     chosen = {key: value for key, value in values.items() if "." not in key}
-    nodes: dict[str, dict[str, Any]] = {}
+    nodes: dict[str, Any] = {}
     for key in (key for key in values if key not in chosen):
-        part, *parents, last = key.split(".")
-        node = nodes.setdefault(part, {})
-        for parent in parents:
-            node = node.setdefault(parent, {})
-        node[last] = values[key]
+        merge(nodes, nested(key, values[key]))
     contents: dict[str, dict[str, Any]] = {}
     for part in nodes.keys() & WORLD if group == "world" else ():
         contents |= _contents(part, option, {"name": option, **nodes.pop(part)}, chosen.get(part, CHOSEN[part]))
