@@ -23,9 +23,9 @@ from quadexp.log import store
 from quadexp.log.schema import Flight
 from quadexp.models.blade_element import Identification, identify_flight
 from quadexp.models.checkpoint import save_model
+from quadexp.models.inflow import momentum_of
 from quadexp.models.rls import RLSSettings
 from quadexp.models.samples import QUATERNION, Samples, gather_to_fit, rotor_columns
-from quadexp.models.terms import momentum_of
 from quadexp.models.vehicle_model import (
     HOVER_INFLOW,
     FitSettings,

@@ -25,6 +25,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Model, Prediction, feature_ranges, rms
 from quadexp.models.dataset import ResidualDataset
+from quadexp.models.inflow import fit_inflow, momentum_of
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.residual import AXES, VELOCITY, Residual
 from quadexp.models.samples import Samples, gather_to_fit
@@ -37,9 +38,7 @@ from quadexp.models.terms import (
     Momentum,
     TermMean,
     TermModel,
-    fit_inflow,
     fit_terms,
-    momentum_of,
     term_residual,
 )
 from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
