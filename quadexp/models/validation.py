@@ -125,7 +125,6 @@ class Residuals:
     predictor: str
     error: np.ndarray
     tracked: np.ndarray
-    scale: np.ndarray
     flight: np.ndarray
     block: np.ndarray
     speed: np.ndarray
@@ -142,29 +141,28 @@ def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
         collective = rotors.sum(axis=1)
         beyond = predictor.beyond(samples.velocity, row.rate, rotors)
         error = samples.force - beyond
-        scale = tracked_scale(collective, error[:, 2], row.dt)
         tracked = error.copy()
+        tracked[:, 2] -= tracked_scale(collective, error[:, 2], row.dt) * collective
         error[:, 2] -= collective
-        tracked[:, 2] -= scale * collective
         block = blocks + (np.arange(len(samples)) * row.dt // BLOCK).astype(int)
         blocks = int(block[-1]) + 1
-        parts.append((error, tracked, scale, np.full(len(samples), index), block, row.speed))
+        parts.append((error, tracked, np.full(len(samples), index), block, row.speed))
         if predictor.ranges:
             features = feature_rows(samples.velocity, row.rate, predictor.mass * rotors)
             outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
             rows += len(samples)
-    error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
+    error, tracked, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
     share = outside / rows if rows else None
-    return Residuals(predicted[0][0].name, error, tracked, scale, flight, block, speed, share)
+    return Residuals(predicted[0][0].name, error, tracked, flight, block, speed, share)
 
 
-def score_rows(results: Sequence[Residuals], baseline: str = NOMINAL) -> list[Row]:
+def score_rows(results: Sequence[Residuals]) -> list[Row]:
     """Per predictor one row as fitted and one tracked: RMS per axis and of the vector, with interval.
 
-    share: ratio to the baseline's RMS as fitted. share_alike: ratio to the baseline's RMS, tracked if this row is. Both
-    with the interval of the ratio over the same resamples.
+    share: ratio to the nominal RMS as fitted. share_alike: ratio to the nominal RMS, tracked if this row is. Both with
+    the interval of the ratio over the same resamples.
     """
-    base = next((result for result in results if result.predictor == baseline), None)
+    base = next((result for result in results if result.predictor == NOMINAL), None)
     rows = []
     for result in results:
         weights = resampling_weights(result.flight[np.unique(result.block, return_index=True)[1]], DRAWS)
