@@ -72,13 +72,13 @@ def fit_with_report(dataset: ResidualDataset, kind: type[Model], settings: Any, 
     refit = getattr(settings, "refit", True)
     share = 0.8 if refit else 1.0
 
-    def told(begin: float, length: float) -> Callback:
+    def progress(begin: float, length: float) -> Callback:
         """The callback of a part of the work."""
         return lambda message, done: callback(message, begin + length * done)
 
-    first = model = kind.fit(train, settings, callback=told(0.0, share), intervals=not refit)
+    first = model = kind.fit(train, settings, callback=progress(0.0, share), intervals=not refit)
     if refit:
-        model = kind.fit(dataset, settings, start=first, callback=told(share, 1.0 - share))
+        model = kind.fit(dataset, settings, start=first, callback=progress(share, 1.0 - share))
     held_out = sorted(set(map(str, test.columns["flight_name"])))
     report: dict[str, Any] = {"rows": evaluate(first, train, test), "held_out_flights": held_out, "refitted": refit}
     return Fit(model, first, train, test, report | {"out_of_range": outside_shares(first.feature_range, test)})

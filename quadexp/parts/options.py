@@ -122,10 +122,10 @@ class OptionFiles:
     def meaning(self, group: str, option: str) -> str:
         """What an option is, in words: as its sheet says, or the comment at the head of its file."""
         name = f"{group}/{option}"
+        if name in self.entries:
+            return self.entries[name].meaning
         path = self.find(name)
-        if name in self.entries or path is None:
-            return self.entries[name].meaning if path else ""
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path else []
         return " ".join(line.lstrip("# ") for line in lines if line.startswith("#") and "@package" not in line)
 
     def read(self, group: str, option: str, *, look: bool = False) -> tuple[Path, dict[str, Any]]:
