@@ -99,14 +99,13 @@ class Cells(Combinations, Sequence[Cell]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         overrides = self.overrides(index)
-        kept, refusal = list(overrides), None
         try:
             config = self._compose(overrides)
+            return Cell(config, overrides, self._differing(overrides, config))
         except UsageError as error:
-            kept, refusal = self._consistent(overrides), error
-            config = self._compose(kept)
-        varied, refused = self._differing(overrides, config), frozenset(overrides).difference(kept)
-        return Cell(config, overrides, varied, refusal, refused)
+            kept = self._consistent(overrides)
+            config, refused = self._compose(kept), frozenset(overrides).difference(kept)
+            return Cell(config, overrides, self._differing(overrides, config), error, refused)
 
     def _differing(self, overrides: Sequence[str], config: Config) -> str:
         """The keys that vary with their values; that of a key that is not given here is what the configuration has."""

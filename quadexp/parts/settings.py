@@ -236,9 +236,23 @@ def _checked(key: str, value: Any, about: Declared) -> Any:
 
 
 def _typed(key: str, value: Any, kind: Any) -> Any:
-    arguments = get_args(kind)
-    needed = ""
-    if _is_rows(kind):
+    if kind in (int, float):
+        needed = "a whole number" if kind is int else "a number"
+        try:
+            if not isinstance(value, bool) and (kind is float or not isinstance(value, float)):
+                return kind(value)
+        except (TypeError, ValueError, OverflowError):
+            value = _shown(value)
+    elif kind is bool:
+        needed = "true or false"
+        if str(value).lower() in _WORDS:
+            return _WORDS[str(value).lower()]
+    elif kind is str or get_origin(kind) is Literal:
+        needed = "a text"
+        if value is not None and not isinstance(value, (list, tuple, Mapping)):
+            return str(value)
+    elif _is_rows(kind):
+        arguments = get_args(kind)
         count = None if arguments[-1] is Ellipsis else len(arguments)
         needed = f"{count or 'some'} rows of 3 numbers each"
         with contextlib.suppress(TypeError, ValueError):
@@ -246,26 +260,16 @@ def _typed(key: str, value: Any, kind: Any) -> Any:
             if rows and count in (None, len(rows)) and all(len(row) == 3 and all(map(isfinite, row)) for row in rows):
                 return rows
     elif get_origin(kind) is tuple:
+        arguments = get_args(kind)
         if not isinstance(value, (str, Mapping)) and hasattr(value, "__iter__"):
             return tuple(_typed(f"{key}[{i}]", item, arguments[0]) for i, item in enumerate(value))
         length = "" if arguments[-1] is Ellipsis else f"{len(arguments)} "
         needed = f"a list of {length}numbers" if arguments[0] is float else "a list"
-    elif kind is bool:
-        if str(value).lower() in _WORDS:
-            return _WORDS[str(value).lower()]
-        needed = "true or false"
-    elif kind in (int, float):
-        with contextlib.suppress(TypeError, ValueError, OverflowError):
-            if not isinstance(value, bool) and not (kind is int and isinstance(value, float)):
-                return kind(value)
-        needed = "a whole number" if kind is int else "a number"
-    elif kind is str or get_origin(kind) is Literal:
-        if value is not None and not isinstance(value, (list, tuple, Mapping)):
-            return str(value)
-        needed = "a text"
     elif not isinstance(kind, type) or not issubclass(kind, Settings) or isinstance(value, kind):
         return value
-    raise ForbiddenValueError(f"{key}={_shown(value)}: must {f'be {needed}' if needed else 'hold keys and values'}")
+    else:
+        raise ForbiddenValueError(f"{key}={_shown(value)}: must hold keys and values")
+    raise ForbiddenValueError(f"{key}={_shown(value)}: must be {needed}")
 
 
 def _is_rows(kind: Any) -> bool:
