@@ -341,7 +341,7 @@ def identify(
     choice = choose_method(flights, method, named)
     chosen(choice.method, choice.reason)
     if choice.method == "delays":
-        from quadexp.experiment.identify import identify_delays
+        from quadexp.experiment.delays import identify_delays
 
         return {"method": "delays", **identify_delays(flights, named, conf, figure)}
     if choice.method == "rls":
