@@ -15,9 +15,8 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -66,22 +65,12 @@ LONGEST_TICK = 20  # letters, beside a map
 
 
 def figure_of(view: View) -> Figure:
-    """The matplotlib figure of a view."""
-    return FIGURES[view.kind](view)
-
-
-def _drawn(draw: Callable[[View], Figure]) -> Callable[[View], Figure]:
-    """Decorator of what draws a view: the style, with smaller letters on paper."""
-
-    @wraps(draw)
-    def drawn(view: View) -> Figure:
-        with matplotlib.rc_context({**STYLE, **(ON_PAPER if view.width else {})}):
-            figure = draw(view)
-            for panel in figure.axes if view.width else ():
-                panel.tick_params(labelsize=ON_PAPER["legend.fontsize"])
-        return figure
-
-    return drawn
+    """The matplotlib figure of a view, on paper with smaller letters."""
+    with matplotlib.rc_context({**STYLE, **(ON_PAPER if view.width else {})}):
+        figure = _heat_map(view) if view.kind == "heat" else _lines(view)
+        for panel in figure.axes if view.width else ():
+            panel.tick_params(labelsize=ON_PAPER["legend.fontsize"])
+    return figure
 
 
 def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, **share: Any) -> tuple[Figure, Any]:
@@ -116,9 +105,7 @@ def _across(view: View, size: float, most: int) -> tuple[int, float]:
     return across, max(5.6, 1.4 + size * across)
 
 
-@_drawn
-def line_figure(view: View) -> Figure:
-    """The figure of a view of kind "lines"."""
+def _lines(view: View) -> Figure:
     lines, look = view.lines(), looks_of(view)
     labels = {line: label_of(view, line, view.names) for line in lines}
     size = max(3.1, 0.42 * len(view.x.values)) if view.x.kind == "group" else 3.1
@@ -280,9 +267,7 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
                 panel.annotate(text, at, xycoords=edge, color=look[line].colour, **beside)
 
 
-@_drawn
-def heat_figure(view: View) -> Figure:
-    """The figure of a view of kind "heat"."""
+def _heat_map(view: View) -> Figure:
     down_axis = replace(Axis.of(view.by[0], [line[0] for line in view.lines()]), names=view.names)
     cell = 0.62 if len(view.x.values) * len(down_axis.values) <= MOST_LETTERS else 0.2
     size = max(2.2, cell * len(view.x.values) + 1.0), max(1.6, 0.42 * len(down_axis.values) + 0.8)
@@ -322,9 +307,6 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
             panel.add_patch(hatch)
         if values.size <= MOST_LETTERS:
             panel.text(i, j, "\n".join(lines), ha="center", va="center", fontsize=7, color=colour)
-
-
-FIGURES = {"lines": line_figure, "heat": heat_figure}
 
 
 def records(view: View) -> list[dict[str, Any]]:
@@ -387,4 +369,4 @@ def results_figure(paths: Sequence[Path]) -> Figure:
     frame = SweepFrame(rows, paths[0], record)
     axes = [key for key in frame.swept if key not in (SOURCE, "controller", "model", "trajectory", "seed")]
     x = max(axes, key=lambda key: len(frame.values(key))) if axes else "controller"
-    return line_figure(view(frame, x=x, by=[SOURCE], y=str(record.get("metric", "mean_error"))))
+    return figure_of(view(frame, x=x, by=[SOURCE], y=str(record.get("metric", "mean_error"))))

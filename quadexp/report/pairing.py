@@ -191,10 +191,13 @@ class Groups:
     """The flights of a comparison, in order of first appearance.
 
     cells: (condition, contestant) -> flights. conditions: condition -> contestant -> seed, ascending -> flights (two of
-    a seed where a table was joined from two sweeps). worlds: plant and vehicle -> their conditions.
+    a seed where a table was joined from two sweeps). worlds: plant and vehicle -> their conditions. labels: of the
+    contestants; None: that tell these apart.
     """
 
-    def __init__(self, rows: Sequence[Row], baseline: str, metrics: Sequence[str]) -> None:
+    def __init__(
+        self, rows: Sequence[Row], baseline: str, metrics: Sequence[str], labels: Mapping[Contestant, str] | None = None
+    ) -> None:
         self.cells: dict[tuple[Condition, Contestant], list[Flown]] = {}
         for row in (row for row in rows if not is_invalid(row)):
             flown = Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
@@ -208,7 +211,7 @@ class Groups:
         for condition in self.conditions:
             self.worlds.setdefault(condition[:2], []).append(condition)
         self.contestants = list(dict.fromkeys(contestant for _, contestant in self.cells))
-        self.labels = contestant_labels(self.contestants)
+        self.labels = labels or contestant_labels(self.contestants)
         self._baselines = [contestant for contestant in self.contestants if contestant[0] == baseline]
 
     def flights(self, conditions: Iterable[Condition]) -> dict[Contestant, Flights]:

@@ -79,21 +79,15 @@ def points(
     flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
     well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
     places: dict[Place, list[int]] = {}  # place -> rows
-    groups: dict[Place, list[Place]] = {}  # what is flown -> places
     for i, place in enumerate(zip(*columns, strict=True)):
         if None not in place:
             places.setdefault(place, []).append(i)
-    for place in places:
+    beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
+    for place, numbers in places.items():
         flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
-        groups.setdefault(flown, []).append(place)
-    used: dict[Place, list[int]] = {}
-    for group in groups.values():
-        ended = {
-            place: {flights[i] for i in places[place] if well[i]} - {flights[i] for i in places[place] if not well[i]}
-            for place in group
-        }
-        compared, shared = common(ended)
-        used |= {place: [i for i in places[place] if flights[i] in shared] for place in compared}
+        broken = {flights[i] for i in numbers if not well[i]}
+        beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
+    used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}
     result = {}
     for place, numbers in places.items():
         rows = [frame.rows[i] for i in numbers]
@@ -107,12 +101,12 @@ def points(
             point = replace(point, mean=share, low=low, high=high, flights=trials, method="Clopper-Pearson")
         elif place in used:
             errors: dict[tuple[Place, int], list[float]] = {}
-            for i in used[place]:
+            for i in (i for i in numbers if flights[i] in used[place]):
                 errors.setdefault(flights[i], []).append(float(values[i]))
             means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
             low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
             limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}
-            point = replace(point, **limits, flights=len(used[place]), seeds=len(means))
+            point = replace(point, **limits, flights=sum(map(len, errors.values())), seeds=len(means))
         result[place] = point
     return result
 
@@ -341,18 +335,8 @@ def _made(
         column = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
         if key not in (*keys, *others) and len(set(column)) == 1 and column[0] is not None:
             alone[key] = column[0]
-    return View(
-        kind=kind,
-        y=y,
-        x=Axis.of(x, values),
-        by=tuple(by),
-        facet=tuple(facet),
-        others=tuple(others),
-        confidence=confidence,
-        notes=tuple(_notes(frame, keys, others, y, places)),
-        places=places,
-        alone=alone,
-    )
+    axes, notes = (tuple(by), tuple(facet), tuple(others)), tuple(_notes(frame, keys, others, y, places))
+    return View(kind, y, Axis.of(x, values), *axes, confidence, notes, places, alone)
 
 
 def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:

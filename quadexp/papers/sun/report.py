@@ -30,9 +30,8 @@ from quadexp.papers.sun.data import CRASHED, INFEASIBLE, Ellipse, Published, ell
 from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
-from quadexp.report.style import Figure, looks, plain_log, save, styled
+from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.table import Table
-from quadexp.writer import write_text
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it
@@ -187,13 +186,10 @@ def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
     ]
 
 
-def draw(rows: Sequence[Row], out: str | Path) -> dict[str, str]:
-    """Tables and figure of a sweep into <out>; returns name -> path."""
-    found, folder = conditions(with_logged(rows, out)), Path(out)
-    return {
-        "table_sun": str(write_text(folder / "sun.md", sun_table(found))),
-        "figure_sun": str(save(sun_figure(found), folder / "figures" / "sun")),
-    }
+def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+    """Tables and figure of a sweep."""
+    found = conditions(with_logged(rows, out))
+    return {"sun": sun_table(found)}, {"sun": sun_figure(found)}
 
 
 def sun_table(found: Mapping[str, Mapping[str, Condition]]) -> str:

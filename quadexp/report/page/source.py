@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections.abc import Mapping
@@ -36,7 +37,7 @@ from quadexp.report.pairing import (
 from quadexp.report.statistics import CONFIDENCE, Statistic, overall, results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
-from quadexp.report.winner import Verdict, verdicts
+from quadexp.report.winner import Verdict, verdict
 
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
@@ -128,18 +129,12 @@ class Comparison:
     @cached_property
     def groups(self) -> Groups:
         """The flights of the main world, with the main metric."""
-        return Groups(self.main_rows, self.baseline, (self.metric,))
+        return Groups(self.main_rows, self.baseline, (self.metric,), self.labels)
 
     @cached_property
     def verdict(self) -> Verdict:
         """Who has the least error in the main world."""
-        (verdict,) = verdicts(self.main_rows, metric=self.metric, confidence=self.confidence)
-        named = {label: self.labels[contestant] for contestant, label in self.groups.labels.items()} | {"": ""}
-        one: dict[str, Any] = {name: named[getattr(verdict, name)] for name in ("least", "next", "bound")}
-        several: dict[str, Any] = {
-            name: [named[label] for label in getattr(verdict, name)] for name in ("compared", "alike")
-        }
-        return verdict._replace(**one, **several)
+        return verdict(self.groups, self.groups.worlds[self.world], self.confidence)
 
     def geometric_mean(self, label: str, *, own: bool = False) -> float:
         """Over the conditions, of the mean errors over the common flights, SI; NaN for a label that is not compared.
@@ -256,11 +251,10 @@ class Comparison:
         """The flight of a row; None if its file is missing, was changed, or holds no samples."""
         if self.flight_record(row) is None:  # Arrow can end the process over bytes that were changed
             return None
-        try:
+        with contextlib.suppress(UsageError, DataError):
             flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
-        except (UsageError, DataError):
-            return None
-        return flight if len(flight) > 1 else None
+            return flight if len(flight) > 1 else None
+        return None
 
 
 def read_comparison(path: str | Path, *, baseline: str | None = None) -> Comparison:
