@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.bench.protocol import FORMER, SHORT
-from quadexp.bench.ranking import Row, Standing, standings
+from quadexp.bench.ranking import Row, Standing, cell_of, standings
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
@@ -82,23 +82,19 @@ def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None
 
 def check_cells(rows: Sequence[Row], where: str) -> None:
     """Raise UsageError where the entries of a family have not flown the same cells."""
-    families: dict[str, dict[str, set[tuple[str, str, int]]]] = {}
-    for row in rows:
-        entries = families.setdefault(row["family"], {})
-        entries.setdefault(row["entry"], set()).add((row["task"], row["world"], int(row["seed"])))
-    for family, entries in families.items():
-        first, *others = entries
-        for entry in others:
-            if entries[entry] != entries[first]:
-                raise UsageError(f"{where}: {entry} and {first} have not flown the same cells of {family}")
+    for family, of_family in families_of(rows).items():
+        flown: dict[str, set[tuple[str, str, int]]] = {}
+        for row in of_family:
+            flown.setdefault(row["entry"], set()).add(cell_of(row))
+        first, *others = flown
+        if wrong := [entry for entry in others if flown[entry] != flown[first]]:
+            raise UsageError(f"{where}: {wrong[0]} and {first} have not flown the same cells of {family}")
 
 
 def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by family, in their order."""
-    found: dict[str, list[Row]] = {}
-    for row in rows:
-        found.setdefault(str(row["family"]), []).append(row)
-    return found
+    names = dict.fromkeys(str(row["family"]) for row in rows)
+    return {name: [row for row in rows if row["family"] == name] for name in names}
 
 
 def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str = "") -> Table:
@@ -113,22 +109,20 @@ def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str =
 
 
 def _line(one: Standing) -> list[str]:
+    def value(text: str, low: float, high: float, form: str = ".2f") -> str:
+        return text + ("" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]")
+
+    def of_cells(text: str, cells: int) -> str:
+        return f"{text} ({cells})" if cells < one.flights and text != "-" else text
+
     place = "bound" if one.bound else f"{'= ' if one.level else ''}{one.place}"
-    rank = "-" if one.bound else f"{one.rank:.2f}{_limits(one.rank_low, one.rank_high)}"
+    rank = "-" if one.bound else value(f"{one.rank:.2f}", one.rank_low, one.rank_high)
     ratio = (
-        "-" if math.isnan(one.ratio.value) else f"{one.ratio.value:.3g}{_limits(one.ratio.low, one.ratio.high, '.3g')}"
+        "-" if math.isnan(one.ratio.value) else value(f"{one.ratio.value:.3g}", one.ratio.low, one.ratio.high, ".3g")
     )
-    ended = f"{one.flights - one.lost} of {one.flights}"
-    step = duration(one.step).replace("µ", "u")
-    least, ratio = (
-        text + (f" ({cells})" if cells < one.flights and text != "-" else "")
-        for text, cells in ((number(one.least), one.least_cells), (ratio, one.ratio_cells))
-    )
+    least, ratio = of_cells(number(one.least), one.least_cells), of_cells(ratio, one.ratio_cells)
+    ended, step = f"{one.flights - one.lost} of {one.flights}", duration(one.step).replace("µ", "u")
     return [place, one.entry, one.settings, ended, rank, least, ratio, step]
-
-
-def _limits(low: float, high: float, form: str = ".2f") -> str:
-    return "" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]"
 
 
 def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
@@ -137,23 +131,21 @@ def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world
     The least of a line among ranked entries that lost no more than any other of them is bold.
     """
     factor, unit = SHOWN[metric]
-    entries = list(dict.fromkeys(str(row["entry"]) for row in rows))
-    bounds = {str(row["entry"]) for row in rows if row["bound"]}
+    bound = {str(row["entry"]): row["bound"] for row in rows}
     lines: dict[tuple[str, ...], dict[str, list[Row]]] = {}
     for row in rows:
         lines.setdefault(tuple(str(row[name]) for name in by), {}).setdefault(str(row["entry"]), []).append(row)
     texts = []
     for at, own in lines.items():
-        cells = {entry: _mean(own[entry], metric) for entry in entries}
-        ranked = {entry: cell for entry, cell in cells.items() if entry not in bounds and math.isfinite(cell[0])}
-        best = min(ranked, key=lambda entry: (ranked[entry][1], ranked[entry][0]), default=None)
-        made = []
-        for entry, (error, lost) in cells.items():
-            text = number(factor * error)
-            text = f"**{text}**" if entry == best else text
-            made.append(f"{text} ({lost} lost)" if lost else text)
-        texts.append([*at, *made])
-    return Table([*by, *entries], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
+        means = {entry: _mean(own[entry], metric) for entry in bound}
+        ranked = [entry for entry, (error, _) in means.items() if not bound[entry] and math.isfinite(error)]
+        best = min(ranked, key=lambda entry: means[entry][::-1], default=None)
+        cells = [
+            f"**{number(factor * e)}**" if entry == best else number(factor * e) for entry, (e, _) in means.items()
+        ]
+        lost = [f" ({count} lost)" if count else "" for _, count in means.values()]
+        texts.append([*at, *map("".join, zip(cells, lost, strict=True))])
+    return Table([*by, *bound], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
 
 
 def _mean(rows: Sequence[Row], metric: str) -> tuple[float, int]:

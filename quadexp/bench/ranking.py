@@ -67,10 +67,10 @@ def standings(
     """
     entries = {str(row["entry"]): row for row in rows}
     names, places = list(entries), {name: i for i, name in enumerate(entries)}
-    cells = {cell: k for k, cell in enumerate(dict.fromkeys(map(_cell, rows)))}
+    cells = {cell: k for k, cell in enumerate(dict.fromkeys(map(cell_of, rows)))}
     errors, steps = np.full((2, len(names), len(cells)), np.inf)  # m, inf for a lost flight; s
     for row in rows:
-        at = places[row["entry"]], cells[_cell(row)]
+        at = places[row["entry"]], cells[cell_of(row)]
         errors[at], steps[at] = _error(row, metric), float(row["solve_time_median"])
     of_seed: dict[int, list[int]] = {}  # the cells of each seed
     for cell in sorted(cells):
@@ -97,23 +97,24 @@ def standings(
         of_cells = zip(cells, _log_ratios(errors[i], other), strict=True)
         against = {((task, world), seed): float(x) for (task, world, seed), x in of_cells if not math.isnan(x)}
         times = steps[i][np.isfinite(steps[i])]
-        standing = Standing(
-            entry=name,
-            settings=str(entries[name]["settings"]),
-            place=place,
-            level=level,
-            flights=len(cells),
-            lost=int(lost[i].sum()),
-            rank=rank,
-            rank_low=limits.low,
-            rank_high=min(limits.high, len(order)),
-            least=math.exp(float(np.mean(known))) if len(known) else math.nan,
-            least_cells=len(known),
-            ratio=log_ratio(seed_means(against), confidence),
-            ratio_cells=len(whole(against.keys())) if against else 0,
-            step=float(np.median(times)) if len(times) else math.nan,
+        board.append(
+            Standing(
+                entry=name,
+                settings=str(entries[name]["settings"]),
+                place=place,
+                level=level,
+                flights=len(cells),
+                lost=int(lost[i].sum()),
+                rank=rank,
+                rank_low=limits.low,
+                rank_high=min(limits.high, len(order)),
+                least=math.exp(float(np.mean(known))) if len(known) else math.nan,
+                least_cells=len(known),
+                ratio=log_ratio(seed_means(against), confidence),
+                ratio_cells=len(whole(against.keys())) if against else 0,
+                step=float(np.median(times)) if len(times) else math.nan,
+            )
         )
-        board.append(standing)
     return sorted(board, key=lambda standing: (standing.bound, standing.place, standing.lost, standing.least))
 
 
@@ -132,7 +133,7 @@ def _apart(differences: np.ndarray, confidence: float) -> bool:
     return paired_permutation(differences) < 1 - confidence
 
 
-def _cell(row: Row) -> tuple[str, str, int]:
+def cell_of(row: Row) -> tuple[str, str, int]:
     """Task, world, seed."""
     return row["task"], row["world"], int(row["seed"])
 

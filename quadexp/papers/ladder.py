@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from quadexp.report.draw import figure_of
+from quadexp.report.pairing import Contestant, contestant_labels
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
-from quadexp.report.tables import course_labels, plant_labels
+from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.report.view import Axis, Place, Point, View
 
@@ -49,7 +50,11 @@ def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ())
     before the others."""
     statistics = compute_statistics(rows, metrics=("mean_error",))
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
-    labels = plant_labels(statistics)
+    flown: dict[str, list[Contestant]] = {}  # by plant: the same controller has checkpoints of its own on another one
+    for s in statistics:
+        flown.setdefault(s.plant, []).append(s.contestant)
+    told_apart = {plant: contestant_labels(contestants) for plant, contestants in flown.items()}
+    labels = [told_apart[s.plant][s.contestant] for s in statistics]
     speeds: dict[tuple[str, str], dict[float, dict[str, Statistic]]] = {}
     for s, label in zip(statistics, labels, strict=True):
         world = s.plant.partition("/")[2] or "clean"

@@ -26,11 +26,11 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
 from quadexp.errors import UsageError
-from quadexp.log.store import read_flight, read_table
+from quadexp.log.store import read_flight
 from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
-from quadexp.report.frame import SweepFrame
-from quadexp.report.metrics import ROW_COLUMNS, from_columns
+from quadexp.report.frame import SweepFrame, read_results
+from quadexp.report.metrics import ROW_COLUMNS
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,
@@ -44,7 +44,6 @@ from quadexp.report.style import (
     plain_log,
     save_figure,
 )
-from quadexp.report.summary import RESULTS_FILE
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
 from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text, view
@@ -361,9 +360,9 @@ def results_figure(paths: Sequence[Path]) -> Figure:
     rows: list[dict[str, Any]] = []
     record: dict[str, Any] = {}
     for path, name in zip(paths, names_of(paths), strict=True):
-        columns, about = read_table(path / RESULTS_FILE, "results")
+        _, flights, about = read_results(path)
         record = record or {key: about[key] for key in ("metric", "confidence") if key in about}
-        for row in from_columns(columns):
+        for row in flights:
             variant = f"{row.get('variant') or ''} {SOURCE}={name}".strip()
             rows.append({**dict.fromkeys(ROW_COLUMNS), **row, "variant": variant})
     frame = SweepFrame(rows, paths[0], record)

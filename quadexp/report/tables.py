@@ -29,15 +29,7 @@ from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_colum
 from quadexp.report.metrics import NUMBERS, SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
-from quadexp.report.pairing import (
-    Contestant,
-    Flights,
-    condition_of,
-    contestant_labels,
-    contestant_of,
-    is_invalid,
-    setting_pairs,
-)
+from quadexp.report.pairing import Flights, condition_of, contestant_labels, contestant_of, is_invalid, setting_pairs
 from quadexp.report.statistics import BASELINE, CONFIDENCE, KINDS, Statistic, Statistics, compute_statistics, overall
 from quadexp.report.table import Table, csv_text
 from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
@@ -94,16 +86,6 @@ def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     labels = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
     several = [name for name in ("plant", "vehicle") if len({row[name] for row in rows}) > 1]
     return [" ".join([labels[contestant_of(row)], *(f"@{row[name]}" for name in several)]) for row in rows]
-
-
-def plant_labels(statistics: Sequence[Statistic]) -> list[str]:
-    """The contestant of each statistic, told apart from the others on its plant: the same controller has checkpoints of
-    its own on another one."""
-    there: dict[str, dict[Contestant, None]] = {}
-    for s in statistics:
-        there.setdefault(s.plant, {})[s.contestant] = None
-    labels = {plant: contestant_labels(list(contestants)) for plant, contestants in there.items()}
-    return [labels[s.plant][s.contestant] for s in statistics]
 
 
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:

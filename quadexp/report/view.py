@@ -241,7 +241,7 @@ class View:
             exact = any(math.isfinite(point.low) for point in self.places.values())
             bars = f"; bars: its {100 * self.confidence:g} % interval (Clopper-Pearson)" if exact else ""
             return f"share of flights{bars}"
-        seeds = sorted({point.seeds for point in shown})
+        seeds = sorted({point.seeds for point in shown if point.seeds})
         span = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else count(seeds[0], "seed") if seeds else "seeds"
         over = "one flight each" if seeds == [1] and not self.others else f"mean over {span}"
         known = self.kind == "lines" and any(point.method == "t" for point in shown)

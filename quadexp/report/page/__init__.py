@@ -65,11 +65,14 @@ def render(comparison: Comparison, swept: Swept, pareto: Pareto, command: str) -
     """The page, and what is not on it for its size. command: that makes it again."""
     bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
     packed, cases = pack_replay(comparison, choose_cases(comparison, bad))
-    shown = _shortened(whole)
+    short = [
+        replace(block, tables={name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()})
+        for block in whole.blocks
+    ]
     left_out = [*_left_out(comparison, packed, cases, whole), *swept.left]
     sections = [
         _replay_section(packed),
-        shown,
+        replace(whole, blocks=short),
         swept_section(swept),
         pareto_section(pareto),
         worst(comparison, bad, {case: i for i, case in enumerate(cases)}),
@@ -99,15 +102,6 @@ def _replay_section(packed: Sequence[Mapping[str, Any]]) -> Section:
     return Section("replay", "Replay", "Replay", lead, [Block(replay=True, notes=[note])] if packed else [])
 
 
-def _shortened(whole: Section) -> Section:
-    """The section of numbers with at most MOST_LINES lines a table."""
-    blocks = [
-        replace(block, tables=[replace(table, lines=table.lines[:MOST_LINES]) for table in block.tables])
-        for block in whole.blocks
-    ]
-    return replace(whole, blocks=blocks)
-
-
 def _left_out(
     comparison: Comparison, packed: Sequence[Mapping[str, Any]], replayed: Sequence[Case], whole: Section
 ) -> list[str]:
@@ -119,7 +113,7 @@ def _left_out(
         entries.append(f"the replay of {conditions - seen} of {conditions} conditions")
     elif len(replayed) < cases:
         entries.append(f"the replay of {cases - len(replayed)} of {cases} pairs of condition and seed")
-    if (lines := max((len(block.tables[0].lines) for block in whole.blocks), default=0)) > MOST_LINES:
+    if (lines := max((len(next(iter(b.tables.values())).rows) for b in whole.blocks), default=0)) > MOST_LINES:
         entries.append(f"{lines - MOST_LINES} of {lines} lines of the tables")
     if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
         entries.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")

@@ -15,7 +15,7 @@ import numpy as np
 from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
 from quadexp.report.checked import versions_of
-from quadexp.report.document import Block, Cell, PageTable, Section
+from quadexp.report.document import Block, Cell, Section
 from quadexp.report.frame import flat
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
@@ -43,12 +43,12 @@ METHODS = (
 )
 
 
-def scoreboard(comparison: Comparison) -> PageTable:
+def scoreboard(comparison: Comparison) -> Table:
     """Every contestant in the main world: completed flights, error, difference to the baseline, computing time; by the
     share of completed flights, then by the error over the common flights."""
     factor, unit = shown(comparison.metric)
     base, verdict = comparison.reference, comparison.verdict
-    lines = []
+    lines: list[Any] = []
     for label in comparison.order:
         pooled, flights = comparison.overall.get(label), comparison.success(label)
         mean, own = (factor * comparison.geometric_mean(label, own=own) for own in (False, True))
@@ -67,7 +67,7 @@ def scoreboard(comparison: Comparison) -> PageTable:
         lines.append([*cells, *map(Cell, times)])
     heads = ["controller", "completed", TITLES.get(comparison.metric, comparison.metric)]
     heads += [f"against {base}"] if base else []
-    return PageTable("scoreboard", "", [*map(Cell, [*heads, "step, median", "step, 99 %"])], lines)
+    return Table([*heads, "step, median", "step, 99 %"], lines)
 
 
 def _change(pooled: Statistic | None) -> tuple[str, str]:
@@ -95,14 +95,13 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     statistics, marks = comparison.select(metric), comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
     table = error_table(comparison.rows, metric, **options)
-    means = PageTable.of(table, metric)
-    heads = [
+    heads: list[Any] = [
         Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)
         for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True))
     ]
-    tables = [replace(means, heads=heads, lines=means.lines[1:], notes=())]
+    tables: dict[str, Table] = {metric: replace(table, columns=heads, rows=table.rows[1:], notes=())}
     if (differences := comparison_table(statistics)) is not None:
-        tables.append(PageTable.of(differences, f"{metric}-differences"))
+        tables[f"{metric}-differences"] = differences
     return Block(TITLES[metric], metric, tables=tables, notes=table_notes(statistics, ()))
 
 
@@ -135,7 +134,7 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapp
         f"Flights that were not completed, then the largest errors of every controller: {len(rows)} of"
         f" {len(comparison.rows)} flights{more}. {RULE[:1].upper()}{RULE[1:]}."
     )
-    lines = []
+    lines: list[Any] = []
     for row in rows:
         case, label, flight = case_of(row), comparison.label(row), comparison.flight(row)
         largest, when = "", ""
@@ -148,7 +147,7 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapp
         flown = Cell(case_title(comparison, case), lost=lost, replay=cases.get(case))
         lines.append([Cell(label, mark=label), flown, Cell(largest, (when,))])
     commands = [f"quadexp simulate {shlex.join(asked)}" for row in rows if (asked := comparison.asked(row))]
-    blocks = [Block(tables=[PageTable("worst", "", [*map(Cell, ("controller", "flight", "largest error"))], lines)])]
+    blocks = [Block(tables={"worst": Table(["controller", "flight", "largest error"], lines)})]
     blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
     return Section("worst", "Worst", "Worst flights", lead, blocks)
 
@@ -165,8 +164,8 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     sweep = sweep_command(comparison.grids, portable(comparison.root))
     blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
     if rows := settings(flights):
-        table = PageTable.of(Table(["setting", "value"], rows), "settings")
-        blocks.append(Block("Settings of the flights, those that differ first", tables=[table], folded=True))
+        tables = {"settings": Table(["setting", "value"], rows)}
+        blocks.append(Block("Settings of the flights, those that differ first", tables=tables, folded=True))
     blocks.append(Block("Statistical methods", lead=METHODS.format(f"{comparison.confidence:.0%}"), folded=True))
     lead = "Data, versions and commands that make every figure again."
     return Section("provenance", "Provenance", "Provenance", lead, blocks)

@@ -17,10 +17,10 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, read_record, read_table
+from quadexp.log.store import read_flight, read_record
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.checked import Checked, check_flights
-from quadexp.report.metrics import from_columns
+from quadexp.report.frame import RESULTS, read_results
 from quadexp.report.notes import notes
 from quadexp.report.pairing import (
     Condition,
@@ -39,7 +39,6 @@ from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdict
 
-RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
 Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
 Record = Mapping[str, Any]  # metadata of a flight
@@ -259,13 +258,10 @@ class Comparison:
 
 def read_comparison(path: str | Path, *, baseline: str | None = None) -> Comparison:
     """Results folder (or its results.parquet) with statistics; UsageError or DataError if there is none."""
-    path = Path(path)
-    file = path / RESULTS if path.is_dir() else path
-    columns, record = read_table(file, "results")
-    every = from_columns(columns)
+    root, every, record = read_results(path)
     rows = [row for row in every if not is_invalid(row)]  # the notes say how many there are
     if not rows:
-        raise DataError(f"{file}: holds no flights; run the sweep again")
+        raise DataError(f"{path}: holds no flights; run the sweep again")
     flown = {row["controller"] for row in rows}
     if baseline is not None and baseline not in flown:
         raise UsageError(f"--baseline {baseline}: did not fly here; there are {', '.join(sorted(flown))}")
@@ -275,13 +271,13 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     confidence = float(record.get("confidence", CONFIDENCE))
     statistics = results_statistics(every, baseline=chosen, confidence=confidence)
     return Comparison(
-        root=file.parent,
+        root=root,
         rows=rows,
         record=record,
         statistics=statistics.rows,
         metric=record.get("metric", "mean_error"),
         baseline=chosen,
         confidence=confidence,
-        digest=hashlib.sha256(file.read_bytes()).hexdigest(),
+        digest=hashlib.sha256((root / RESULTS if Path(path).is_dir() else Path(path)).read_bytes()).hexdigest(),
         notes=notes(every),
     )
