@@ -124,10 +124,9 @@ def differing_libraries(texts: Iterable[str | None], here: str) -> str:
     counts: Counter[str] = Counter()
     cells, now = 0, _versions(here)
     for text, rows in Counter(texts).items():
-        other = [(name, version) for name, version in _versions(text or "").items() if now.get(name) != version]
+        other = _versions(text or "").items() - now.items()
         cells += rows if other else 0
-        for name, version in other:
-            counts[f"{name} {version} (here {now.get(name, 'none')})"] += rows
+        counts.update({f"{name} {version} (here {now.get(name, 'none')})": rows for name, version in sorted(other)})
     parts = ", ".join(f"{rows} with {what}" for what, rows in counts.most_common())
     return f"{cells} cells were flown with other libraries: {parts}" if cells else ""
 

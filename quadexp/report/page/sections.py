@@ -81,7 +81,7 @@ def _change(pooled: Statistic | None) -> tuple[str, str]:
 def numbers(comparison: Comparison) -> Section:
     """A tab a metric: means and paired differences over common flights; the main metric first."""
     metrics = [comparison.metric, *(m for m in TABLED if m != comparison.metric)]
-    blocks = [_number_block(comparison, metric) for metric in metrics if comparison.select(metric)]
+    blocks = [_number_block(comparison, metric) for metric in metrics if comparison.statistics.of(metric)]
     lead = (
         f"Means over the flights of a line that all compared controllers completed, with {comparison.confidence:.0%}"
         " intervals in brackets; bold: the best of a line, if it differs significantly from all others and nobody"
@@ -92,7 +92,7 @@ def numbers(comparison: Comparison) -> Section:
 
 def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
-    statistics, marks = comparison.select(metric), comparison.look
+    statistics, marks = comparison.statistics.of(metric), comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
     table = error_table(comparison.rows, metric, **options)
     heads: list[Any] = [

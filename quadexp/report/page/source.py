@@ -34,7 +34,7 @@ from quadexp.report.pairing import (
     is_bound,
     is_invalid,
 )  # fmt: skip
-from quadexp.report.statistics import CONFIDENCE, Statistic, overall, results_statistics
+from quadexp.report.statistics import CONFIDENCE, Statistic, Statistics, overall, results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdict
@@ -60,7 +60,7 @@ class Comparison:
     root: Path
     rows: list[dict[str, Any]]
     record: Mapping[str, Any]
-    statistics: list[Statistic]
+    statistics: Statistics
     metric: str
     baseline: str
     confidence: float
@@ -74,11 +74,6 @@ class Comparison:
     @cached_property
     def contestants(self) -> dict[str, Contestant]:
         return {label: contestant for contestant, label in self.labels.items()}
-
-    @cached_property
-    def controllers(self) -> dict[str, str]:
-        """Label -> controller."""
-        return {label: contestant[0] for label, contestant in self.contestants.items()}
 
     def label(self, row: Mapping[str, Any]) -> str:
         return self.labels[contestant_of(row)]
@@ -122,8 +117,8 @@ class Comparison:
     @cached_property
     def overall(self) -> dict[str, Statistic]:
         """Label -> comparison with the baseline over all conditions of the main world."""
-        made = overall(self.main_rows, metric=self.metric, baseline=self.baseline, confidence=self.confidence)
-        return {self.labels[one.controller, one.model, one.variant]: one for one in made}
+        options: Any = {"metric": self.metric, "baseline": self.baseline, "confidence": self.confidence}
+        return {self.labels[s.contestant]: s for s in overall(self.main_rows, **options)}
 
     @cached_property
     def groups(self) -> Groups:
@@ -168,12 +163,12 @@ class Comparison:
 
     @property
     def bounds(self) -> list[str]:
-        return [label for label in self.order if is_bound(self.controllers[label])]
+        return [label for label in self.order if is_bound(self.contestants[label][0])]
 
     @cached_property
     def reference(self) -> str | None:
         """Label of the baseline in the main world; None if it is not there once."""
-        there = [label for label in self.order if self.controllers[label] == self.baseline]
+        there = [label for label in self.order if self.contestants[label][0] == self.baseline]
         return there[0] if len(there) == 1 else None
 
     @property
@@ -184,8 +179,8 @@ class Comparison:
     @property
     def of_the_air(self) -> bool:
         """Whether the rival differs from the baseline by what it knows of the air, and by nothing else."""
-        known = AIR.get(self.controllers[self.reference], ()) if self.reference and self.rival else ()
-        return bool(known) and self.controllers[self.rival] in known
+        known = AIR.get(self.contestants[self.reference][0], ()) if self.reference and self.rival else ()
+        return bool(known) and self.contestants[self.rival][0] in known
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:
@@ -211,21 +206,15 @@ class Comparison:
         """The grids of the sweep; empty if the record does not have them."""
         return [tuple(map(tuple, grid)) for grid in self.record.get("grids", [])]
 
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {row["key"]: i for i, row in enumerate(self.rows)}
-
     def asked(self, row: Mapping[str, Any]) -> tuple[str, ...]:
         """The overrides of a row's cell; empty if the record does not have them."""
         cells = Combinations(self.grids)
-        return cells.overrides(self._places[row["key"]]) if len(cells) == len(self.rows) else ()
+        places = (i for i, other in enumerate(self.rows) if other["key"] == row["key"])
+        return cells.overrides(next(places)) if len(cells) == len(self.rows) else ()
 
     def sampled(self, most: int) -> list[dict[str, Any]]:
         """At most so many rows, evenly chosen."""
         return self.rows[:: max(1, -(-len(self.rows) // most))]
-
-    def select(self, metric: str) -> list[Statistic]:
-        return [s for s in self.statistics if s.metric == metric and not s.is_overall]
 
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""
@@ -269,15 +258,15 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
     chosen: str = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
-    statistics = results_statistics(every, baseline=chosen, confidence=confidence)
+    digest = hashlib.sha256((root / RESULTS if Path(path).is_dir() else Path(path)).read_bytes()).hexdigest()
     return Comparison(
         root=root,
         rows=rows,
         record=record,
-        statistics=statistics.rows,
+        statistics=results_statistics(every, baseline=chosen, confidence=confidence),
         metric=record.get("metric", "mean_error"),
         baseline=chosen,
         confidence=confidence,
-        digest=hashlib.sha256((root / RESULTS if Path(path).is_dir() else Path(path)).read_bytes()).hexdigest(),
+        digest=digest,
         notes=notes(every),
     )
