@@ -14,6 +14,7 @@ from quadexp.bench.ranking import Row, Standing, cell_of, standings
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
+from quadexp.report import grouped
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN, from_columns, to_columns
 from quadexp.report.table import Table
@@ -83,18 +84,15 @@ def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None
 def check_cells(rows: Sequence[Row], where: str) -> None:
     """Raise UsageError where the entries of a family have not flown the same cells."""
     for family, of_family in families_of(rows).items():
-        flown: dict[str, set[tuple[str, str, int]]] = {}
-        for row in of_family:
-            flown.setdefault(row["entry"], set()).add(cell_of(row))
+        flown = grouped((row["entry"], cell_of(row)) for row in of_family)
         first, *others = flown
-        if wrong := [entry for entry in others if flown[entry] != flown[first]]:
+        if wrong := [entry for entry in others if {*flown[entry]} != {*flown[first]}]:
             raise UsageError(f"{where}: {wrong[0]} and {first} have not flown the same cells of {family}")
 
 
 def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by family, in their order."""
-    names = dict.fromkeys(str(row["family"]) for row in rows)
-    return {name: [row for row in rows if row["family"] == name] for name in names}
+    return grouped((str(row["family"]), row) for row in rows)
 
 
 def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str = "") -> Table:
@@ -132,11 +130,9 @@ def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world
     """
     factor, unit = SHOWN[metric]
     bound = {str(row["entry"]): row["bound"] for row in rows}
-    lines: dict[tuple[str, ...], dict[str, list[Row]]] = {}
-    for row in rows:
-        lines.setdefault(tuple(str(row[name]) for name in by), {}).setdefault(str(row["entry"]), []).append(row)
     texts = []
-    for at, own in lines.items():
+    for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():
+        own = grouped((str(row["entry"]), row) for row in line)
         means = {entry: _mean(own[entry], metric) for entry in bound}
         ranked = [entry for entry, (error, _) in means.items() if not bound[entry] and math.isfinite(error)]
         best = min(ranked, key=lambda entry: means[entry][::-1], default=None)

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
+from quadexp.report import grouped
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
 from quadexp.report.pairing import seed_means, whole
 
@@ -72,9 +73,7 @@ def standings(
     for row in rows:
         at = places[row["entry"]], cells[cell_of(row)]
         errors[at], steps[at] = _error(row, metric), float(row["solve_time_median"])
-    of_seed: dict[int, list[int]] = {}  # the cells of each seed
-    for cell in sorted(cells):
-        of_seed.setdefault(cell[2], []).append(cells[cell])
+    of_seed = grouped((cell[2], cells[cell]) for cell in sorted(cells))
     ranked, lost = [i for i, name in enumerate(names) if not entries[name]["bound"]], ~np.isfinite(errors)
     ranks = dict(zip(ranked, rankdata(errors[ranked], axis=0), strict=True))  # ties share their mean rank
     seed_ranks = {i: np.array([np.mean(own[k]) for k in of_seed.values()]) for i, own in ranks.items()}

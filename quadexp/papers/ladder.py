@@ -12,8 +12,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from quadexp.report import grouped
 from quadexp.report.draw import figure_of
-from quadexp.report.pairing import Contestant, contestant_labels
+from quadexp.report.pairing import contestant_labels
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
@@ -50,9 +51,8 @@ def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ())
     before the others."""
     statistics = compute_statistics(rows, metrics=("mean_error",))
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
-    flown: dict[str, list[Contestant]] = {}  # by plant: the same controller has checkpoints of its own on another one
-    for s in statistics:
-        flown.setdefault(s.plant, []).append(s.contestant)
+    # By plant: the same controller has checkpoints of its own on another one.
+    flown = grouped((s.plant, s.contestant) for s in statistics)
     told_apart = {plant: contestant_labels(contestants) for plant, contestants in flown.items()}
     labels = [told_apart[s.plant][s.contestant] for s in statistics]
     speeds: dict[tuple[str, str], dict[float, dict[str, Statistic]]] = {}

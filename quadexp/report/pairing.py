@@ -34,6 +34,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from quadexp.report import grouped
+
 Who = TypeVar("Who", bound=Hashable)
 What = TypeVar("What", bound=Hashable)
 Row = Mapping[str, Any]
@@ -79,10 +81,8 @@ def is_bound(controller: str) -> bool:
 
 def contestant_labels(contestants: Sequence[Contestant]) -> dict[Contestant, str]:
     """The controller's name, with checkpoint and settings as far as they distinguish it from the others."""
-    models: dict[str, set[str]] = {}
-    for controller, model, _ in contestants:
-        models.setdefault(controller, set()).add(model)
-    paths = set().union(*models.values()) if models else set()
+    models = {name: {*several} for name, several in grouped((who[0], who[1]) for who in contestants).items()}
+    paths = {model for _, model, _ in contestants}
     short = {path: path.rstrip("/").rpartition("/")[2] for path in paths}
     if len(set(short.values())) < len(paths):  # two checkpoints of one name: the whole path
         short = {path: path for path in paths}
@@ -150,9 +150,8 @@ def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
     """The independent values of a comparison: the mean of each seed over the conditions, (seeds, ...), seeds ascending.
 
     values: (condition, seed) -> (...); those that are not whole are left out."""
-    by_seed: dict[int, list[Any]] = {}
-    for at, seed in sorted(whole(values.keys()), key=str) if values else ():
-        by_seed.setdefault(seed, []).append(values[at, seed])
+    kept = sorted(whole(values.keys()), key=str) if values else []
+    by_seed = grouped((seed, values[at, seed]) for at, seed in kept)
     return np.array([np.mean(by_seed[seed], axis=0) for seed in sorted(by_seed)])
 
 
@@ -198,18 +197,17 @@ class Groups:
     def __init__(
         self, rows: Sequence[Row], baseline: str, metrics: Sequence[str], labels: Mapping[Contestant, str] | None = None
     ) -> None:
-        self.cells: dict[tuple[Condition, Contestant], list[Flown]] = {}
-        for row in (row for row in rows if not is_invalid(row)):
-            flown = Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
-            self.cells.setdefault((condition_of(row), contestant_of(row)), []).append(flown)
+
+        def flown(row: Row) -> Flown:
+            return Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
+
+        valid = (row for row in rows if not is_invalid(row))
+        self.cells = grouped(((condition_of(row), contestant_of(row)), flown(row)) for row in valid)
         self.conditions: dict[Condition, dict[Contestant, dict[int, list[Flown]]]] = {}
         for (condition, contestant), flights in self.cells.items():
-            by_seed = self.conditions.setdefault(condition, {}).setdefault(contestant, {})
-            for flown in sorted(flights, key=lambda flown: flown.seed):
-                by_seed.setdefault(flown.seed, []).append(flown)
-        self.worlds: dict[World, list[Condition]] = {}
-        for condition in self.conditions:
-            self.worlds.setdefault(condition[:2], []).append(condition)
+            by_seed = grouped((flight.seed, flight) for flight in sorted(flights, key=lambda flight: flight.seed))
+            self.conditions.setdefault(condition, {})[contestant] = by_seed
+        self.worlds: dict[World, list[Condition]] = grouped((condition[:2], condition) for condition in self.conditions)
         self.contestants = list(dict.fromkeys(contestant for _, contestant in self.cells))
         self.labels = labels or contestant_labels(self.contestants)
         self._baselines = [contestant for contestant in self.contestants if contestant[0] == baseline]
@@ -233,10 +231,7 @@ class Groups:
                 good = [seed for seed, same in by_seed.items() if all(flown.outcome == "ok" for flown in same)]
                 ended.setdefault(contestant, set()).update((condition, seed) for seed in good)
         compared, shared = common(ended)
-        seeds: dict[Condition, set[int]] = {}
-        for condition, seed in shared:
-            seeds.setdefault(condition, set()).add(seed)
-        return Common(tuple(compared), {at: frozenset(s) for at, s in seeds.items()})
+        return Common(tuple(compared), {at: frozenset(seeds) for at, seeds in grouped(shared).items()})
 
     @cached_property
     def lines(self) -> dict[Condition, Common]:

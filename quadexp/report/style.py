@@ -32,7 +32,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from quadexp.messages import clean, html
 from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
-from quadexp.report import FORMATS
+from quadexp.report import FORMATS, grouped
 from quadexp.writer import written
 
 HUES = {
@@ -194,9 +194,7 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     labels = list(dict.fromkeys(labels))
     plants = [next((word for word in label.split(" ") if word.startswith("@")), "") for label in labels]
     usual = {label: plants.count(plant) for label, plant in zip(labels, plants, strict=True)}
-    variants: dict[str, list[str]] = {}
-    for label in sorted(labels, key=lambda label: -usual[label]):
-        variants.setdefault(name_of(label), []).append(label)
+    variants = grouped((name_of(label), label) for label in sorted(labels, key=lambda label: -usual[label]))
     many = {name for name, alike in variants.items() if len(alike) > MOST_VARIANTS}
     taken = [(LOOKS[name].hue, LOOKS[name].marker) for name in variants if name in LOOKS and name not in many]
     order = {name: place for place, name in enumerate(LOOKS)}

@@ -17,6 +17,7 @@ from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.parts.schema import WORLD
+from quadexp.report import grouped
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import METRICS, errors_none, from_columns
@@ -352,9 +353,10 @@ def _short(value: Any) -> str:
 
 def _unit_lines(columns: Mapping[str, Mapping[str, str]]) -> list[str]:
     """The columns, those of one unit and frame in one line."""
-    groups: dict[str, list[str]] = {}
-    for name, column in columns.items():
-        groups.setdefault(", ".join(filter(None, (column["unit"] or "-", column["frame"]))), []).append(name)
+    units = {
+        name: ", ".join(filter(None, (column["unit"] or "-", column["frame"]))) for name, column in columns.items()
+    }
+    groups = grouped((unit, name) for name, unit in units.items())
     return [f"columns     {' '.join(names)}  [{unit}]" for unit, names in groups.items()]
 
 

@@ -29,6 +29,7 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+from quadexp.report import grouped
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_controller, setting_text, with_unit
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
@@ -78,10 +79,7 @@ def points(
     values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
     flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
     well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
-    places: dict[Place, list[int]] = {}  # place -> rows
-    for i, place in enumerate(zip(*columns, strict=True)):
-        if None not in place:
-            places.setdefault(place, []).append(i)
+    places = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)) if None not in place)
     beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
     for place, numbers in places.items():
         flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
@@ -100,9 +98,7 @@ def points(
             share = completed / trials if trials else math.nan
             point = replace(point, mean=share, low=low, high=high, flights=trials, method="Clopper-Pearson")
         elif place in used:
-            errors: dict[tuple[Place, int], list[float]] = {}
-            for i in (i for i in numbers if flights[i] in used[place]):
-                errors.setdefault(flights[i], []).append(float(values[i]))
+            errors = grouped((flights[i], float(values[i])) for i in numbers if flights[i] in used[place])
             means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
             low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
             limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}

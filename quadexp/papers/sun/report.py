@@ -31,6 +31,7 @@ from quadexp.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Publi
 from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
+from quadexp.report import grouped
 from quadexp.report.draw import figure_of
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
@@ -138,11 +139,10 @@ def _world(row: Row) -> str:
 
 def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
     """Controller (with its variant's remedies) -> world -> condition; both in the order of the tables."""
-    groups: dict[str, dict[str, list[Row]]] = {}
-    for row in rows:
-        groups.setdefault(row["controller"], {}).setdefault(_world(row), []).append(row)
+    groups = grouped((row["controller"], row) for row in rows)
     names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
-    return {name: {world: Condition.of(groups[name][world]) for world in _in_order(groups[name])} for name in names}
+    worlds = {name: grouped((_world(row), row) for row in groups[name]) for name in names}
+    return {name: {world: Condition.of(own[world]) for world in _in_order(own)} for name, own in worlds.items()}
 
 
 def _in_order(worlds: Iterable[str]) -> list[str]:

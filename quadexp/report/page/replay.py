@@ -18,6 +18,7 @@ import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
+from quadexp.report import grouped
 from quadexp.report.animation import rotors_of
 from quadexp.report.page.source import Comparison
 from quadexp.report.pairing import Condition, condition_of
@@ -73,9 +74,7 @@ def pack_replay(
     comparison: Comparison, cases: Sequence[Case], budget: int = BUDGET
 ) -> tuple[list[dict[str, Any]], list[Case]]:
     """As many cases as fit into the budget, as JSON, and their names."""
-    by_case: dict[Case, list[Mapping[str, Any]]] = {}
-    for row in comparison.rows:
-        by_case.setdefault(case_of(row), []).append(row)
+    by_case = grouped((case_of(row), row) for row in comparison.rows)
     packed: list[dict[str, Any]] = []
     kept: list[Case] = []
     for case in cases:

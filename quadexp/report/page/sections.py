@@ -14,6 +14,7 @@ import numpy as np
 
 from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
+from quadexp.report import grouped
 from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, Section
 from quadexp.report.frame import flat
@@ -201,10 +202,8 @@ def margins(flights: Iterable[Record]) -> list[str]:
 
 def settings(flights: Sequence[Record]) -> list[list[str]]:
     """A line a setting with its values in order of appearance; those that differ between flights first."""
-    values: dict[str, list[str]] = {}
-    for flight in flights:
-        for key, value in flat(flight.get("config", {})).items():
-            values.setdefault(key, []).append(value if isinstance(value, str) else json.dumps(value))
+    stated = (pair for flight in flights for pair in flat(flight.get("config", {})).items())
+    values = grouped((key, value if isinstance(value, str) else json.dumps(value)) for key, value in stated)
     different = {key: list(dict.fromkeys(texts)) for key, texts in values.items() if set(texts) != {"null"}}
     lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
     return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
