@@ -176,8 +176,7 @@ def plot(
         frame = frame.where(chosen(frame, where))
         if not frame.rows:
             raise UsageError(f"--where {where!r}: no flight fulfils it")
-    options: Any = {"kind": kind, "confidence": float(frame.record.get("confidence", 0.95))}
-    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), **options).named(names)
+    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
     figure = replace(figure, heading=title, width=WIDTHS[width] if width else None)
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)

@@ -30,7 +30,6 @@ from quadexp.log.store import read_flight
 from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, read_results
-from quadexp.report.metrics import ROW_COLUMNS
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,
@@ -364,7 +363,7 @@ def results_figure(paths: Sequence[Path]) -> Figure:
         record = record or {key: about[key] for key in ("metric", "confidence") if key in about}
         for row in flights:
             variant = f"{row.get('variant') or ''} {SOURCE}={name}".strip()
-            rows.append({**dict.fromkeys(ROW_COLUMNS), **row, "variant": variant})
+            rows.append({**row, "variant": variant})
     frame = SweepFrame(rows, paths[0], record)
     axes = [key for key in frame.swept if key not in (SOURCE, "controller", "model", "trajectory", "seed")]
     x = max(axes, key=lambda key: len(frame.values(key))) if axes else "controller"

@@ -85,7 +85,7 @@ class SweepFrame:
         root, rows, record = read_results(folder)
         if not rows:
             raise DataError(f"{folder}: holds no flights; run the sweep again")
-        return cls([{**dict.fromkeys(ROW_COLUMNS), **row} for row in rows], root, record)
+        return cls(rows, root, record)
 
     def where(self, kept: Sequence[bool]) -> SweepFrame:
         """The frame of some of its rows."""
@@ -208,12 +208,15 @@ class SweepFrame:
 
 
 def read_results(path: str | Path) -> tuple[Path, list[dict[str, Any]], dict[str, Any]]:
-    """Folder, rows and record of the last sweep of a folder, or of its table; UsageError where it holds no results."""
+    """Folder, rows and record of the last sweep of a folder, or of its table; None for a column that it does not have.
+
+    Raises UsageError where it holds no results.
+    """
     file = Path(path) / RESULTS if Path(path).is_dir() else Path(path)
     if file.name == RESULTS and not file.is_file():
         raise UsageError(f"{path}: holds no results (made by `quadexp evaluate`)")
     columns, record = read_table(file, "results", required=("key", "outcome"))
-    return file.parent, from_columns(columns), record
+    return file.parent, [dict.fromkeys(ROW_COLUMNS) | row for row in from_columns(columns)], record
 
 
 def chosen(frame: SweepFrame, condition: str) -> list[bool]:

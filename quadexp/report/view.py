@@ -257,13 +257,14 @@ class View:
 
 def view(
     frame: SweepFrame, *, y: str = "mean_error", x: str | None = None, by: Sequence[str] | None = None,
-    facet: Sequence[str] | None = None, kind: Kind | None = None, confidence: float = 0.95,
+    facet: Sequence[str] | None = None, kind: Kind | None = None,
 ) -> View:  # fmt: skip
-    """The view that is asked for, completed by what was swept. by, facet: None to choose.
+    """The view that is asked for, completed by what was swept, with the confidence of the results' record. by, facet:
+    None to choose.
 
     Raises UsageError for a key that is none, a key that is given twice, or where nothing can be drawn.
     """
-    metrics = [*filter(is_metric, frame.names), SUCCESS]
+    metrics, confidence = [*filter(is_metric, frame.names), SUCCESS], float(frame.record.get("confidence", 0.95))
     if y not in metrics:
         raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
