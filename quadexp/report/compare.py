@@ -231,9 +231,9 @@ def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
     sides: list[dict[Key, Row]] = [{} for _ in tables]
     for rows, side in zip(tables, sides, strict=True):
         for row in rows:
-            controller, model, variant = contestant_of(row)
-            contestant = controller, model if (controller, variant) in several else "", variant
-            side[condition_of(row), contestant, row["seed"]] = row
+            who = contestant_of(row)
+            who = who if (who.controller, who.settings) in several else who._replace(model="")
+            side[condition_of(row), who, row["seed"]] = row
     return sides
 
 
@@ -324,8 +324,8 @@ def _contestants(
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
         kept = {key: pair for key, pair in pairs.items() if key in shared or not all(map(is_flown, pair))}
-        sides = [(at[4], side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
-        rows = [dict(row, controller=side, model="", variant=setting) for setting, side, row in sides]
+        sides = [(at, side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
+        rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
         pooled += overall(rows, metric=metric, baseline="a", confidence=confidence)
         beyond = f"{len(pairs) - len(kept)} not completed by all" if len(kept) < len(pairs) else ""
         means = (_mean([pair[i] for key, pair in pairs.items() if key in shared], metric) for i in (0, 1))

@@ -151,8 +151,8 @@ OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (
 
 
 def _place(row: Row) -> str:
-    _, _, trajectory, speed, setting = condition_of(row)
-    return " ".join(part for part in (trajectory, speed_text(speed), setting) if part)
+    at = condition_of(row)
+    return " ".join(part for part in (at.trajectory, speed_text(at.speed), at.setting) if part)
 
 
 def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> list[str]:

@@ -39,8 +39,6 @@ from quadexp.report import grouped
 Who = TypeVar("Who", bound=Hashable)
 What = TypeVar("What", bound=Hashable)
 Row = Mapping[str, Any]
-Condition = tuple[str, str, str, float | None, str]  # plant, vehicle, trajectory, speed (m/s), other settings
-Contestant = tuple[str, str, str]  # controller, model, its own settings
 World = tuple[str, str]  # plant, vehicle
 BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked
 
@@ -53,16 +51,38 @@ def _split(variant: str | None) -> list[str]:
     return _BEFORE_KEY.split(variant) if variant else []
 
 
+class Condition(NamedTuple):
+    """What is flown. speed: m/s, None for a trajectory without one. setting: every other one that varies."""
+
+    plant: str
+    vehicle: str
+    trajectory: str
+    speed: float | None
+    setting: str
+
+    @property
+    def world(self) -> World:
+        return self.plant, self.vehicle
+
+
+class Contestant(NamedTuple):
+    """Who flies it. model: the checkpoint. settings: of the controller."""
+
+    controller: str
+    model: str
+    settings: str
+
+
 def condition_of(row: Row) -> Condition:
     speed = row["speed"]
     speed = None if speed is None or math.isnan(float(speed)) else float(speed)
     setting = " ".join(part for part in _split(row.get("variant")) if not part.startswith("controller."))
-    return row["plant"], row["vehicle"], row["trajectory"], speed, setting
+    return Condition(row["plant"], row["vehicle"], row["trajectory"], speed, setting)
 
 
 def contestant_of(row: Row) -> Contestant:
     settings = " ".join(part for part in _split(row.get("variant")) if part.startswith("controller."))
-    return row["controller"], row["model"], settings
+    return Contestant(row["controller"], row["model"], settings)
 
 
 def is_flown(row: Row) -> bool:
@@ -81,16 +101,16 @@ def is_bound(controller: str) -> bool:
 
 def contestant_labels(contestants: Sequence[Contestant]) -> dict[Contestant, str]:
     """The controller's name, with checkpoint and settings as far as they distinguish it from the others."""
-    models = {name: {*several} for name, several in grouped((who[0], who[1]) for who in contestants).items()}
+    models = {name: {*several} for name, several in grouped(who[:2] for who in contestants).items()}
     paths = {model for _, model, _ in contestants}
     short = {path: path.rstrip("/").rpartition("/")[2] for path in paths}
     if len(set(short.values())) < len(paths):  # two checkpoints of one name: the whole path
         short = {path: path for path in paths}
     labels = {}
-    for controller, model, variant in contestants:
-        parts = [controller, short[model] if len(models[controller]) > 1 and model else ""]
-        parts += [_KEYS_ABOVE.sub("", part) for part in _split(variant)]  # "nodes=20" of "controller.nodes=20"
-        labels[controller, model, variant] = " ".join(filter(None, parts))
+    for who in contestants:
+        parts = [who.controller, short[who.model] if len(models[who.controller]) > 1 and who.model else ""]
+        parts += [_KEYS_ABOVE.sub("", part) for part in _split(who.settings)]  # "nodes=20" of "controller.nodes=20"
+        labels[who] = " ".join(filter(None, parts))
     count = Counter(labels.values())
     return {who: " ".join(filter(None, who)) if count[label] > 1 else label for who, label in labels.items()}
 
@@ -207,10 +227,12 @@ class Groups:
         for (condition, contestant), flights in self.cells.items():
             by_seed = grouped((flight.seed, flight) for flight in sorted(flights, key=lambda flight: flight.seed))
             self.conditions.setdefault(condition, {})[contestant] = by_seed
-        self.worlds: dict[World, list[Condition]] = grouped((condition[:2], condition) for condition in self.conditions)
+        self.worlds: dict[World, list[Condition]] = grouped(
+            (condition.world, condition) for condition in self.conditions
+        )
         self.contestants = list(dict.fromkeys(contestant for _, contestant in self.cells))
         self.labels = labels or contestant_labels(self.contestants)
-        self._baselines = [contestant for contestant in self.contestants if contestant[0] == baseline]
+        self._baselines = [contestant for contestant in self.contestants if contestant.controller == baseline]
 
     def flights(self, conditions: Iterable[Condition]) -> dict[Contestant, Flights]:
         """Contestant -> how many of its trials in these conditions were completed."""
@@ -246,7 +268,7 @@ class Groups:
 
     def baseline(self, contestant: Contestant) -> Contestant | None:
         """The baseline of a contestant; if the baseline flew with several settings, the one with the same settings."""
-        alike = [who for who in self._baselines if len(self._baselines) == 1 or who[2] == contestant[2]]
+        alike = [who for who in self._baselines if len(self._baselines) == 1 or who.settings == contestant.settings]
         return alike[0] if len(alike) == 1 and contestant not in self._baselines else None
 
     def pairs(

@@ -127,7 +127,7 @@ def error_table(
     if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
         labels = column_labels([{**row, "plant": ""} for row in bare])
         shown_as = {"plant": ("plant", {row["plant"]: row["plant"] for row in rows}), **shown_as}
-    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
+    courses = course_labels((row["trajectory"], condition_of(row).setting) for row in bare)
     places: dict[tuple[str, ...], tuple[int, float]] = {}  # texts that begin a line -> its place
     cells: dict[tuple[tuple[str, ...], str], str] = {}
     flown: dict[str, Flights] = {}

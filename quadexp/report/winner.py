@@ -31,7 +31,7 @@ def rank(
     """Of those who flew in these conditions, bounds aside, by one metric over the common flights: the one with the
     least error, None without any; the ratios of all others to it, the nearest first; and p, see the module."""
     flew = dict.fromkeys(who for condition in conditions for who in groups.conditions[condition])
-    ranked = [who for who in flew if who in among.compared and not is_bound(who[0])]
+    ranked = [who for who in flew if who in among.compared and not is_bound(who.controller)]
     logs = dict(zip(ranked, _logs(groups, among, ranked, place), strict=True)) if ranked else {}
     if not logs or not len(logs[ranked[0]]):
         return None, {}, math.nan
@@ -60,7 +60,7 @@ def best_of_lines(groups: Groups, place: int, confidence: float) -> dict[tuple[C
     p: dict[tuple[Condition, Contestant], float] = {}
     for condition, among in groups.lines.items():
         least, ratios, chance = rank(groups, among, [condition], place, confidence)
-        if least is None or least in barred[condition[:2]] or not _flew_most(groups, least, [condition]):
+        if least is None or least in barred[condition.world] or not _flew_most(groups, least, [condition]):
             continue
         seeds = among.seeds[condition]
         means = {who: float(np.mean(groups.values(condition, who, place, seeds))) for who in (least, *ratios)}
@@ -140,7 +140,7 @@ def verdict(groups: Groups, conditions: Sequence[Condition], confidence: float) 
     """Over these conditions, by the first metric of the groups."""
     among, label = groups.common(conditions), groups.labels
     least, ratios, p = rank(groups, among, conditions, 0, confidence)
-    bound = next((who for who in among.compared if least is not None and is_bound(who[0])), None)
+    bound = next((who for who in among.compared if least is not None and is_bound(who.controller)), None)
     bound_ratio = NO_RATIO
     if least is not None and bound is not None:
         logs, others = _logs(groups, among, [least, bound], 0)

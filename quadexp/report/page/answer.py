@@ -138,7 +138,7 @@ def odds(p: float) -> str:
 def _note(comparison: Comparison) -> str:
     """What the answer is averaged over, and what is not in it."""
     verdict, (plant, vehicle) = comparison.verdict, comparison.world
-    conditions = sum(condition[:2] == comparison.world for condition in comparison.conditions)
+    conditions = sum(condition.world == comparison.world for condition in comparison.conditions)
     seeds = count(len({row["seed"] for row in comparison.main_rows}), "seed")
     each = f", {verdict.common} flights each" if verdict.common else ""
     over = f"{count(conditions, 'condition')}, {seeds}{each}, plant {plant}, vehicle {vehicle}"

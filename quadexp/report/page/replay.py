@@ -53,7 +53,7 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
 
     def place(case: Case) -> tuple[Any, ...]:
         condition, seed = case
-        aside, speed = condition[:2] != comparison.world, condition[3] or 0.0
+        aside, speed = condition.world != comparison.world, condition.speed or 0.0
         return aside, -speed, -largest.get(condition, 0.0), str(condition), -completed[case], seed
 
     ordered = sorted(completed, key=place)
@@ -65,9 +65,9 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
 
 def case_title(comparison: Comparison, case: Case) -> str:
     """Such as "circle, payload 0.1 kg at 8 m/s, seed 3", with plant and vehicle where there are several."""
-    (plant, vehicle, trajectory, speed, setting), seed = case
-    rate = "" if speed is None else f" at {speed_text(speed)}"
-    return f"{comparison.course_title((plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
+    condition, seed = case
+    rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
+    return f"{comparison.course_title(condition)}{rate}, seed {seed}"
 
 
 def pack_replay(

@@ -40,7 +40,6 @@ from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdict
 
 TABLED = ("mean_error", "rmse", "max_error")
-Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
 Record = Mapping[str, Any]  # metadata of a flight
 
 AIR = {  # baseline -> controllers that are the same but for what they know of the air
@@ -85,14 +84,12 @@ class Comparison:
     @cached_property
     def courses(self) -> dict[tuple[str, str], str]:
         """(trajectory, other settings) -> its name."""
-        return course_labels((c[2], c[4]) for c in self.conditions)
+        return course_labels((c.trajectory, c.setting) for c in self.conditions)
 
-    def course_title(self, course: Course) -> str:
+    def course_title(self, at: Condition) -> str:
         """The trajectory, with settings, plant and vehicle as far as they distinguish it from the others."""
-        plant, vehicle, trajectory, setting = course
-        parts = [self.courses[trajectory, setting]]
-        parts += [plant] if len({world[0] for world in self.worlds}) > 1 else []
-        return ", ".join(parts + ([vehicle] if len({world[1] for world in self.worlds}) > 1 else []))
+        several = [name for name, *names in zip(at.world, *self.worlds, strict=True) if len({*names}) > 1]
+        return ", ".join([self.courses[at.trajectory, at.setting], *several])
 
     @cached_property
     def worlds(self) -> list[World]:
@@ -163,12 +160,12 @@ class Comparison:
 
     @property
     def bounds(self) -> list[str]:
-        return [label for label in self.order if is_bound(self.contestants[label][0])]
+        return [label for label in self.order if is_bound(self.contestants[label].controller)]
 
     @cached_property
     def reference(self) -> str | None:
         """Label of the baseline in the main world; None if it is not there once."""
-        there = [label for label in self.order if self.contestants[label][0] == self.baseline]
+        there = [label for label in self.order if self.contestants[label].controller == self.baseline]
         return there[0] if len(there) == 1 else None
 
     @property
@@ -179,8 +176,8 @@ class Comparison:
     @property
     def of_the_air(self) -> bool:
         """Whether the rival differs from the baseline by what it knows of the air, and by nothing else."""
-        known = AIR.get(self.contestants[self.reference][0], ()) if self.reference and self.rival else ()
-        return bool(known) and self.contestants[self.rival][0] in known
+        known = AIR.get(self.contestants[self.reference].controller, ()) if self.reference and self.rival else ()
+        return bool(known) and self.contestants[self.rival].controller in known
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:
