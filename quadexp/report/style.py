@@ -236,20 +236,19 @@ def _turned(values: Sequence[Any], by: int) -> list[Any]:
 def _with_remedies(look: Look, remedies: str, others: Sequence[Look]) -> Look:
     """The look of a controller with remedies: a shade, marker and dash of these, as far as nobody else has them."""
     at, worn = zlib.crc32(remedies.encode()), {(other.hue, other.shade, other.marker, other.filled) for other in others}
-    look = replace(look, dash=DASHES[1 + at % (len(DASHES) - 1)], filled=False)
-    shades = range(1, MOST_VARIANTS)
-    for k, marker in enumerate(_turned(MARKERS, at // 7)):
-        for shade in _turned(shades, at + k * len(shades)):
-            if (look.hue, shade, marker, False) not in worn:
-                return replace(look, marker=marker, shade=shade)
-    return look
+    look, shades = replace(look, dash=DASHES[1 + at % (len(DASHES) - 1)], filled=False), range(1, MOST_VARIANTS)
+    markers = enumerate(_turned(MARKERS, at // 7))
+    pairs = ((shade, marker) for k, marker in markers for shade in _turned(shades, at + k * len(shades)))
+    free = (pair for pair in pairs if (look.hue, *pair, False) not in worn)
+    shade, marker = next(free, (look.shade, look.marker))
+    return replace(look, marker=marker, shade=shade)
 
 
 def _apart(look: Look, others: Sequence[Look]) -> Look:
     """A look in a shade that no other label of the same hue has; the first one of a hue is unchanged."""
     worn = {other.shade for other in others if other.hue == look.hue}
-    free = [shade for shade in range(MOST_VARIANTS) if shade not in worn]
-    return replace(look, shade=free[0]) if look.shade in worn and free else look
+    free = (shade for shade in (look.shade, *range(MOST_VARIANTS)) if shade not in worn)
+    return replace(look, shade=next(free, look.shade))
 
 
 def name_of(label: str) -> str:

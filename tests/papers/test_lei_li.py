@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp import papers
+from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one, result_row
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight
@@ -44,6 +45,12 @@ def test_the_examples(tmp_path):
     assert f"| 1.65 | {100 * (mean / 1.65 - 1):+.1f} % | {highest:.2f} | ok |" in line
     (coned,) = (line for line in table if "| static_feedback |" in line)
     assert f"| 1 | {rows[2]['mean_error']:.3f} |  |  |" in coned, "what is expected holds for the law as printed"
+
+
+def test_a_paper_that_there_is_not_is_refused():
+    with pytest.raises(UsageError, match=r"evaluate.figures=nope: there are standard, adaptation, .*, sun$"):
+        papers.check("nope")
+    assert papers.paper("standard") is None
 
 
 def test_what_was_identified(tmp_path):
