@@ -46,13 +46,13 @@ class Frame(pd.DataFrame):
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray], record: Mapping[str, Any], folder: Any = None) -> Self:
         """columns: name -> (k,). folder: where the files lie that it names, if any."""
-        made = cls(dict(columns))
+        frame = cls(dict(columns))
         described = {name: describe(name, record.get("kind") or cls.kind) for name in columns}
-        made.attrs["units"] = {name: column.unit for name, column in described.items() if column.unit}
-        made.attrs["frames"] = {name: column.frame for name, column in described.items() if column.frame}
-        made.attrs["record"] = dict(record)
-        made._folder = folder
-        return made
+        frame.attrs["units"] = {name: column.unit for name, column in described.items() if column.unit}
+        frame.attrs["frames"] = {name: column.frame for name, column in described.items() if column.frame}
+        frame.attrs["record"] = dict(record)
+        frame._folder = folder
+        return frame
 
     @property
     def record(self) -> dict[str, Any]:
@@ -271,7 +271,7 @@ class Leaderboard(Frame):
 
         rows, protocol = from_columns(self.columns_as_arrays()), read_protocol()
         options: Any = {"metric": protocol.metric, "baseline": protocol.baseline}
-        return {name: board_table(own, title=name, **options) for name, own in families_of(rows).items()}
+        return {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
 
     def summary(self) -> list[str]:
         return [f"leaderboard: {len(self)} flights of {self['entry'].nunique()} entries"]

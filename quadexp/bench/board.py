@@ -60,9 +60,9 @@ def joined(rows: Sequence[Row], more: Sequence[Row], where: str) -> list[Row]:
     if rows:
         check_alike(more, str(rows[0]["protocol_sha256"]), str(rows[0]["size"]), where)
     entries = {row["entry"] for row in rows}
-    found = [*rows, *(row for row in more if row["entry"] not in entries)]
-    check_cells(found, where)
-    return found
+    together = [*rows, *(row for row in more if row["entry"] not in entries)]
+    check_cells(together, where)
+    return together
 
 
 def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None:
@@ -97,30 +97,28 @@ def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str = "") -> Table:
     """The standings of one family."""
-    found = standings(rows, metric=metric, baseline=baseline)
+    ranked = standings(rows, metric=metric, baseline=baseline)
     heads = ["place", "entry", "settings", "completed", "mean rank", "x least", f"error / {baseline}", "step"]
-    notes = [f"{listed([one.entry for one in found if one.bound])}: bound, not ranked"] if found[-1].bound else []
+    notes = [f"{listed([s.entry for s in ranked if s.bound])}: bound, not ranked"] if ranked[-1].bound else []
     seeds = len({row["seed"] for row in rows})
     if seeds < least_seeds(1):
         notes.append(f"{too_few(seeds, least_seeds(1), 0.95)}; nobody is told apart")
-    return Table(heads, [_line(one) for one in found], title, left=frozenset({1, 2}), notes=notes)
+    return Table(heads, [*map(_line, ranked)], title, left=frozenset({1, 2}), notes=notes)
 
 
-def _line(one: Standing) -> list[str]:
+def _line(s: Standing) -> list[str]:
     def value(text: str, low: float, high: float, form: str = ".2f") -> str:
         return text + ("" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]")
 
     def of_cells(text: str, cells: int) -> str:
-        return f"{text} ({cells})" if cells < one.flights and text != "-" else text
+        return f"{text} ({cells})" if cells < s.flights and text != "-" else text
 
-    place = "bound" if one.bound else f"{'= ' if one.level else ''}{one.place}"
-    rank = "-" if one.bound else value(f"{one.rank:.2f}", one.rank_low, one.rank_high)
-    ratio = (
-        "-" if math.isnan(one.ratio.value) else value(f"{one.ratio.value:.3g}", one.ratio.low, one.ratio.high, ".3g")
-    )
-    least, ratio = of_cells(number(one.least), one.least_cells), of_cells(ratio, one.ratio_cells)
-    ended, step = f"{one.flights - one.lost} of {one.flights}", duration(one.step).replace("µ", "u")
-    return [place, one.entry, one.settings, ended, rank, least, ratio, step]
+    place = "bound" if s.bound else f"{'= ' if s.level else ''}{s.place}"
+    rank = "-" if s.bound else value(f"{s.rank:.2f}", s.rank_low, s.rank_high)
+    ratio = "-" if math.isnan(s.ratio.value) else value(f"{s.ratio.value:.3g}", s.ratio.low, s.ratio.high, ".3g")
+    least, ratio = of_cells(number(s.least), s.least_cells), of_cells(ratio, s.ratio_cells)
+    ended, step = f"{s.flights - s.lost} of {s.flights}", duration(s.step).replace("µ", "u")
+    return [place, s.entry, s.settings, ended, rank, least, ratio, step]
 
 
 def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
@@ -132,8 +130,8 @@ def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world
     bound = {str(row["entry"]): row["bound"] for row in rows}
     texts = []
     for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():
-        own = grouped((str(row["entry"]), row) for row in line)
-        means = {entry: _mean(own[entry], metric) for entry in bound}
+        flights = grouped((str(row["entry"]), row) for row in line)
+        means = {entry: _mean(flights[entry], metric) for entry in bound}
         ranked = [entry for entry, (error, _) in means.items() if not bound[entry] and math.isfinite(error)]
         best = min(ranked, key=lambda entry: means[entry][::-1], default=None)
         cells = [
@@ -156,10 +154,10 @@ def markdown(rows: Sequence[Row], *, metric: str, baseline: str, what: Mapping[s
     first = rows[0]
     about = f"Protocol v{first['protocol']} ({str(first['protocol_sha256'])[:SHORT]}), size {first['size']}"
     parts = [f"{about}, {count(len(rows), 'flight')}. {RULE}"]
-    for name, own in families_of(rows).items():
+    for name, of_family in families_of(rows).items():
         parts.append(f"### {name}\n\n{what.get(name, '').strip()}")
-        parts.append(board_table(own, metric=metric, baseline=baseline).markdown().strip())
-        parts.append(error_table(own, metric=metric).markdown().strip())
+        parts.append(board_table(of_family, metric=metric, baseline=baseline).markdown().strip())
+        parts.append(error_table(of_family, metric=metric).markdown().strip())
     return "\n\n".join(parts) + "\n"
 
 

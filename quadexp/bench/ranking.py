@@ -76,8 +76,8 @@ def standings(
     of_seed = grouped((cell[2], cells[cell]) for cell in sorted(cells))
     ranked, lost = [i for i, name in enumerate(names) if not entries[name]["bound"]], ~np.isfinite(errors)
     ranks = dict(zip(ranked, rankdata(errors[ranked], axis=0), strict=True))  # ties share their mean rank
-    seed_ranks = {i: np.array([np.mean(own[k]) for k in of_seed.values()]) for i, own in ranks.items()}
-    seed_losses = np.array([[own[k].sum() for k in of_seed.values()] for own in lost])
+    seed_ranks = {i: np.array([np.mean(of_entry[k]) for k in of_seed.values()]) for i, of_entry in ranks.items()}
+    seed_losses = np.array([[of_entry[k].sum() for k in of_seed.values()] for of_entry in lost])
     order = _order(seed_losses, seed_ranks, confidence)
     least = np.min(errors[ranked], axis=0, initial=np.inf)
     board = []

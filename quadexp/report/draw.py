@@ -180,8 +180,8 @@ def _draw_line(
     look = dict(look) | ({"linestyle": "none"} if view.x.kind == "group" else {})
     each: list[Any] = [(slice(None), label, look)]
     if view.x.key == "controller" and not view.by:  # each with the look that it has everywhere
-        own = looks([str(value) for value in view.x.values])
-        each = [([i], "", own[str(value)].points()) for i, (value, _) in enumerate(there)]
+        look_of = looks([str(value) for value in view.x.values])
+        each = [([i], "", look_of[str(value)].points()) for i, (value, _) in enumerate(there)]
     for some, name, drawn in each:
         yerr = bars[:, some] if np.isfinite(bars[:, some]).any() else None
         panel.errorbar(x[some], mean[some], yerr=yerr, label=name, capsize=2.5, elinewidth=1.0, **drawn)
@@ -248,12 +248,12 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
     start = len(view.facet)
     for k, (line, label) in enumerate(labels.items()):
         cross = {"marker": "x", "markersize": 5, "color": look[line].colour, "linestyle": "none"}
-        own = {place: point for place, point in view.places.items() if place[start : start + len(line)] == line}
-        if not any(point.is_shown for point in own.values()):
-            what = "invalid" if all(point.invalid for point in own.values()) else "no flight was completed"
+        of_line = {place: point for place, point in view.places.items() if place[start : start + len(line)] == line}
+        if not any(point.is_shown for point in of_line.values()):
+            what = "invalid" if all(point.invalid for point in of_line.values()) else "no flight was completed"
             grid[0].plot([], [], label=f"{label} ({what})".strip(), **cross)
         for panel, facet in zip(grid, view.panels, strict=False):
-            gone = [(p[-1], point) for p, point in own.items() if p[:start] == facet and not point.is_shown]
+            gone = [(p[-1], point) for p, point in of_line.items() if p[:start] == facet and not point.is_shown]
             for value, point in gone:
                 at, edge = (
                     (place_of(view.x, value, k, len(labels)), 0.97 - 0.055 * (k % 5)),
@@ -309,13 +309,13 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
 
 def records(view: View) -> list[dict[str, Any]]:
     """The numbers behind a view, a record a place: its keys, and mean, low, high in SI units."""
-    made = []
+    rows = []
     for place, point in view.places.items():
         keys = dict(zip(view.keys, place, strict=True))
         about = {"seeds": point.seeds, "flights": point.flights, "ended": point.ended, "trials": point.trials}
         numbers = {view.y: point.mean, "low": point.low, "high": point.high, "interval": point.method}
-        made.append({**keys, **numbers, **about, "invalid": point.invalid})
-    return made
+        rows.append({**keys, **numbers, **about, "invalid": point.invalid})
+    return rows
 
 
 def check_path(path: Path, force: bool, suffixes: Sequence[str] = SUFFIXES) -> Path:

@@ -258,11 +258,11 @@ def name_of(label: str) -> str:
 
 def entries(panels: Iterable[Any]) -> tuple[list[Any], list[str]]:
     """Handles and labels of a legend for several panels, each label once."""
-    found: dict[str, Any] = {}
+    handles: dict[str, Any] = {}
     for panel in panels:
         for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
-            found.setdefault(text, handle)
-    return list(found.values()), list(found)
+            handles.setdefault(text, handle)
+    return list(handles.values()), list(handles)
 
 
 def plain_log(axis: Any, *, minor: bool = False) -> None:

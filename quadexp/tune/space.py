@@ -55,16 +55,16 @@ class Axis:
 
 def settings_of(axes: Sequence[Axis], numbers: Sequence[float]) -> dict[str, Any]:
     """Key -> value of every setting that the axes change, with one number for each axis."""
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for axis, number in zip(axes, numbers, strict=True):
         if not axis.entries:
-            found[axis.key] = number
+            settings[axis.key] = number
             continue
-        values = list(found.get(axis.key, axis.value))
+        values = list(settings.get(axis.key, axis.value))
         for i in axis.entries:
             values[i] = float(f"{number * axis.value[i] / axis.start:.{DIGITS + 2}g}")
-        found[axis.key] = values
-    return found
+        settings[axis.key] = values
+    return settings
 
 
 def overrides(axes: Sequence[Axis], numbers: Sequence[float]) -> list[str]:

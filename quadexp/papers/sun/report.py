@@ -142,7 +142,7 @@ def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
     groups = grouped((row["controller"], row) for row in rows)
     names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
     worlds = {name: grouped((_world(row), row) for row in groups[name]) for name in names}
-    return {name: {world: Condition.of(own[world]) for world in _in_order(own)} for name, own in worlds.items()}
+    return {name: {world: Condition.of(of[world]) for world in _in_order(of)} for name, of in worlds.items()}
 
 
 def _in_order(worlds: Iterable[str]) -> list[str]:
@@ -183,14 +183,14 @@ def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
 
 def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
     """Tables and figure of a sweep."""
-    found = conditions(with_logged(rows, out))
-    return {"sun": sun_table(found)}, {"sun": sun_figure(found)}
+    flown = conditions(with_logged(rows, out))
+    return {"sun": sun_table(flown)}, {"sun": sun_figure(flown)}
 
 
-def sun_table(found: Mapping[str, Mapping[str, Condition]]) -> str:
+def sun_table(flown: Mapping[str, Mapping[str, Condition]]) -> str:
     """Markdown: for every published controller ours and theirs, then all controllers side by side."""
-    tables = [_beside(name, found[name]) for name in PUBLISHED if name in found]
-    return "\n\n".join([*tables, _all(found).markdown()])
+    tables = [_beside(name, flown[name]) for name in PUBLISHED if name in flown]
+    return "\n\n".join([*tables, _all(flown).markdown()])
 
 
 def overview(rows: Iterable[Row]) -> Table:
@@ -221,26 +221,26 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
         "as logged",
     )  # fmt: skip
     notes = [_verdict(title, texts) for title, texts in verdicts.items() if texts]
-    flights = ", ".join(str(number) for number in sorted({one.flights for one in worlds.values()}))
+    flights = ", ".join(str(number) for number in sorted({condition.flights for condition in worlds.values()}))
     title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
     return Table(heads, lines, title, notes=[*notes, *_apart(name, worlds)]).markdown()
 
 
 def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
     """Lines on the ellipses that the rotors can fly, where they cannot fly all, and on the infeasible set."""
-    found = [
-        f"{TITLES.get(world, world)}: {one.possible} ellipses take no more thrust than there is;"
-        f" {one.possible_lost} of these lost, the others {one.possible_position:.3f} m"
-        for world, one in worlds.items()
-        if one.possible < one.flights
+    lines = [
+        f"{TITLES.get(world, world)}: {condition.possible} ellipses take no more thrust than there is;"
+        f" {condition.possible_lost} of these lost, the others {condition.possible_position:.3f} m"
+        for world, condition in worlds.items()
+        if condition.possible < condition.flights
     ]
     if INFEASIBLE_SET in worlds and name in INFEASIBLE:
         ours, (position, heading) = worlds[INFEASIBLE_SET], INFEASIBLE[name]
-        found.append(
+        lines.append(
             f"Infeasible ellipses, flights that did not crash: {ours.survivors:.3f} m, {ours.survivors_heading:.1f}"
             f" degrees; printed {position:.2f} m, {heading:.1f} degrees"
         )
-    return found
+    return lines
 
 
 def _verdict(title: str, verdicts: Sequence[str]) -> str:
@@ -248,19 +248,21 @@ def _verdict(title: str, verdicts: Sequence[str]) -> str:
     return f"Mean position within {CLOSE:.0%} of the printed one, {title}: {counts} of {len(verdicts)}"
 
 
-def _all(found: Mapping[str, Mapping[str, Condition]]) -> Table:
+def _all(flown: Mapping[str, Mapping[str, Condition]]) -> Table:
     """All controllers: mean of the flights that did not crash, and how many did or are more than OFF m away."""
-    worlds = _in_order({world: None for one in found.values() for world in one})
-    lines = [[TITLES.get(world, world), *(_short(one.get(world)) for one in found.values())] for world in worlds]
+    worlds = _in_order({world: None for by_world in flown.values() for world in by_world})
+    lines = [
+        [TITLES.get(world, world), *(_short(by_world.get(world)) for by_world in flown.values())] for world in worlds
+    ]
     title = "RMSE of the flights that did not crash (m); in brackets how many crashed + how many others are off by 2 m"
-    return Table(["condition", *found], lines, title)
+    return Table(["condition", *flown], lines, title)
 
 
-def _short(one: Condition | None) -> str:
-    if one is None:
+def _short(condition: Condition | None) -> str:
+    if condition is None:
         return ""
-    text = _number(one.survivors, 3)
-    return f"{text} ({one.lost}+{one.off})" if one.lost or one.off else text
+    text = _number(condition.survivors, 3)
+    return f"{text} ({condition.lost}+{condition.off})" if condition.lost or condition.off else text
 
 
 def _with_sd(values: tuple[float, float], digits: int) -> str:
@@ -271,19 +273,16 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "-"
 
 
-def sun_figure(found: Mapping[str, Mapping[str, Condition]]) -> Figure:
+def sun_figure(flown: Mapping[str, Mapping[str, Condition]]) -> Figure:
     """Position error of the flights that did not crash by condition, "k/n" where some did, beside what is printed."""
     places: dict[Place, Point] = {}
-    for name, own in found.items():
-        places |= {
-            (name, world): Point(one.survivors, ended=one.flights - one.lost, trials=one.flights)
-            for world, one in own.items()
-        }
-        printed = {world: one for (world, other), one in published().items() if other == name and world in own}
-        about = {
-            world: Point(one.survivors, ended=FLIGHTS - one.lost, trials=FLIGHTS) for world, one in printed.items()
-        }
-        places |= {(f"{name} printed", world): point for world, point in about.items()}
+    for name, worlds in flown.items():
+        for world, ours in worlds.items():
+            places[name, world] = Point(ours.survivors, ended=ours.flights - ours.lost, trials=ours.flights)
+        for (world, controller), theirs in published().items():
+            if controller == name and world in worlds:
+                point = Point(theirs.survivors, ended=FLIGHTS - theirs.lost, trials=FLIGHTS)
+                places[f"{name} printed", world] = point
     names = TITLES | {"survivors": "survivors' position error (m)", "world": "condition"}
     x = Axis("world", tuple(_in_order(dict.fromkeys(world for _, world in places))), "group", names)
     return figure_of(View("lines", "survivors", x, ("controller",), places=places, names=names))

@@ -78,13 +78,13 @@ def pack_replay(
     packed: list[dict[str, Any]] = []
     kept: list[Case] = []
     for case in cases:
-        made = _pack(comparison, case, by_case[case])
-        if made is None:
+        tracks = _pack(comparison, case, by_case[case])
+        if tracks is None:
             continue
-        budget -= _size(made)
+        budget -= _size(tracks)
         if budget < 0 and packed:
             break
-        packed.append(made)
+        packed.append(tracks)
         kept.append(case)
     return packed, kept
 

@@ -175,9 +175,9 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
 def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, str]]:
     """(term, text) of the origin; several of one term."""
     about = [flight.get("provenance", {}) for flight in flights]
-    git = [made.get("git") or {} for made in about]
+    git = [written.get("git") or {} for written in about]
     commits = {f"{g['commit'][:12]}{' with changes' if g.get('dirty') else ''}" for g in git if g.get("commit")}
-    machines = {", ".join(str(made[k]) for k in ("cpu", "platform") if made.get(k)) for made in about} - {""}
+    machines = {", ".join(str(written[k]) for k in ("cpu", "platform") if written.get(k)) for written in about} - {""}
     models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
     created = comparison.record.get("provenance", {}).get("created", "")
     versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())

@@ -146,7 +146,9 @@ class Comparison:
                 values = values[np.isfinite(values)]
                 if len(values) and np.mean(values) > 0:
                     means[self.labels[contestant], own].append(float(np.mean(values)))
-        return {at: float(np.exp(np.mean(np.log(found)))) if found else math.nan for at, found in means.items()}
+        return {
+            at: float(np.exp(np.mean(np.log(values_of)))) if values_of else math.nan for at, values_of in means.items()
+        }
 
     @cached_property
     def order(self) -> list[str]:
