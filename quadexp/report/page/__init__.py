@@ -13,7 +13,7 @@ from quadexp.messages import script
 from quadexp.names import file_name
 from quadexp.report.document import Block, Section, document, template_text
 from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import Pareto, Swept, pareto_section, swept_section
+from quadexp.report.page.panels import Swept, pareto_figures, pareto_section, swept_section
 from quadexp.report.page.replay import MAX_TRACKS, Case, case_of, choose_cases, pack_replay
 from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, records, scoreboard, worst, worst_rows
 from quadexp.report.page.source import Comparison, read_comparison
@@ -41,13 +41,13 @@ def make_report(
     if figures is not None:
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
-    swept, pareto = Swept.of(comparison), Pareto.of(comparison)
+    swept, pareto = Swept.of(comparison), pareto_figures(comparison)
     words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
     words += ["--baseline", baseline] if baseline else []
     words += ["--figures", portable(Path(figures))] if figures else []
     page, left_out = render(comparison, swept, pareto, shlex.join(words))
     write_text(out, page, force=force)
-    drawn: dict[str, Figure] = swept.figures() | pareto.figures() if figures else {}
+    drawn: dict[str, Figure] = swept.figures() | pareto if figures else {}
     paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
     answered, checked = answer(comparison), comparison.checked
     return {
@@ -61,7 +61,7 @@ def make_report(
     }
 
 
-def render(comparison: Comparison, swept: Swept, pareto: Pareto, command: str) -> tuple[str, list[str]]:
+def render(comparison: Comparison, swept: Swept, pareto: Mapping[str, Figure], command: str) -> tuple[str, list[str]]:
     """The page, and what is not on it for its size. command: that makes it again."""
     bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
     packed, cases = pack_replay(comparison, choose_cases(comparison, bad))
