@@ -238,7 +238,9 @@ class View:
             bars = f"; bars: its {100 * self.confidence:g} % interval (Clopper-Pearson)" if exact else ""
             return f"share of flights{bars}"
         seeds = sorted({point.seeds for point in shown if point.seeds})
-        span = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else count(seeds[0], "seed") if seeds else "seeds"
+        if not seeds:  # of other means than those of a sweep
+            return ""
+        span = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else count(seeds[0], "seed")
         over = "one flight each" if seeds == [1] and not self.others else f"mean over {span}"
         known = self.kind == "lines" and any(point.method == "t" for point in shown)
         return over + (f"; bars: its {100 * self.confidence:g} % interval (Student's t)" if known else "")
