@@ -14,9 +14,9 @@ from quadexp.bench.ranking import Row, Standing, cell_of, standings
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
-from quadexp.report import grouped
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN, from_columns, to_columns
+from quadexp.report.pairing import grouped
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
 from quadexp.writer import write_text

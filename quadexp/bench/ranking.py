@@ -26,9 +26,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from quadexp.report import grouped
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
-from quadexp.report.pairing import seed_means, whole
+from quadexp.report.pairing import grouped, seed_means, whole
 
 Row = Mapping[str, Any]
 

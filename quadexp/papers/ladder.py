@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from quadexp.report import grouped
 from quadexp.report.draw import figure_of
-from quadexp.report.pairing import contestant_labels
+from quadexp.report.pairing import contestant_labels, grouped
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure
 from quadexp.report.table import Table

@@ -18,8 +18,8 @@ from quadexp.errors import UsageError
 from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
 from quadexp.log.signal.windows import Pair, cut, pairs, streams_of
-from quadexp.report import grouped
 from quadexp.report.metrics import mean_error, position_error
+from quadexp.report.pairing import grouped
 from quadexp.report.style import COLOURS, ERROR_COLOURS, HUES, Figure, entries, error_bar, looks, plain_log, styled
 
 MS = 1e3

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
 from quadexp.models.base import REPORTED_SHARE
-from quadexp.report import grouped
 from quadexp.report.checked import mixed_programs
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound, is_invalid
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, grouped, is_bound, is_invalid
 from quadexp.report.text import count, speed_text, too_few
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics

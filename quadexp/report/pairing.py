@@ -34,10 +34,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from quadexp.report import grouped
-
 Who = TypeVar("Who", bound=Hashable)
 What = TypeVar("What", bound=Hashable)
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
 Row = Mapping[str, Any]
 World = tuple[str, str]  # plant, vehicle
 BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked
@@ -49,6 +49,14 @@ _KEYS_ABOVE = re.compile(r"^[^=]*\.(?=[^=.]*=)")
 def _split(variant: str | None) -> list[str]:
     """ "controller.nodes=20 plant.lift=0.1" as its settings."""
     return _BEFORE_KEY.split(variant) if variant else []
+
+
+def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
+    """Key -> its values, both in order of appearance."""
+    groups: dict[Key, list[Value]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
 
 
 class Condition(NamedTuple):

@@ -32,7 +32,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from quadexp.messages import clean, html
 from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
-from quadexp.report import FORMATS, grouped
+from quadexp.report import FORMATS
+from quadexp.report.pairing import grouped
 from quadexp.writer import written
 
 HUES = {

@@ -17,11 +17,11 @@ from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.parts.schema import WORLD
-from quadexp.report import grouped
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import METRICS, errors_none, from_columns
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
+from quadexp.report.pairing import grouped
 from quadexp.report.table import Table, records_table
 from quadexp.report.text import number, speed_text
 

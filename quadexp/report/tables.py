@@ -24,7 +24,6 @@ import numpy as np
 
 from quadexp.errors import QuadexpError
 from quadexp.log.store import read_table, read_text, write_table
-from quadexp.report import grouped
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
 from quadexp.report.metrics import NUMBERS, SHOWN
@@ -117,7 +116,8 @@ def error_table(
     notes = table_notes(statistics, overall(results, metric=metric, **options), best)
     rows = [*map(_row_of, statistics), *filter(is_invalid, results)]
     settings = [dict(setting_pairs(row.get("variant"))) for row in rows]
-    values = grouped(pair for pairs in settings for pair in pairs.items())
+    every = dict.fromkeys(key for pairs in settings for key in pairs)
+    values = {key: [pairs[key] for pairs in settings if key in pairs] for key in every}
     keys = [key for key, several in values.items() if len(set(several)) > 1]
     keys.sort(key=lambda key: key.startswith("controller."))  # those of the conditions first
     kept = (" ".join(f"{key}={value}" for key, value in pairs.items() if key not in keys) for pairs in settings)

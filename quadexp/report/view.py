@@ -29,11 +29,10 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report import grouped
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_controller, setting_text, with_unit
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
-from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
+from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
 from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
 

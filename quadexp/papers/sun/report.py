@@ -31,8 +31,8 @@ from quadexp.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Publi
 from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
-from quadexp.report import grouped
 from quadexp.report.draw import figure_of
+from quadexp.report.pairing import grouped
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
 from quadexp.report.view import Axis, Place, Point, View

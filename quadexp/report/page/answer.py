@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from quadexp.report import grouped
 from quadexp.report.page.source import Comparison
+from quadexp.report.pairing import grouped
 from quadexp.report.tables import TITLES
 from quadexp.report.text import count, duration, listed, number, percent, shown, typeset
 

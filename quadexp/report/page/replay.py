@@ -18,10 +18,9 @@ import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
-from quadexp.report import grouped
 from quadexp.report.animation import rotors_of
 from quadexp.report.page.source import Comparison
-from quadexp.report.pairing import Condition, condition_of
+from quadexp.report.pairing import Condition, condition_of, grouped
 from quadexp.report.text import speed_text
 
 BUDGET = 800_000  # characters of packed tracks

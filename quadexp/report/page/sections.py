@@ -14,7 +14,6 @@ import numpy as np
 
 from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
-from quadexp.report import grouped
 from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, Section
 from quadexp.report.frame import flat
@@ -22,7 +21,7 @@ from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.replay import Case, case_of, case_title
 from quadexp.report.page.source import TABLED, Comparison, Record
-from quadexp.report.pairing import Condition, condition_of
+from quadexp.report.pairing import Condition, condition_of, grouped
 from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
