@@ -9,10 +9,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from typing import Annotated, Any
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_args
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from quadexp import __version__
 from quadexp.cli import extend, fly, learn, look
@@ -30,7 +32,45 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
 INTERRUPTED = 130  # what typer returns for Ctrl-C
 
 
-class Grouped(TyperGroup):
+class _Given(NamedTuple):
+    """Texts, paths and what is not given are taken as they are; typer loads pydantic for them, a tenth of a command.
+
+    kind: of a value. usual: how typer makes all others.
+    """
+
+    kind: Any
+    usual: Callable[[], Any]
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Called by typer; value: the words, None where the option is not given."""
+        if value is None:
+            return () if param.multiple or param.nargs == -1 else None
+        if self.kind in (str, Path) and isinstance(value, (str, Path)):
+            return self.kind(value)
+        if self.kind in (list[str], list[Path]) and isinstance(value, (list, tuple)):
+            (kind,) = get_args(self.kind)
+            return [kind(each) for each in value]
+        return self.usual().coerce(value, param=param, ctx=ctx)
+
+
+class Direct:
+    """Of a command: see _Given."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Called by typer."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # of the command beside it
+        for each in parameters:
+            usual = getattr(each, "get_runtime_param", None)  # which typer has since it uses pydantic
+            if usual and not isinstance(usual, partial):
+                each.get_runtime_param = partial(_Given, each.type_descriptor.annotation, usual)
+        return parameters
+
+
+class Command(Direct, TyperCommand):
+    """One command."""
+
+
+class Grouped(Direct, TyperGroup):
     """Commands in the help by what they are for."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -74,7 +114,7 @@ def root(
 
 for functions in GROUPS.values():
     for function in functions:
-        app.command(function.__name__)(function)
+        app.command(function.__name__, cls=Command)(function)
 
 
 def main() -> None:
