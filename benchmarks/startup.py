@@ -1,6 +1,6 @@
 """Processor time of commands from start to end, beside another checkout of this program in the same run.
 
-    python -m benchmarks.startup --against FOLDER [--rounds 7] [--fits 2]
+    python -m benchmarks.startup --against CHECKOUT [--rounds 7] [--fits 2]
 
 Each checkout makes its own inputs with its own commands, in a folder, a cache and a folder of byte code of its own. Then
 rounds alternate between both, and the least user time of a command is taken: other work on the machine only adds to it.
@@ -74,6 +74,8 @@ def main() -> None:
         rows = []
         for name, command in COMMANDS.items():
             rounds = given.fits if command is FIT else given.rounds
+            if not rounds:
+                continue
             times = [
                 [user_time(command, *place) for place in zip(checkouts, folders, strict=True)] for _ in range(rounds)
             ]
