@@ -122,9 +122,8 @@ def export_flight(
     if form not in FORMATS:
         raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
     suffix, write = FORMATS[form]
-    source = Path(flight)
+    source, loaded = Path(flight), read_flight(flight)
     target = Path(out) if out is not None else source.with_suffix(suffix)
-    loaded = read_flight(source)
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
     check_output(target, force=force)
