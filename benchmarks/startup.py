@@ -2,9 +2,9 @@
 
     python -m benchmarks.startup --against CHECKOUT [--rounds 7] [--fits 2]
 
-Each checkout makes its own inputs with its own commands, in a folder, a cache and a folder of byte code of its own. Then
-rounds alternate between both, and the least user time of a command is taken: other work on the machine only adds to it.
-`fit-gp` takes a data set of 300 s; it is fitted --fits times.
+Each checkout makes its own inputs with its own commands, in a folder, a cache and a folder of byte code of its own.
+Then rounds alternate between both, and the least user time of a command is taken: other work on the machine only adds
+to it. `fit-gp` takes a data set of 300 s; it is fitted --fits times.
 """
 
 from __future__ import annotations
