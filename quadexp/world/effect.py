@@ -22,6 +22,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
+from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.streams import Drawn
@@ -157,6 +158,10 @@ class Effect(Part):
     def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
         """The vehicle that is flown, from the one that controllers believe in."""
         return vehicle
+
+    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+        """The data sheets of the true vehicle's sensors, from what they are without this effect."""
+        return sheet
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """Names of the columns of a flight that are inner states of its own, and which."""

@@ -10,12 +10,13 @@ gyro=fresh the body rate is that of t: a gyroscope has no part in what makes pos
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.parts.sensor_sheet import SensorSheet, Stated, noisier
 from quadexp.parts.settings import key
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -63,6 +64,16 @@ class StatedEstimate(Effect):
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
         return np.tile(start.x, self._late(start.clock)[0]), noise
+
+    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+        """Its noise; its age is stated by nobody, but for a gyroscope that is fresh."""
+        return replace(
+            sheet,
+            position=noisier(sheet.position, self.position_noise),
+            velocity=noisier(sheet.velocity, self.velocity_noise),
+            attitude=noisier(sheet.attitude, self.attitude_noise),
+            gyroscope=noisier(Stated() if self.gyro == "fresh" else sheet.gyroscope, self.rate_noise),
+        )
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
         late, share = self._late(at.clock)

@@ -17,6 +17,7 @@ from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.models.residual import Residual
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
@@ -214,6 +215,15 @@ class World(SimulatedPlant):
     def estimates(self) -> bool:
         """Whether `measured` may differ from the truth."""
         return any(effect.has("measure") for effect in self.effects)
+
+    @property
+    def sheet(self) -> SensorSheet:
+        """What the data sheets of its sensors say."""
+        turning = any(name.startswith("rotor_speed_") for name in self.columns(self.step))
+        sheet = SensorSheet(rotor_speed=Stated() if turning else None)
+        for effect in self.effects:
+            sheet = effect.stated(sheet, self.vehicle)
+        return sheet
 
     @property
     def loop_delay(self) -> float:
