@@ -115,8 +115,9 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
         same = true_vehicle is vehicle and flown is config.plant
         airframe = believed if same else build_plant(true_vehicle, flown, vehicle)
         if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
+            said = ",".join(f"{group}={part.name}" for group, part in parts.items())
             raise UsageError(
-                f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
+                f"{said}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
                 f" plant={config.plant.name} has an `advance` of its own, and flies without"
             )
         return World(airframe, effects, believed)
@@ -134,12 +135,6 @@ def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     for effect in effects:
         vehicle = effect.true_vehicle(vehicle)
     return effects, vehicle
-
-
-def build_sensor(config: Any) -> Any:
-    """What the controller measures specific force with; None for a perfect accelerometer, and for sensors that are
-    effects."""
-    return config.build() if hasattr(config, "build") else None
 
 
 def _with_file(part: Any) -> Any:

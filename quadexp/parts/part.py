@@ -63,6 +63,11 @@ class Part(Settings):
         return False
 
     @property
+    def names_world(self) -> bool:
+        """Whether a world of it alone has a name in tables; of parts of a world."""
+        return not self.idle
+
+    @property
     def shipped(self) -> bool:
         """Whether it is of this program, and not a user's own."""
         return type(self).__module__.partition(".")[0] == OWN and not hasattr(self, TARGET)

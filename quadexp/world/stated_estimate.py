@@ -10,6 +10,7 @@ gyro=fresh the body rate is that of t: a gyroscope has no part in what makes pos
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
@@ -22,6 +23,7 @@ from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+from quadexp.world.sensors import Sensors
 from quadexp.world.streams import Sampled
 
 AXES = 12  # of the noise: position, velocity, attitude, rate
@@ -49,9 +51,16 @@ class StatedEstimate(Effect):
 
     stage = "estimator"
 
+    follows: bool = False  # whether sensors tell the state, and make it older by the delay themselves
+
     @property
     def loop_delay(self) -> float:
         return self.delay
+
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """Its noise comes on top of what sensors tell of the state."""
+        told = any(isinstance(effect, Sensors) and effect.tells_state for effect in effects)
+        return replace(self, delay=0.0, follows=True) if told else self
 
     def _late(self, clock: Clock) -> tuple[int, float]:
         """Integration steps by which the older of two states is late, and the share of the younger one."""
@@ -83,6 +92,8 @@ class StatedEstimate(Effect):
             x = (1 - share) * x + share * kept[:, 1]
             x[ATTITUDE] /= ca.norm_2(x[ATTITUDE])
         rate = kept[:, -1] if self.gyro == "fresh" else x
+        if self.follows:
+            x = rate = told["state"]
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
         turned = ca.mtimes(left_matrix(x[ATTITUDE]), ca.vertcat(1, noise[6:9] / 2))
         noisy = ca.vertcat(

@@ -89,7 +89,8 @@ class World(SimulatedPlant):
             begun[effect.part] = found[0]
             inner.append(found[0])
             parameters.append(found[1])
-            parts += [(part_stream(rng, f"{effect.part} {i}"), drawn) for i, drawn in enumerate(sizes.drawn)]
+            streams = sizes.streams or [f"{effect.part} {i}" for i in range(len(sizes.drawn))]
+            parts += [(part_stream(rng, name), drawn) for name, drawn in zip(streams, sizes.drawn, strict=True)]
         ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
         slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
         first = layout.airframe.parameters
@@ -98,7 +99,8 @@ class World(SimulatedPlant):
             for effect, own, theta in zip(self.effects, *slices, strict=True)
         ]
         columns = self.columns(period)
-        self._rotors = [i for name, i in columns.items() if name.startswith("rotor_speed_")]
+        of = range(self.vehicle.n_rotors) if self.sheet.rotor_speed else ()
+        self._rotors = [columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)) for i in of]
         self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
         for effect, own in zip(self.effects, inner[1:], strict=True):
             self.measured = effect.first(own, self.measured)
@@ -178,7 +180,8 @@ class World(SimulatedPlant):
                 raise ModelDomainError(f"{reason} at t={self.time:.2f} s")
 
     def _period(self, equations: Equations, clock: Clock) -> ca.Function:
-        return compose(equations, self.effects, self._layout(clock), clock, self.vehicle)
+        columns = self.columns(clock.period)
+        return compose(equations, self.effects, self._layout(clock), clock, self.vehicle, columns)
 
     def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:
         assert isinstance(function, _Prepared)
@@ -214,7 +217,7 @@ class World(SimulatedPlant):
     @property
     def estimates(self) -> bool:
         """Whether `measured` may differ from the truth."""
-        return any(effect.has("measure") for effect in self.effects)
+        return any(effect.tells_state for effect in self.effects)
 
     @property
     def sheet(self) -> SensorSheet:
@@ -238,8 +241,8 @@ class World(SimulatedPlant):
     def residual(self) -> Residual:
         """The airframe's own; it names what it does not know of the world."""
         found: Residual = self._believed.residual()
-        unknown = ", ".join(effect.part for effect in self.effects)
-        return replace(found, source=f"{found.source}; does not know: {unknown}")
+        unknown = ", ".join(effect.part for effect in self.effects if effect.names_world)
+        return replace(found, source=f"{found.source}; does not know: {unknown}") if unknown else found
 
     @property
     def rotor_speed(self) -> np.ndarray:
