@@ -27,7 +27,6 @@ from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
-from quadexp.world.accelerometer import Accelerometer
 from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
@@ -38,6 +37,7 @@ from quadexp.world.from_model import FromModelPlant
 from quadexp.world.ground import GroundEffect
 from quadexp.world.link import Latency
 from quadexp.world.rotor_loss import RotorLoss
+from quadexp.world.sensors import Sensors
 from quadexp.world.slung_load import SlungLoad
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import BLOCK
@@ -47,7 +47,7 @@ from tests.models.residuals import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
 
 Q = ("q_w", "q_x", "q_y", "q_z")
-LEI_LI = Accelerometer(bias=(0.001, 0.001, -0.001), noise_std=(0.05, 0.05, 0.05))
+LEI_LI = Sensors(accelerometer_bias=(0.001, 0.001, -0.001), accelerometer_noise=(0.05, 0.05, 0.05))
 compiled = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 
@@ -62,7 +62,7 @@ class Both:
 
 def both(monkeypatch, plant, controller, path, *, seed=0, **options) -> Both:
     """Fly it twice and compare."""
-    assert covers(plant, controller, np.random.default_rng(), sensor=options.get("sensor"))
+    assert covers(plant, controller, np.random.default_rng())
     found, stops, flown = [], [], [0]
 
     def go_on(self, k, x, reading):
@@ -128,7 +128,9 @@ def draw(seed, vehicle):
         Step(target=tuple(rng.normal(size=3)), step_time=0.3, duration=1.5),
     ]
     path = paths[rng.integers(len(paths))]
-    options = {"seed": int(rng.integers(100)), "sensor": LEI_LI if rng.integers(2) else None}
+    options = {"seed": int(rng.integers(100))}
+    if rng.integers(2):
+        plant = World(plant, [LEI_LI])
     options["lost_distance"] = float(rng.choice([0.4, 10.0]))
     if rng.integers(2):
         options["start"] = near(np.r_[path.flat_output(np.zeros(1)).position[0, 0], 1, np.zeros(9)], rng, 0.1)
@@ -362,7 +364,7 @@ def test_any_controller_with_what_is_around_it(monkeypatch, flown):
     given = [f"controller={flown.split()[0]}", *flown.split()[1:], *world]
     loop = build_loop(compose([*given, *["controller.allow_unstable=true"] * ("mpc" in flown)]), None)
     path = build_trajectory(compose(world).trajectory, loop.vehicle)
-    made = both(monkeypatch, loop.plant, loop.controller, path, sensor=loop.sensor)
+    made = both(monkeypatch, loop.plant, loop.controller, path)
     assert made.periods_in_c > 0.9 * len(made.flight)
 
 
