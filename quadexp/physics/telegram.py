@@ -25,7 +25,7 @@ def dshot_speed(speed: Expression, pole_pairs: int) -> Expression:
     """Rotor speeds (n,) (rad/s) as a telegram of bidirectional DShot has them."""
     turn = 2 * math.pi / (MICROSECOND * pole_pairs)  # of the field, rad/s of the rotor times its period in us
     period = turn / ca.fmax(speed, SLOWEST)
-    unit = 2 ** ca.fmin(ca.fmax(ca.floor(ca.log2(period / MANTISSA)) + 1, 0), LARGEST_EXPONENT)
+    unit = 2 ** sum(period >= MANTISSA * 2**e for e in range(LARGEST_EXPONENT))
     return turn / (unit * ca.fmin(ca.floor(period / unit), MANTISSA - 1))
 
 

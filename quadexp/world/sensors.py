@@ -89,7 +89,7 @@ class Sensors(Effect):
         0, "of the motors, whose period is told in telegrams of bidirectional DShot; 0: in none", "[0, 50]"
     )
     rotor_speed_of: tuple[int, ...] | None = key(
-        None, "rotors that are measured, from 0; null: all; a controller is told speeds where all are"
+        None, "rotors that are measured, from 0; null: all; controllers are told speeds where all are", "[0, 99]"
     )
     position_noise: Triple = key(ZERO, "standard deviation of the white noise, world", "[0, 100]", "m")
     position_drift: float = key(0.0, DRIFT_STD, "[0, 100]", "m")
@@ -237,7 +237,7 @@ class Sensors(Effect):
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """Raises UsageError for a rotor that the vehicle does not have."""
-        if max(self.rotor_speed_of or (0,)) >= vehicle.n_rotors or min(self.rotor_speed_of or (0,)) < 0:
+        if max(self.rotor_speed_of or (0,)) >= vehicle.n_rotors:
             raise UsageError(
                 f"sensor.rotor_speed_of={list(self.rotor_speed_of or ())}: vehicle={vehicle.name} has rotors 0 to"
                 f" {vehicle.n_rotors - 1}"

@@ -76,12 +76,13 @@ class StatedEstimate(Effect):
 
     def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
         """Its noise; its age is stated by nobody, but for a gyroscope that is fresh."""
+        prompt = self.gyro == "fresh" and not self.follows
         return replace(
             sheet,
             position=noisier(sheet.position, self.position_noise),
             velocity=noisier(sheet.velocity, self.velocity_noise),
             attitude=noisier(sheet.attitude, self.attitude_noise),
-            gyroscope=noisier(Stated() if self.gyro == "fresh" else sheet.gyroscope, self.rate_noise),
+            gyroscope=noisier(Stated() if prompt else sheet.gyroscope, self.rate_noise),
         )
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:

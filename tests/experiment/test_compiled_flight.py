@@ -60,8 +60,9 @@ class Both:
     periods_in_c: int
 
 
-def both(monkeypatch, plant, controller, path, *, seed=0, **options) -> Both:
-    """Fly it twice and compare."""
+def both(monkeypatch, plant, controller, path, *, seed=0, sensors=(), **options) -> Both:
+    """Fly it twice and compare. sensors: around a plant that has no world."""
+    plant = World(plant, sensors) if sensors and not isinstance(plant, World) else plant
     assert covers(plant, controller, np.random.default_rng())
     found, stops, flown = [], [], [0]
 
@@ -128,9 +129,7 @@ def draw(seed, vehicle):
         Step(target=tuple(rng.normal(size=3)), step_time=0.3, duration=1.5),
     ]
     path = paths[rng.integers(len(paths))]
-    options = {"seed": int(rng.integers(100))}
-    if rng.integers(2):
-        plant = World(plant, [LEI_LI])
+    options = {"seed": int(rng.integers(100)), "sensors": [LEI_LI] if rng.integers(2) else []}
     options["lost_distance"] = float(rng.choice([0.4, 10.0]))
     if rng.integers(2):
         options["start"] = near(np.r_[path.flat_output(np.zeros(1)).position[0, 0], 1, np.zeros(9)], rng, 0.1)
@@ -180,7 +179,7 @@ WORLD = [
 def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
     """The same with effects around the plant; the seeds bring the three plants."""
     plant, controller, path, options = draw(seed, vehicle)
-    world = World(plant, [WORLD[i] for i in effects])
+    world = World(plant, [*(WORLD[i] for i in effects), *options["sensors"]])
     flight = both(monkeypatch, world, controller, path, **options).flight
     assert ("est_p_x" in flight.columns) == (2 in effects) and ("wind_x" in flight.columns) == (0 in effects)
     if 2 in effects:
@@ -212,7 +211,7 @@ def test_any_flight_with_a_load_in_turbulence(monkeypatch, vehicle, seed):
         Disturbance(force=(0.5, 0.0, 0.2), torque=(0.0, 0.01, 0.0), onset=0.2, duration=0.3),
         GroundEffect(rotor_radius=0.12),
     ]
-    flight = both(monkeypatch, World(plant, effects), controller, path, **options).flight
+    flight = both(monkeypatch, World(plant, [*effects, *options["sensors"]]), controller, path, **options).flight
     assert {"wind_x", "load_z"} < flight.columns.keys()
     assert np.std(flight["wind_x"]) > 0.01
 
@@ -346,6 +345,11 @@ REMEDIES = {
     ),
     "nominal_mpc adaptive=l1 inner=indi inner.rate=300 controller.rate=100": ("truth.mass=1.2",),
     "perfect_mpc inner=indi inner.rate=300 controller.rate=100": ("sensor=lei_li",),
+    "nominal_mpc inner=indi observer=disturbance observer.torque_bandwidth=0 controller.rate=100": (
+        *SPEEDS, "sensor=high", "sensor.rotor_speed_jitter=0.005", "sensor.rotor_speed_drop=0.1",
+        "sensor.rotor_speed_rate=250", "sensor.accelerometer_vibration=[0.5,0.5,0.5]", "estimator.delay=0.003",
+        "sensor.accelerometer_cutoff=80", "sensor.gyroscope_cutoff=80", "sensor.pose_rate=90",
+    ),
 }  # fmt: skip
 
 

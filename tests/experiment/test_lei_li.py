@@ -252,7 +252,7 @@ class TestIdentifyingMPC:
         """As if the path lay there: the same command as along a path moved by hand. Within the limit nothing moves."""
         config = compose([*BENCH, "controller=nominal_mpc", "controller.distance_limit=4"])
         vehicle = build_vehicle(config.vehicle)
-        controller = build_controller(config, vehicle, build_plant(vehicle, config.plant), None)
+        controller = build_controller(config, vehicle, build_world(config, vehicle), None)
         reference = SampledReference(build_trajectory(config.trajectory), controller)
         x = reference.at(0)[0].copy()
         commands = []
