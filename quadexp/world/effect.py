@@ -13,7 +13,7 @@ no numbers. What a hook is for is said here; that of an effect says what is its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -163,6 +163,10 @@ class Effect(Part):
     def tells_state(self) -> bool:
         """Whether the state that is told may differ from the true one."""
         return self.has("measure")
+
+    def beside(self, columns: Collection[str]) -> Effect:
+        """The effect as it is where airframe and other effects have inner states that are columns of these names."""
+        return self
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The state (13,) that is told when a flight begins. inner: its own; state: what it would be otherwise."""

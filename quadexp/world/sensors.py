@@ -14,17 +14,17 @@ An estimator with a delay of its own makes what is told of the state older by th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.parts.settings import Setting, Triple, declared, key
+from quadexp.parts.settings import declared
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.telegram import dshot_speed, in_steps, vibration
@@ -33,25 +33,15 @@ from quadexp.world.channel import DRIFT, Channel
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
 from quadexp.world.history import History, angles, forces_at_steps, low_passed, mean_forces
 from quadexp.world.inertial import BIAS_COLUMNS
+from quadexp.world.sensor_keys import ZERO, SensorKeys
 from quadexp.world.streams import part_stream
 
-ZERO = (0.0, 0.0, 0.0)
 STATE = ("position", "velocity", "attitude", "pose")  # quantities, but for the body rates
 BIASED = {"accelerometer": BIAS_COLUMNS[:3], "gyroscope": BIAS_COLUMNS[3:]}
-RATES = "[0, 8000]"
-AGES = "[0, 0.5]"
-RATE_HZ = Setting("readings a second; 0: one at every control instant", RATES, "Hz")
-AGE = Setting("age at which a reading is told", AGES, "s")
-JITTER = Setting("what a reading may take longer, uniform from reading to reading", AGES, "s")
-DROP = Setting("share of the readings that get lost", "[0, 1)")
-CUTOFF = Setting("cut-off of the low pass before the readings; 0: none", "[0, 10000]", "Hz")
-BIAS_STD = "standard deviation of the bias that is drawn for a flight, each axis"
-DRIFT_STD = "standard deviation of the correlated error, each axis"
-DRIFT_TIME = Setting("over which that error is correlated", "(0, 1e6]", "s")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensors(Effect):
+class Sensors(SensorKeys, Effect):
     """Accelerometer, gyroscope, speeds of the rotors, position, velocity, attitude, voltage.
 
     Inner states: of each channel that does something, see channel.py; then the force of the accelerometer's last low
@@ -59,78 +49,16 @@ class Sensors(Effect):
     voltage, as far as they are needed. Parameters: of the channels.
     """
 
-    prefix = "sensor."
-
-    accelerometer_bias: Triple = key(ZERO, "constant error of the specific force", "[-100, 100]", "m/s^2")
-    accelerometer_noise: Triple = key(
-        ZERO, "standard deviation of the white noise on the specific force", "[0, 100]", "m/s^2"
-    )
-    accelerometer_bias_std: float = key(0.0, BIAS_STD, "[0, 10]", "m/s^2")
-    accelerometer_bias_walk: float = key(0.0, "random walk of the bias", "[0, 10]", "m/s^3/sqrt(Hz)")
-    accelerometer_rate: float = key(0.0, RATE_HZ)
-    accelerometer_delay: float = key(0.0, AGE)
-    accelerometer_cutoff: float = key(0.0, CUTOFF)
-    accelerometer_vibration: Triple = key(
-        ZERO, "amplitude at the frequency of each rotor in hover, as a rotor's unbalance makes it", "[0, 1000]", "m/s^2"
-    )
-    gyroscope_noise: float = key(0.0, "standard deviation of the white noise, each axis", "[0, 10]", "rad/s")
-    gyroscope_bias_std: float = key(0.0, BIAS_STD, "[0, 1]", "rad/s")
-    gyroscope_bias_walk: float = key(0.0, "random walk of the bias", "[0, 1]", "rad/s^2/sqrt(Hz)")
-    gyroscope_rate: float = key(0.0, RATE_HZ)
-    gyroscope_delay: float = key(0.0, AGE)
-    gyroscope_cutoff: float = key(0.0, CUTOFF)
-    rotor_speed_noise: float = key(0.0, "standard deviation of the white noise over the speed", "[0, 1]")
-    rotor_speed_rate: float = key(0.0, RATE_HZ)
-    rotor_speed_delay: float = key(0.0, AGE)
-    rotor_speed_jitter: float = key(0.0, JITTER)
-    rotor_speed_drop: float = key(0.0, DROP)
-    rotor_speed_step: float = key(0.0, "smallest difference that a telegram can tell; 0: any", "[0, 1000]", "rad/s")
-    rotor_speed_pole_pairs: int = key(
-        0, "of the motors, whose period is told in telegrams of bidirectional DShot; 0: in none", "[0, 50]"
-    )
-    rotor_speed_of: tuple[int, ...] | None = key(
-        None, "rotors that are measured, from 0; null: all; controllers are told speeds where all are", "[0, 99]"
-    )
-    position_noise: Triple = key(ZERO, "standard deviation of the white noise, world", "[0, 100]", "m")
-    position_drift: float = key(0.0, DRIFT_STD, "[0, 100]", "m")
-    position_drift_time: float = key(30.0, DRIFT_TIME)
-    velocity_noise: float = key(0.0, "standard deviation of the white noise, each axis", "[0, 100]", "m/s")
-    velocity_drift: float = key(0.0, DRIFT_STD, "[0, 100]", "m/s")
-    velocity_drift_time: float = key(1.0, DRIFT_TIME)
-    attitude_noise: float = key(0.0, "standard deviation of the white noise, about each body axis", "[0, 1]", "rad")
-    attitude_drift: float = key(0.0, DRIFT_STD, "[0, 1]", "rad")
-    attitude_drift_time: float = key(10.0, DRIFT_TIME)
-    attitude_age: Literal["pose", "fresh"] = key(
-        "pose", "attitude that is told: as old as position and velocity, or that of now, as of a filter on board"
-    )
-    pose_rate: float = key(0.0, RATE_HZ)
-    pose_delay: float = key(0.0, AGE)
-    pose_jitter: float = key(0.0, JITTER)
-    pose_drop: float = key(0.0, DROP)
-    battery_noise: float = key(0.0, "standard deviation of the white noise on the voltage", "[0, 10]", "V")
-    battery_step: float = key(0.0, "smallest difference of the voltage that is told; 0: any", "[0, 1]", "V")
-    sheet_factor: float = key(
-        1.0, "by which the noise, drift and delay that controllers are told of the sensors are wrong", "[0.01, 100]"
-    )
-
     stage = "sensor"
 
     later: float = 0.0  # s, by which an estimator makes the state older, and whether the body rates too
     later_rates: bool = False
 
     # ------------------------------------------------------------------------------------------------ which sensors act
-    def _set(self, *quantities: str) -> bool:
-        """Whether a key of one of these quantities is not at its default."""
-        return any(
-            getattr(self, name) != about.default
-            for name, about in declared(type(self)).items()
-            if name.startswith(quantities)
-        )
-
     @property
     def idle(self) -> bool:
         """See Part."""
-        return not self._set("accelerometer", "gyroscope", "rotor_speed", *STATE, "battery")
+        return not self.sets("accelerometer", "gyroscope", "rotor_speed", *STATE, "battery")
 
     @property
     def names_world(self) -> bool:
@@ -140,7 +68,7 @@ class Sensors(Effect):
 
     @property
     def tells_state(self) -> bool:
-        return bool(self.later) or self._set("gyroscope", *STATE)
+        return bool(self.later) or self.sets("gyroscope", *STATE)
 
     @property
     def loop_delay(self) -> float:
@@ -157,32 +85,45 @@ class Sensors(Effect):
     def among(self, effects: Sequence[Effect]) -> Effect:
         estimators = [effect for effect in effects if effect.stage == "estimator"]
         later = sum(effect.loop_delay for effect in estimators)
-        if not later or not self._set("gyroscope", *STATE):
+        if not later or not self.sets("gyroscope", *STATE):
             return self
         fresh = any(getattr(effect, "gyro", "late") == "fresh" for effect in estimators)
         return replace(self, later=later, later_rates=not fresh)
+
+    def beside(self, columns: Collection[str]) -> Effect:
+        """Without speeds of rotors nothing is read of them. Raises UsageError for what nothing can show."""
+        turning = "rotor_speed_0" in columns
+        if any(self.accelerometer_vibration) and not turning:
+            raise UsageError(
+                f"sensor.accelerometer_vibration={list(self.accelerometer_vibration)}: no speeds of rotors are known"
+                " here: give vehicle.thrust_coefficient, and an actuator or a plant that has speeds"
+            )
+        if self.sets("battery") and "battery_voltage" not in columns:
+            raise UsageError("sensor.battery_..: there is no battery here: give battery=sag")
+        exact = {name: about.default for name, about in declared(type(self)).items() if name.startswith("rotor_speed")}
+        return self if turning else replace(self, **exact)
 
     def channels(self, vehicle: Vehicle) -> dict[str, Channel]:
         """Those that do something, by name."""
         return {channel.name: channel for channel in self._channels(vehicle.n_rotors)}
 
     def _channels(self, rotors: int) -> Iterator[Channel]:
-        if self._set("accelerometer"):
+        if self.sets("accelerometer"):
             noise, bias = (np.array(each) for each in (self.accelerometer_noise, self.accelerometer_bias))
             yield self._channel("accelerometer", 3, noise, bias, self.accelerometer_delay)
-        if self._set("gyroscope") or (self.later and self.later_rates):
+        if self.sets("gyroscope") or (self.later and self.later_rates):
             delay = self.gyroscope_delay + self.later * self.later_rates
             yield self._channel("gyroscope", 3, np.full(3, self.gyroscope_noise), np.zeros(3), delay)
-        if self._set("rotor_speed"):
+        if self.sets("rotor_speed"):
             noise = np.full(rotors, self.rotor_speed_noise)
             yield self._channel(
                 "rotor_speed", rotors, noise, np.zeros(rotors), self.rotor_speed_delay, add=self._counted
             )
-        if self._set(*STATE) or self.later:
+        if self.sets(*STATE) or self.later:
             yield self._pose("pose")
             if self.attitude_age == "fresh":
                 yield self._pose("attitude")
-        if self._set("battery"):
+        if self.sets("battery"):
             yield self._channel("battery", 1, np.array([self.battery_noise]), np.zeros(1), 0.0, add=self._volts)
 
     def _channel(self, name: str, size: int, noise: np.ndarray, bias: np.ndarray, delay: float, **more: Any) -> Channel:
@@ -276,9 +217,9 @@ class Sensors(Effect):
             if channel.drifts and name in BIASED:
                 found |= {column: first + i for i, column in enumerate(BIASED[name])}
         measured = range(vehicle.n_rotors) if self.rotor_speed_of is None else self.rotor_speed_of
-        if self._set("rotor_speed"):
+        if self.sets("rotor_speed"):
             found |= {f"est_rotor_speed_{i}": places["speeds"].start + i for i in measured}
-        return found | ({"est_battery_voltage": places["voltage"].start} if self._set("battery") else {})
+        return found | ({"est_battery_voltage": places["voltage"].start} if self.sets("battery") else {})
 
     def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
         """What is set, wrong by sheet_factor. An age of zero of the pose is nobody's statement, and an estimator's
@@ -321,15 +262,12 @@ class Sensors(Effect):
         force = readings.get("accelerometer", told["specific_force"])
         kept |= {"speeds": readings.get("rotor_speed"), "voltage": readings.get("battery")}
         after = [inner[name] for name in channels] + [kept[name] for name, n in self._kept(vehicle).items() if n]
-        return ca.vertcat(*after), told | {"state": state, "specific_force": force}
+        return ca.vertcat(at.inner[:0], *after), told | {"state": state, "specific_force": force}
 
     def _exact(
         self, at: Readings, told: Told, inner: Mapping[str, ca.MX]
     ) -> tuple[dict[str, Callable[[Any], ca.MX]], dict[str, ca.MX]]:
-        """What exact sensors read at a time (s) since the period began, by channel, and what is kept besides after it.
-
-        Raises UsageError where neither airframe nor effects have the quantity.
-        """
+        """What exact sensors read at a time (s) since the period began, by channel; what is kept besides."""
         clock, states = at.clock, History(at.states, at.clock)
         kept: dict[str, Any] = {"force": told["specific_force"]}
 
@@ -345,7 +283,7 @@ class Sensors(Effect):
                 forces = forces_at_steps(means, inner["force"], told["specific_force"], clock)
             force = forces.at
         if any(self.accelerometer_vibration):
-            speeds = History(self._speeds(at, "accelerometer_vibration"), clock)
+            speeds = History(self._speeds(at), clock)
             turned = angles(speeds.values, inner["angles"], clock)
             kept["angles"] = ca.fmod(turned.values[:, -1], 2 * math.pi)
             shaking = self._shaking(turned, speeds, at.vehicle)
@@ -358,10 +296,10 @@ class Sensors(Effect):
         exact: dict[str, Callable[[Any], ca.MX]] = {"accelerometer": force, "gyroscope": rates.at}
         exact["pose"] = lambda time: _pose_of(states.state_at(time), self.attitude_age == "fresh")
         exact["attitude"] = lambda time: states.state_at(time)[ATTITUDE]
-        if self._set("rotor_speed"):
-            exact["rotor_speed"] = History(self._speeds(at, "rotor_speed"), clock).at
-        if self._set("battery"):
-            exact["battery"] = History(self._column(at, ["battery_voltage"], "battery", "a battery"), clock).at
+        if self.sets("rotor_speed"):
+            exact["rotor_speed"] = History(self._speeds(at), clock).at
+        if self.sets("battery"):
+            exact["battery"] = History(at.columns(["battery_voltage"]), clock).at
         return exact, kept
 
     def _shaking(self, angle: History, speed: History, vehicle: Vehicle) -> Callable[[Any], ca.MX]:
@@ -369,16 +307,9 @@ class Sensors(Effect):
         amplitude, cutoff = ca.DM(self.accelerometer_vibration), self.accelerometer_cutoff
         return lambda time: vibration(angle.at(time), speed.at(time), hover, amplitude, cutoff)
 
-    def _speeds(self, at: Readings, keys: str) -> ca.MX:
+    def _speeds(self, at: Readings) -> ca.MX:
         """Speeds of the rotors (n, steps + 1) (rad/s)."""
-        names = [f"rotor_speed_{i}" for i in range(at.vehicle.n_rotors)]
-        return self._column(at, names, keys, "vehicle.thrust_coefficient, and an actuator or a plant with rotor speeds")
-
-    def _column(self, at: Readings, names: Sequence[str], keys: str, needed: str) -> ca.MX:
-        try:
-            return at.columns(names)
-        except KeyError:
-            raise UsageError(f"sensor={self.name}: sensor.{keys}..: needs {needed}") from None
+        return at.columns([f"rotor_speed_{i}" for i in range(at.vehicle.n_rotors)])
 
     def _volts(self, voltage: Any, slow: Any, random: Any) -> Any:
         return in_steps(voltage + random, self.battery_step)

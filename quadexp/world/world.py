@@ -46,7 +46,10 @@ class World(SimulatedPlant):
     def __init__(
         self, airframe: SimulatedPlant, effects: Sequence[Effect], believed: SimulatedPlant | None = None
     ) -> None:
-        self.airframe, self.effects = airframe, ordered([effect.among(effects) for effect in effects])
+        self.airframe, clock = airframe, Clock(airframe.step, 1)
+        joined = ordered([effect.among(effects) for effect in effects])
+        columns = {*airframe.inner_columns}.union(*(effect.columns(clock, airframe.vehicle) for effect in joined))
+        self.effects = tuple(effect.beside(columns) for effect in joined)
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._winds: dict[Clock, ca.Function] = {}

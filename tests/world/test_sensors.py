@@ -11,6 +11,7 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle, build_world, sensor_sheet
+from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.parts.sensor_sheet import Stated
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -29,6 +30,7 @@ from tests.models.residuals import with_rotors
 from tests.world.airframes import REST, STEP, commands, ideal, start
 
 PERIOD = 0.02
+TURNING = ("vehicle.thrust_coefficient=1.2e-5", "actuator=speed_lag_30ms")
 LAGGING = Actuator(time_constant_up=0.03, time_constant_down=0.03)
 
 
@@ -307,20 +309,30 @@ def test_rotors_that_are_not_all_measured_are_told_to_nobody(vehicle):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["sensor.rotor_speed_of=[4]"], "sensor.rotor_speed_of=.4.: vehicle=torrente has rotors 0 to 3"),
-        (["sensor.rotor_speed_delay=0.01"], "sensor.rotor_speed..: needs vehicle.thrust_coefficient"),
-        (["sensor.accelerometer_vibration=[1,0,0]"], "sensor.accelerometer_vibration..: needs vehicle.thrust_coeff"),
-        (["sensor.battery_noise=0.1"], "sensor.battery..: needs a battery"),
+        (["sensor.rotor_speed_of=[4]", *TURNING], "sensor.rotor_speed_of=.4.: vehicle=torrente has rotors 0 to 3"),
+        (["sensor.accelerometer_vibration=[1,0,0]"], "sensor.accelerometer_vibration=.*: no speeds of rot"),
+        (["sensor.battery_noise=0.1"], "sensor.battery_..: there is no battery here"),
         (["sensor.pose_rate=8000", "controller.rate=20"], "sensor.pose_rate=8000: 400 readings in a control period"),
         (["sensor.pose_drop=1"], r"sensor.pose_drop=1.0: must be in \[0, 1\)"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(given, message):
-    from quadexp.experiment.evaluate import fly_one
-
     with pytest.raises(UsageError, match=message) as refused:
         fly_one(compose(["trajectory=hover", "trajectory.duration=0.2", "controller=nominal_mpc", *given]))
     assert "\n" not in str(refused.value)
+
+
+OPTIONS = ("low", "high", "mocap_room", "gnss_quad", "race_dshot", "race_serial", "crazyflie")
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_every_option_flies_with_speeds_of_rotors_and_without(option):
+    """Without speeds nothing is told of them, and no telemetry is refused."""
+    given = ["trajectory=hover", "trajectory.duration=1.5", "controller=nominal_mpc", f"sensor={option}"]
+    flights = [fly_one(compose([*given, *more])) for more in ([], TURNING)]
+    assert all(flight.outcome == "ok" for flight in flights)
+    told = [{name for name in flight.columns if name.startswith("est_rotor")} for flight in flights]
+    assert not told[0] and bool(told[1]) == (option in ("low", "high", "race_dshot", "race_serial"))
 
 
 def sheet_of(*overrides):
