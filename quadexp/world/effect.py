@@ -104,7 +104,8 @@ class Readings(NamedTuple):
     t: s since the start. states: true states (13, steps + 1) at the beginning and after every integration step.
     inner, parameters, draws: the effect's own. step: s. clock: the same in numbers. vehicle: the true one.
     columns: of names of columns that are inner states of airframe and effects, such as "rotor_speed_0": their values
-    (k, steps + 1) at the times of the states; KeyError where there is no such column.
+    (k, steps + 1) at the times of the states; KeyError where there is no such column. forces: specific forces
+    (3, steps), body (m/s^2), after every integration step.
     """
 
     t: ca.MX
@@ -116,6 +117,7 @@ class Readings(NamedTuple):
     clock: Clock
     vehicle: Vehicle
     columns: Callable[[Sequence[str]], ca.MX]
+    forces: Callable[[], ca.MX]
 
 
 Told = dict[str, Any]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
