@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 from typing import Any
 
@@ -72,8 +73,6 @@ def compose(
     parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
     time = ca.MX.sym("time")
 
-    if not any(effect.names_world for effect in effects) and not last:  # the airframe's own period, to the last bit
-        pass
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
     inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
     theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
@@ -93,10 +92,10 @@ def compose(
     begun, last_t = own, time + clock.period
     x_next, own, inner_a, wind, reading, doubt = parts.settled(states[:, -1], begun, known, theta, last_t, step)
     own = ca.vertcat(own, measuring)
-    names = equations.step.name_out()[1:] if equations.end else []
-    force_of_steps = kept[0] if not equations.end else None
+    names, forces_kept = equations.step.name_out()[1:] if equations.end else [], None
     if not equations.end:
-        reading, doubt, kept = kept[0][:, -1], ca.MX(1, 1), kept[1:]
+        forces_kept, *kept = kept
+        reading, doubt = forces_kept[:, -1], ca.MX(1, 1)
     reading += states[-3:, -1]
     if not last and not any(effect.names_world for effect in effects):  # the airframe's own flight, to the last bit
         alone = period(equations, steps)(x, inner[: airframe.inner], u, noise, theta, step)
@@ -104,9 +103,7 @@ def compose(
     everything = _Parts(equations, tuple(effects), layout, vehicle)
     doubt = everything.ended(own, parameters, doubt)
 
-    def each_step(select: Any) -> ca.MX:
-        """Of what a control period would leave that ended after each step, see _Parts.settled."""
-        return parts.each_step(select, states, begun, known, theta, times, step)
+    each_step = partial(parts.each_step, states, begun, known, theta, times, step)
 
     def columns_of(wanted: Sequence[str]) -> ca.MX:
         places = [columns[name] for name in wanted]
@@ -114,7 +111,7 @@ def compose(
         return ca.horzcat(ca.vertcat(inner[: airframe.inner], begun)[places], inner_now)
 
     def forces() -> ca.MX:
-        return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else force_of_steps)
+        return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else forces_kept)
 
     told: Told = {"state": x_next, "specific_force": reading}
     known_now = (own, parameters, draws, step, clock, vehicle)
@@ -301,7 +298,7 @@ class _Parts:
         _, inner, reading, doubt = equations.end(ca.vertcat(_seen_from_the_air(x, wind), rest), held, theta)
         return x, own, inner, wind, reading, doubt
 
-    def each_step(self, select: Any, states: Any, own: Any, known: Any, theta: Any, times: Any, step: Any) -> ca.MX:
+    def each_step(self, states: Any, own: Any, known: Any, theta: Any, times: Any, step: Any, select: Any) -> ca.MX:
         """What `select` makes of `settled`, (k, steps). times: when the steps began."""
         given = [states[:, 0], own, known, theta, times[0], step]
         S, before, of_effects, of_airframe, began, h = (ca.MX.sym(f"s{i}", one.numel()) for i, one in enumerate(given))
