@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from quadexp.parts.settings import Setting, Settings, Triple, declared, key
+from quadexp.parts.settings import Setting, Settings, Triple, key
 
 ZERO = (0.0, 0.0, 0.0)
 RATES = "[0, 8000]"
@@ -79,11 +79,3 @@ class SensorKeys(Settings):
     sheet_factor: float = key(
         1.0, "by which the noise, drift and delay that controllers are told of the sensors are wrong", "[0.01, 100]"
     )
-
-    def sets(self, *quantities: str) -> bool:
-        """Whether a key of one of these quantities is not at its default."""
-        return any(
-            getattr(self, name) != about.default
-            for name, about in declared(type(self)).items()
-            if name.startswith(quantities)
-        )

@@ -55,6 +55,14 @@ class Sensors(SensorKeys, Effect):
     later_rates: float = 0.0
 
     # ------------------------------------------------------------------------------------------------ which sensors act
+    def sets(self, *quantities: str) -> bool:
+        """Whether a key of one of these quantities is not at its default."""
+        return any(
+            getattr(self, name) != about.default
+            for name, about in declared(type(self)).items()
+            if name.startswith(quantities)
+        )
+
     @property
     def idle(self) -> bool:
         """See Part."""
