@@ -120,7 +120,7 @@ class Sensors(SensorKeys, Effect):
             channels.append(self._channel("rotor_speed", rotors, self._counted))
         for name in POSE if self.sets(*POSE, "pose") or self.later else ():
             fresh = name == "attitude" and self.attitude_age == "fresh"
-            message, add = "attitude" if fresh else "pose", _turned if name == "attitude" else _plus
+            message, add = "attitude" if fresh else "pose", _erring if name == "attitude" else _plus
             channels.append(self._channel(name, AXES, add, message, self.later))
         if self.sets("battery"):
             channels.append(self._channel("battery", 1, self._measured_voltage))
@@ -297,7 +297,11 @@ def _plus(value: Any, slow: Any, random: Any) -> Any:
     return (value + slow) + random
 
 
-def _turned(q: Any, slow: Any, random: Any) -> Any:
-    """q o [1, e / 2], of unit length."""
-    turned = ca.mtimes(left_matrix(q), ca.vertcat(1, (slow + random) / 2))
-    return turned / ca.norm_2(turned)
+def _erring(q: Any, slow: Any, random: Any) -> Any:
+    return turned(q, slow + random)
+
+
+def turned(q: Any, error: Any) -> Any:
+    """q o [1, e / 2], of unit length: an attitude (4,) with the small error e (3,), about body axes (rad)."""
+    product = ca.mtimes(left_matrix(q), ca.vertcat(1, error / 2))
+    return product / ca.norm_2(product)
