@@ -89,11 +89,12 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
         raise QuadexpError(f"{library.name}: {error}") from None
 
 
-def strict_library(name: str, body: Path) -> ctypes.CDLL:
-    """C of our own, compiled without any liberty in its arithmetic. Raises QuadexpError where that fails."""
-    library = _library(name, body.read_text(encoding="utf-8"), STRICT_FLAGS)
+def strict_library(name: str, *bodies: Path, loader: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL:
+    """C of our own, one file behind another, compiled without any liberty in its arithmetic. Raises QuadexpError where
+    that fails."""
+    library = _library(name, "\n".join(body.read_text(encoding="utf-8") for body in bodies), STRICT_FLAGS)
     try:
-        return ctypes.CDLL(str(library))
+        return loader(str(library))
     except OSError as error:
         raise _unloadable(error) from None
 

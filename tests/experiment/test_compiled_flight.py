@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from quadexp.compile.compiler import compiler
+from quadexp.control import compiled_loop
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.experiment import compiled_flight, rollout
+from quadexp.experiment import rollout
 from quadexp.experiment.build import build_controller, build_trajectory
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.experiment.evaluate import build_loop
@@ -244,7 +245,7 @@ class TestWhereItHandsOver:
     def test_large_turns_are_shortened_in_c(self, monkeypatch, vehicle):
         """Upside down at the start: the guess turns further than its model holds for some steps."""
         start = np.r_[0, 0, 2.0, 0.05, 0.9987, 0, 0, np.zeros(6)]
-        monkeypatch.setattr(compiled_flight, "MAX_TURN", turn := 0.02)
+        monkeypatch.setattr(compiled_loop, "MAX_TURN", turn := 0.02)
         monkeypatch.setattr("quadexp.control.mpc.mpc.MAX_TURN", turn)
         plant, controller = self.plant(vehicle), mpc(vehicle)
         reference = SampledReference(Hover(duration=1.0), controller)

@@ -161,6 +161,11 @@ class ModelPredictiveController:
         return self._step, self._active_set.solver
 
     @property
+    def feedback_function(self) -> BufferedFunction | None:
+        """What `feedback` calls, on the arrays of the step; None before the first `prepare`."""
+        return None if self._phases is None else self._phases.feedback
+
+    @property
     def cold(self) -> bool:
         """Whether the next step is the first of a flight, which iterates."""
         return self._cold
