@@ -136,8 +136,6 @@ class ControlLoop:
             return
         self._prepared = k, self._reference.window(k)
         prepare(self._prepared[1])
-        if self._compiled is not None:
-            self._compiled.prepared()
 
     def step(
         self, measured: npt.ArrayLike | Measurement, t: float | None = None, reference: Window | None = None

@@ -26,7 +26,6 @@ from quadexp.physics.state import N_STATE
 
 SOURCE = Path(__file__).with_name("loop.c")
 PLAIN = {"integer": ctypes.c_longlong, "real": ctypes.c_double, "function": CFunction}  # types of fields
-LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
 NUMBERS = 6  # before the readings in loop.c's `measured`
 
 
@@ -88,7 +87,6 @@ class CompiledLoop:
 
     def _mpc(self, plan: Any) -> ctypes.Structure:
         step, bounded = plan.mpc.functions
-        self._lean = step.lean(LEAN)
         states, (nodes, inputs) = step.arguments["X"].shape[1], step.arguments["U"].shape
         arrays = {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U")}
         arrays |= {name: step.results[name] for name in ("checks", "X_new", "U_new", "X_lin", "U_lin")}
@@ -97,8 +95,8 @@ class CompiledLoop:
         arrays |= {"side": bounded.results["side"], "unprepared": plan.unprepared}
         return MPC(
             **addresses(arrays),
-            step=step.for_c,
-            lean=self._lean,
+            prepare=step.prepare.for_c,
+            feedback=step.feedback.for_c,
             bounded=bounded.for_c,
             states=states,
             inputs=inputs,
@@ -171,11 +169,6 @@ class UserLoop(CompiledLoop):
         to.yaw[3] = window.drift
         return fits
 
-    def prepared(self) -> None:
-        """A step has been prepared: tell C by which function it is answered."""
-        if self.mpc is not None and self._plan is not None and self._plan.feedback_function is not None:
-            self.mpc.feedback = self._plan.feedback_function.for_c
-
     def hand_over(self, gate: ReadingGate) -> None:
         """Let Python go on from here. gate: is told of the readings that C has admitted last."""
         told = {"specific_force": self.running.told.force, "rotor_speed": self.running.told.speed}
@@ -212,7 +205,8 @@ def goes_in_c(controller: Any) -> bool:
     if instant.plan is not None:
         if type(instant.plan.mpc) is not ModelPredictiveController:
             return False
-        functions += instant.plan.mpc.functions
+        step, bounded = instant.plan.mpc.functions
+        functions += [step.prepare, step.feedback, bounded]
     arrays = [(o, a) for o in instant.operations for a in (o.to, o.source, o.other, o.when) if a is not None]
     return (
         not any(o.kind == "python" and o.when is None for o in instant.operations)

@@ -39,12 +39,11 @@ typedef struct { /* see instant.py; kept: of a MOVE, what was there before; coun
 } operation;
 
 typedef struct { /* the MPC's step, with the arrays that it reads and leaves */
-    function step, lean, feedback, bounded; /* lean: without what only a bounded subproblem needs */
+    function prepare, feedback, bounded;
     integer states, inputs, nodes, reference_rows;
     real tolerance, max_turn;
     real *x0, *X_ref, *X, *U, *guess, *unprepared; /* unprepared: whether all is to be done, 1 or 0 */
     const real *checks, *X_new, *U_new, *X_lin, *U_lin, *bounded_checks, *bounded_X, *bounded_U, *side;
-    integer met; /* a bound, in the last step: then the next is likely to meet one too */
     real status, sweeps, active, kkt, converged; /* of the last step */
 } mpc;
 
@@ -119,13 +118,13 @@ static void towards(real *guess, const real *from, const real *to, integer count
 
 /* The solution without bounds, as ModelPredictiveController.command and .feedback begin. */
 static int unbounded(const mpc *p) {
-    if (!*p->unprepared) {
-        if (!p->feedback.call || !to_side(p->x0, 1, p->states, p->X)) return 0;
-        return attitudes_product(p->X_ref, p->x0) > TURNED && !run(&p->feedback);
+    if (*p->unprepared) {
+        if (!to_side(p->X_ref, p->reference_rows, p->states, p->x0)) return 0;
+        if (!to_side(p->X, p->nodes + 1, p->states, p->x0) || run(&p->prepare)) return 0;
+    } else if (!to_side(p->x0, 1, p->states, p->X) || !(attitudes_product(p->X_ref, p->x0) > TURNED)) {
+        return 0;
     }
-    if (!to_side(p->X_ref, p->reference_rows, p->states, p->x0)) return 0;
-    if (!to_side(p->X, p->nodes + 1, p->states, p->x0) || run(p->met ? &p->step : &p->lean)) return 0;
-    return p->met || (p->checks[0] <= p->tolerance && p->checks[1] <= p->max_turn) || !run(&p->step);
+    return !run(&p->feedback);
 }
 
 static int plan(mpc *p) {
@@ -136,7 +135,6 @@ static int plan(mpc *p) {
     const real excess = p->checks[0], kkt = p->checks[2];
     real turn = p->checks[1];
     if (!isfinite(excess + turn)) return 0;
-    p->met = excess > p->tolerance;
     if (excess <= p->tolerance) {
         for (integer i = 0; i < U_size; i++) p->guess[i] = 0;
     } else {
