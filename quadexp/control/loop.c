@@ -63,8 +63,9 @@ typedef struct {
     integer operations_size, inputs;
     mpc *plan; /* null: of a law in closed form */
     real *state, *force, *speed, *path, *yaw; /* what the controller is told, see Told */
-    real *read, *turning;
-    const measured *given; /* this and all behind it: of `step` */
+    real *read, *turning; /* whether force and speed are measured now */
+    /* of `step` alone */
+    const measured *given;
     const reference *reference, *window;
     real period;
 } loop;

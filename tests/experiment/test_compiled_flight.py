@@ -335,6 +335,7 @@ REMEDIES = {
     "perfect_mpc controller.dead_time=0.02 controller.motor_lead=0.03 horizon=robust observer=wind": (
         "actuator=lag_30ms", "link=latency", "link.latency=0.02",
     ),
+    "nominal_mpc controller.motor_lag=0.03": ("actuator=lag_30ms",),
     "perfect_mpc delay=strapdown delay.time=0.03": ("estimator=late", "estimator.delay=0.03"),
     "perfect_mpc delay=prediction delay.time=0.03 observer=disturbance": ("estimator=late", "estimator.delay=0.03"),
     "geometric adaptive=l1": ("truth.mass=1.2",),
