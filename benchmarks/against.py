@@ -108,12 +108,13 @@ def _steps(mpc: Any, loop: Any, log: Any, window: Any) -> list[Any]:
 
 
 def serve() -> None:
-    """Build all, then measure all once for each line that comes in."""
+    """Build all and measure once, then say so; then measure all once for each line that comes in."""
     measured = dict(works())
     for work in measured.values():
         work()
-    for line in ["{}", *sys.stdin]:
-        print(line.strip() if line == "{}" else json.dumps({name: w() for name, w in measured.items()}), flush=True)
+    print("{}", flush=True)
+    for _ in sys.stdin:
+        print(json.dumps({name: work() for name, work in measured.items()}), flush=True)
 
 
 def measure(folders: list[Path], rounds: int) -> list[dict[str, np.ndarray]]:

@@ -125,8 +125,8 @@ class UserLoop(CompiledLoop):
         rows, n = reference.where.shape[1], len(self.command)
         self._given = given = np.zeros(NUMBERS + N_STATE + 3 + n)
         self._state, self._force, self._speed = np.split(given[NUMBERS:], [N_STATE, N_STATE + 3])
-        self._window = Window(np.zeros((rows, N_STATE)), np.zeros((rows - 1, n)), np.zeros((5, 3)), np.zeros(4))
-        states, inputs, position, yaw, _ = self._window
+        states, inputs, position, yaw = (np.zeros(size) for size in ((rows, N_STATE), (rows - 1, n), (5, 3), 4))
+        self._window, self._drift = (states, inputs, position, yaw[:3]), yaw[3:]
         alone = CompiledReference((states, inputs, np.arange(rows)[None]), (position[None], yaw[None]))
         self._alone, s = alone, self.structure
         s.given, s.reference, s.window = given.ctypes.data, *map(_address, (reference, alone))
@@ -150,8 +150,10 @@ class UserLoop(CompiledLoop):
             return False
         if speed is not None and not _fill(self._speed, speed):
             return False
-        if window is not None and not self._look(window):
-            return False
+        if window is not None:
+            if not all(map(_fill, self._window, window)):  # all but the drift
+                return False
+            self._drift[0] = window.drift
         if not self._call():
             return False
         self.running.k += 1
@@ -163,12 +165,6 @@ class UserLoop(CompiledLoop):
             self._read["rotor_speed"] = t
         return True
 
-    def _look(self, window: Window) -> bool:
-        to = self._window
-        fits = all(_fill(*pair) for pair in zip(to[:3], window[:3], strict=True)) and _fill(to.yaw[:3], window.yaw)
-        to.yaw[3] = window.drift
-        return fits
-
     def hand_over(self, gate: ReadingGate) -> None:
         """Let Python go on from here. gate: is told of the readings that C has admitted last."""
         told = {"specific_force": self.running.told.force, "rotor_speed": self.running.told.speed}
@@ -178,9 +174,8 @@ class UserLoop(CompiledLoop):
 
 
 def _fill(array: np.ndarray, values: Any) -> bool:
-    values = np.asarray(values, float)
-    if values.shape != array.shape:
-        return False
+    if type(values) is not np.ndarray or values.shape != array.shape:
+        return False  # Python decides about others
     array[...] = values
     return True
 
