@@ -1,0 +1,369 @@
+"""A control loop, linearised: what small deviations become in a control period, with everything that is in the loop.
+
+    z' = A z + B v,    u = C z            cut at the commands: the plant gets v, the controller sends u
+
+z: the body's state in its tangent space (rotation vector about body axes), the plant's inner states, the readings, and
+what the operations of the controller remember: the numbers that they read before they write them. A, B, C by central
+differences of the functions that fly, one triple for each of the instants after which the loop is the same again: where
+parts run at several rates, and where sensors do.
+
+Before that, the vehicle is carried along the reference for SETTLING, without noise: filters and covariances settle,
+whatever the loop would do. Frozen as they are then: what a controller learns from readings in Python; the MPC's last
+solution, on which its next one does not depend to first order. Numbers that do not lead from v back to u, such as
+covariances and counters, are no part of the loop.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Iterable
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadexp.compile.symbolic import ca
+from quadexp.control.base import Measurement, Window
+from quadexp.control.instant import Operation, in_operations, run
+from quadexp.control.wrapped import innermost
+from quadexp.errors import QuadexpError
+from quadexp.physics.rotation import left_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.world.integrator import SimulatedPlant
+from quadexp.world.streams import Drawn, Ticking
+from quadexp.world.world import World
+
+SETTLING = 0.5  # s
+DIFFERENCE = 1e-5  # of a number of a size up to 1, for derivatives; of larger ones relative
+NOTHING = 1e-8  # a derivative that is none
+REPEATS = 1e-7  # by how much an instant may differ when it is repeated
+ORDER = 4  # of the response to a command over a few periods
+MOST_PHASES = 100  # instants after which the loop must be the same again
+N_TANGENT, NUMBER = N_STATE - 1, 8  # NUMBER: bytes
+
+
+class UnknownLoopError(QuadexpError):
+    """Why a loop cannot be linearised."""
+
+
+class Phase(NamedTuple):
+    """A (m, m), B (m, n) and C (n, m) of one instant, see the module."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+
+
+class LinearLoop:
+    """The linear loop over some instants, without what is not in the loop.
+
+    phases: of the instants. period: s, between two of them. smooth: which of z follow a command from zero on, as the
+    vehicle does, (m,); direct: which follow it at once, as an accelerometer does.
+    """
+
+    def __init__(self, phases: list[Phase], period: float, smooth: np.ndarray, direct: np.ndarray) -> None:
+        size, _ = phases[0].B.shape
+        follows = sum(np.abs(phase.A) > NOTHING for phase in phases) > 0
+        from_command, to_command = np.zeros((2, size), bool)
+        for _, B, C in phases:
+            from_command |= (np.abs(B) > NOTHING).any(axis=1)
+            to_command |= (np.abs(C) > NOTHING).any(axis=0)
+        for _ in range(size):
+            from_command |= follows[:, from_command].any(axis=1)
+            to_command |= follows[to_command].any(axis=0)
+        kept = from_command & to_command
+        self.period, self._smooth, self._direct = period, smooth[kept], direct[kept]
+        self.phases = [Phase(A[np.ix_(kept, kept)], B[kept], C[:, kept]) for A, B, C in phases]
+        self._open, self._held = _product(A for A, _, _ in self.phases), self._response()
+
+    @property
+    def growth(self) -> float:
+        """Rate at which the closed loop's largest deviation grows (1/s), negative where it decays."""
+        whole = _product(A + B @ C for A, B, C in self.phases)
+        radius = float(np.abs(np.linalg.eigvals(whole)).max(initial=0.0)) if np.isfinite(whole).all() else math.inf
+        return math.log(max(radius, 1e-300)) / (self.period * len(self.phases))
+
+    def gain(self, frequencies: np.ndarray, *, delay: float = 0.0, lag: float = 0.0) -> np.ndarray:
+        """Complex gains (k, n, n) from v back to u at frequencies (k,) (rad/s) below pi / period, with a further delay
+        or lag (s) in between. Of u it is the part that has this frequency; others, which parts at several rates make of
+        it, pass the plant as little as those of a held command do."""
+        turn, count = np.exp(1j * np.reshape(frequencies, (-1, 1, 1)) * self.period), len(self.phases)
+        weights = self._weights(turn, delay, lag)
+        entering: list[Any] = [sum(map(np.multiply, weights, held)) * turn**j for j, held in enumerate(self._held)]
+        z = entering[0]
+        for (A, _, _), B in zip(self.phases[1:], entering[1:], strict=True):
+            z = A @ z + B
+        z = np.linalg.solve(turn**count * np.eye(len(self._open)) - self._open, z)
+        total: Any = 0.0
+        for j, ((A, _, C), B) in enumerate(zip(self.phases, entering, strict=True)):
+            total, z = total + C @ z * turn**-j, A @ z + B
+        return np.asarray(total / count)
+
+    def _response(self) -> list[np.ndarray]:
+        """Coefficients of t^i, t in periods, of what a command leaves that has acted for t, i = 0 .. ORDER, (.., m, n),
+        for each phase: a polynomial through a whole number of periods; what is direct is there from the beginning."""
+        inverse = np.linalg.inv(np.vander(np.arange(1.0, ORDER + 1), ORDER + 1, increasing=True)[:, 1:])
+        responses = []
+        for A, B, _ in self.phases:
+            A, b = A * self._smooth, B * self._smooth[:, None]
+            values = [b]
+            for _ in range(ORDER - 1):
+                values.append((A @ values[-1] + b) * self._smooth[:, None])
+            smooth = np.einsum("ij,jmn->imn", inverse, np.array(values))
+            responses.append(np.concatenate([(B * self._direct[:, None])[None], smooth]))
+        return responses
+
+    def _weights(self, turn: np.ndarray, delay: float, lag: float) -> list[Any]:
+        """Of the coefficients, for commands turn^k. With the fraction f of the delay beyond whole periods the newest
+        command acts for 1 - f; with a lag tau the thrust is 1 + (y - 1) e^{-t / tau}, y where the period begins."""
+        whole = math.floor(delay / self.period + 1e-9)
+        left = 1 - max(delay / self.period - whole, 0.0)
+        late = turn**-whole
+        weights: list[Any] = [late * (left**i + (1 - left**i) / turn) for i in range(ORDER + 1)]
+        if lag:
+            rate = self.period / lag
+            decay, integral = math.exp(-rate), -math.expm1(-rate) / rate
+            y = (1 - decay) / (turn - decay)
+            weights[0] = 1 + (y - 1) * decay
+            for i in range(1, ORDER + 1):
+                weights[i] = 1 + (y - 1) * integral
+                integral = (i + 1) * (1 - integral) / rate
+        return weights
+
+
+def _product(matrices: Iterable[np.ndarray]) -> np.ndarray:
+    """Of matrices that act one after another."""
+    whole: Any = None
+    for matrix in matrices:
+        whole = matrix if whole is None else matrix @ whole
+    return np.asarray(whole)
+
+
+def linear_loop(
+    controller: Any, plant: Any, window: Callable[[int], Window], state: Callable[[int], np.ndarray], first: int = 0
+) -> LinearLoop:
+    """The loop around a reference after SETTLING. Both must begin a flight anew afterwards.
+
+    window, state: of the reference at control instant k, Window and (13,); called from `first` on.
+    Raises UnknownLoopError where plant or controller keep what they remember to themselves.
+    """
+    if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
+        raise UnknownLoopError(f"{type(plant).__name__} keeps its inner states to itself")
+    if not (in_operations(controller) and in_operations(inner := innermost(controller))):
+        raise UnknownLoopError(f"{type(inner if in_operations(controller) else controller).__name__} steps in Python")
+    carried = _Carried(controller, plant, window, state, first)
+    phases, body, readings = carried.phases()
+    places = np.arange(len(phases[0].A))
+    direct = (places >= readings) & (places < readings + 3)
+    return LinearLoop(phases, controller.control_period, (places < body) & ~direct, direct)
+
+
+class _Carried:
+    """A vehicle that is carried along a reference, while controller and plant do what they do in a flight."""
+
+    def __init__(
+        self, controller: Any, plant: Any, window: Callable[[int], Window], state: Callable[[int], np.ndarray], k: int
+    ) -> None:
+        self._controller, self._plant, self._window, self._state, self._k = controller, plant, window, state, k
+        self._period, x = controller.control_period, state(k)
+        self._estimates = isinstance(plant, World) and plant.estimates
+        self._noise = plant.begin(x, self._period, 1.0, np.random.default_rng(0))
+        self._drawn = _drawn(plant, self._period)
+        self._timed = np.concatenate([np.zeros(0, bool), *map(_times, self._drawn)])  # not noise, but when a sensor is read
+        told = plant.measured.copy() if self._estimates else x
+        controller.reset(told, window(k))
+        self._told = Measurement(0.0, told, None, None)
+        for _ in range(max(math.ceil(SETTLING / self._period), 2)):
+            self._enter(self._step())
+            self._go_on()
+
+    def phases(self) -> tuple[list[Phase], int, int]:
+        """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
+        running = self._controller.running
+        operations = [o for o in running.instant.operations if o.kind not in ("finite", "near")]  # which are C's
+        operations = [o for o in operations if not (o.kind == "python" and o.when is running.told.read)]  # learns
+        ratios = [Fraction(self._period / one.tick) for one in self._drawn if isinstance(one, Ticking)]
+        repeats = [ratio.limit_denominator(MOST_PHASES).denominator for ratio in ratios]
+        count = math.lcm(*(o.every for o in operations), *repeats)
+        if count > MOST_PHASES:
+            raise UnknownLoopError(f"its rates are the same again only after {count} instants")
+        memory, known, phases = _Memory(running, operations, count), dict[Any, Phase](), []
+        for _ in range(count):
+            k, begun = running.k, memory.values
+            u = self._step()
+            ended, noise = memory.values, self._enter(u)
+            ticks = np.round((noise[self._timed] - self._plant.time) / self._period, 6)
+            key = (*(k % o.every == 0 for o in operations), *ticks)
+            if key not in known:
+                known[key] = self._phase(operations, memory, k, begun)
+                memory.values = ended
+            phases.append(known[key])
+            self._go_on()
+        inner = N_TANGENT + len(self._plant.inner)
+        return phases, inner + 3 + N_TANGENT * self._estimates, inner
+
+    def _step(self) -> np.ndarray:
+        u, _ = self._controller.step(self._told, self._window(self._k))
+        return np.asarray(u)
+
+    def _enter(self, u: np.ndarray) -> np.ndarray:
+        """Tell the plant's function all of the next period; its noise, which is none."""
+        self._function = self._plant.prepared(self._period)
+        given = self._function.arguments
+        given["x"][:], given["inner"][:], given["u"][:] = self._state(self._k), self._plant.inner, u
+        noise = self._plant.noise(self._function).reshape(-1)
+        self._noise.standard_normal(out=noise)
+        noise[~self._timed] = 0.0
+        return noise
+
+    def _go_on(self) -> None:
+        """A period of the plant from the reference's state; the vehicle is then put where the reference is."""
+        self._function()
+        results, plant = self._function.results, self._plant
+        plant.settle(results)
+        plant.time += self._period
+        self._k += 1
+        told = results["measured"] if self._estimates else self._state(self._k)
+        speed = getattr(plant, "rotor_speed", None)
+        self._told = Measurement(plant.time, told.copy(), results["specific_force"].copy(), speed)
+
+    def _phase(self, operations: list[Operation], memory: _Memory, k: int, begun: np.ndarray) -> Phase:
+        """Of the instant k, before which the memory was `begun`, and the period that `_enter` prepared."""
+        running, given, results = self._controller.running, self._function.arguments, self._function.results
+        told, window, command = running.told, running.told.window, running.instant.command
+        readings = [one for one in (told.force, told.speed) if memory.reads(one)]
+        read, m = [told.state, *readings], len(begun)
+
+        def instant(values: np.ndarray) -> np.ndarray:
+            """What is told and remembered -> what is sent and remembered."""
+            _scatter(read, values[: len(values) - m])
+            memory.values = values[len(values) - m :]
+            run(operations, k, window)
+            return np.concatenate([command, memory.values])
+
+        point = np.concatenate([*read, begun])
+        first = instant(point)
+        by_told = _derivative(instant, point, _lift(point, 0))
+        if not np.allclose(instant(point), first, rtol=REPEATS, atol=REPEATS):
+            raise UnknownLoopError("its operations in Python remember what they were told")
+        arguments = [given[name] for name in ("x", "inner", "u")]
+        after = [results[name] for name in ("x_next", "inner_next", "specific_force", "measured")[: 3 + self._estimates]]
+
+        def fly(values: np.ndarray) -> np.ndarray:
+            """State, inner states and command -> the same after the period, and readings."""
+            _scatter(arguments, values)
+            self._function()
+            return np.concatenate(after)
+
+        point = np.concatenate(arguments)
+        first = fly(point)
+        if results["doubt"].any() or not np.isfinite(first).all():
+            raise UnknownLoopError("the plant's equations are in doubt there")
+        onto = _lift(first, 0, *[len(first) - N_STATE] * self._estimates)
+        by_plant = _derivative(fly, point, _lift(point, 0))
+        fly(point)
+        by_plant = (onto / (onto**2).sum(axis=0)).T @ by_plant
+
+        inner, n = N_TANGENT + len(given["inner"]), len(command)
+        places = [np.arange(N_TANGENT) + (inner + 3) * self._estimates]
+        for one in readings:
+            places.append(inner + np.arange(3) if one is told.force else N_TANGENT + np.array(self._plant.rotor_places))
+        body, places = len(by_plant), [*places, len(by_plant) + np.arange(m)]
+        by_all = np.zeros((n + m, body + m))
+        by_all[:, np.concatenate(places)] = by_told
+        A, B = np.zeros((body + m, body + m)), np.zeros((body + m, n))
+        A[:body, :inner], A[body:], B[:body] = by_plant[:, :inner], by_all[n:], by_plant[:, inner:]
+        return Phase(A, B, by_all[:n])
+
+
+class _Memory:
+    """The numbers that operations read before they write them, and write later. values: all of them, (m,)."""
+
+    def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
+        planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
+        targets = [o.to for o in operations if o.to is not None]  # which operations in Python may read
+        self._read, early, late = set[int](), set[int](), set[int]()
+        for k in range(running.k, running.k + count):
+            written = set[int]()
+            for o in operations:
+                if k % o.every or (o.when is not None and not o.when[0]):
+                    continue
+                reads = [one for one in (o.source, o.other) if one is not None and o.kind != "window"]
+                writes = [one for one in (o.to, o.other if o.kind == "window" else None) if one is not None]
+                if o.function is not None:
+                    reads, writes = [*o.function.arguments.values()], [*o.function.results.values()]
+                elif o.kind in ("plan", "python"):
+                    reads, writes = ([], planned) if o.kind == "plan" else (targets, [])
+                places = _places(reads)
+                self._read |= places
+                early |= places - written
+                written |= _places(writes)
+            late |= written
+        places = np.array(sorted(early & late), np.int64)
+        runs = np.split(places, np.flatnonzero(np.diff(places) != NUMBER) + 1) if len(places) else []
+        self._pieces = [np.frombuffer((ctypes.c_double * len(one)).from_address(int(one[0]))) for one in runs]
+
+    def reads(self, array: np.ndarray) -> bool:
+        """Whether an operation reads the array."""
+        return bool(_places([array]) & self._read)
+
+    @property
+    def values(self) -> np.ndarray:
+        return np.concatenate([np.zeros(0), *self._pieces])
+
+    @values.setter
+    def values(self, values: np.ndarray) -> None:
+        _scatter(self._pieces, values)
+
+
+def _places(arrays: Iterable[np.ndarray]) -> set[int]:
+    """Addresses of all numbers of some arrays."""
+    found = set[int]()
+    for array in arrays:
+        places = np.array([array.ctypes.data])
+        for count, stride in zip(array.shape, array.strides, strict=True):
+            places = np.add.outer(places, stride * np.arange(count)).ravel()
+        found.update(places.tolist())
+    return found
+
+
+def _scatter(arrays: Iterable[np.ndarray], values: np.ndarray) -> None:
+    """Write values (m,) into arrays, one after another."""
+    first = 0
+    for array in arrays:
+        array[...] = values[first : first + array.size].reshape(array.shape)
+        first += array.size
+
+
+def _lift(values: np.ndarray, *places: int) -> np.ndarray:
+    """How small deviations move numbers (m,): those of the states (13,) that begin at some places as rotations."""
+    columns = np.eye(len(values))
+    for first in places:
+        attitude = slice(first + ATTITUDE.start, first + ATTITUDE.stop)
+        columns[attitude, attitude] = np.array(left_matrix(ca.DM(values[attitude]))) / 2
+    return np.delete(columns, [first + ATTITUDE.start for first in places], axis=1)
+
+
+def _derivative(f: Callable[[np.ndarray], np.ndarray], point: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Derivatives of f at a point (m,) along columns (m, d), by central differences."""
+    results = []
+    for column in columns.T:
+        size = DIFFERENCE * max(1.0, abs(float(column @ point)))
+        results.append((f(point + size * column) - f(point - size * column)) / (2 * size))
+    return np.stack(results, axis=1)
+
+
+def _drawn(plant: SimulatedPlant, period: float) -> list[Drawn]:
+    """What is drawn in a control period, in its order."""
+    parts = [drawn for _, drawn in plant.own_noise(np.random.default_rng(0), period)]
+    if isinstance(plant, World):
+        clock = plant.clock(period)
+        parts += [one for effect in plant.effects for one in effect.sizes(clock, plant.vehicle).drawn]
+    return parts
+
+
+def _times(drawn: Drawn) -> np.ndarray:
+    """Which numbers of a control period are times, (k,)."""
+    ticks = isinstance(drawn, Ticking)
+    return np.arange(drawn.size) % (1 + drawn.numbers) == 0 if ticks else np.zeros(drawn.size, bool)
