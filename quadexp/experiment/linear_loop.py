@@ -7,8 +7,8 @@ what the operations of the controller remember: the numbers that they read befor
 differences of the functions that fly, one triple for each of the instants after which the loop is the same again: where
 parts run at several rates, and where sensors do.
 
-Before that, the vehicle is carried along the reference for SETTLING, without noise: filters and covariances settle,
-whatever the loop would do. Frozen as they are then: what a controller learns from readings in Python; the MPC's last
+Before that, the vehicle flies along the reference for SETTLING, without noise, so that filters and covariances settle; a
+loop that leaves it is carried along. Frozen as they are then: what a controller learns from readings in Python; the MPC's last
 solution, on which its next one does not depend to first order. Numbers that do not lead from v back to u, such as
 covariances and counters, are no part of the loop.
 """
@@ -31,12 +31,15 @@ from quadexp.errors import QuadexpError
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.world.integrator import SimulatedPlant
-from quadexp.world.streams import Drawn, Ticking
+from quadexp.world.streams import TICK, Drawn, Held, Silence, Ticking
 from quadexp.world.world import World
 
 SETTLING = 0.5  # s
+FAR = 1.0  # m, m/s, rad/s: a flight that is further from its reference does not settle there
 DIFFERENCE = 1e-5  # of a number of a size up to 1, for derivatives; of larger ones relative
-NOTHING = 1e-8  # a derivative that is none
+COPIED, FEW = 1e-6, 4  # relative difference of a copied change; columns that are not worth being looked at together
+NOTHING = 1e-6  # a derivative that is none
+FIXED = 1e-6  # an eigenvalue that differs by less is the same
 REPEATS = 1e-7  # by how much an instant may differ when it is repeated
 ORDER = 4  # of the response to a command over a few periods
 MOST_PHASES = 100  # instants after which the loop must be the same again
@@ -63,42 +66,65 @@ class LinearLoop:
     """
 
     def __init__(self, phases: list[Phase], period: float, smooth: np.ndarray, direct: np.ndarray) -> None:
-        size, _ = phases[0].B.shape
-        follows = sum(np.abs(phase.A) > NOTHING for phase in phases) > 0
-        from_command, to_command = np.zeros((2, size), bool)
-        for _, B, C in phases:
-            from_command |= (np.abs(B) > NOTHING).any(axis=1)
-            to_command |= (np.abs(C) > NOTHING).any(axis=0)
-        for _ in range(size):
-            from_command |= follows[:, from_command].any(axis=1)
-            to_command |= follows[to_command].any(axis=0)
-        kept = from_command & to_command
+        from_command = sum(np.abs(B).sum(axis=1) for _, B, _ in phases) > NOTHING
+        to_command = sum(np.abs(C).sum(axis=0) for _, _, C in phases) > NOTHING
+        follows = np.where(sum(np.abs(A) for A, _, _ in phases) > NOTHING, 1.0, 0.0)
+        kept = _reached(follows, from_command) & _reached(follows.T, to_command)
         self.period, self._smooth, self._direct = period, smooth[kept], direct[kept]
         self.phases = [Phase(A[np.ix_(kept, kept)], B[kept], C[:, kept]) for A, B, C in phases]
         self._open, self._held = _product(A for A, _, _ in self.phases), self._response()
+        self._fixed = np.linalg.eigvals(self._open)
 
-    @property
-    def growth(self) -> float:
-        """Rate at which the closed loop's largest deviation grows (1/s), negative where it decays."""
-        whole = _product(A + B @ C for A, B, C in self.phases)
-        radius = float(np.abs(np.linalg.eigvals(whole)).max(initial=0.0)) if np.isfinite(whole).all() else math.inf
-        return math.log(max(radius, 1e-300)) / (self.period * len(self.phases))
+    def growth(self, *, delay: float = 0.0, lag: float = 0.0) -> float:
+        """Rate at which the closed loop's largest deviation grows (1/s), negative where it decays, with a further dead
+        time, or lag of every rotor, between command and plant (s). A mode that the cut loop has too, such as a
+        covariance's, is none of the loop."""
+        new, old, keeps, whole = self._weights(delay, lag)
+        size, n = self.phases[0].B.shape
+        held = n * (whole + old.any())
+        closed: Any = np.eye(size + held)
+        for (A, _, C), response in zip(self.phases, self._held, strict=True):
+            # Of z and what is held: sent, the newest first, or the lagging one.
+            sent = np.vstack([np.hstack([C, np.zeros((n, held))]), np.eye(held, size + held, size)])
+            moved = np.hstack([A, np.zeros((size, held))])
+            for first, weights in ((whole, new), (whole + 1, old)):
+                if weights.any():
+                    moved += np.einsum("i,imn->mn", weights, response) @ sent[n * first : n * (first + 1)]
+            kept = sent[:held] + keeps * (sent[n : n + held] - sent[:held]) if held else sent[:0]
+            closed = np.vstack([moved, kept]) @ closed
+        if not np.isfinite(closed).all():
+            return math.inf
+        modes = np.linalg.eigvals(closed)
+        own = np.abs(modes[:, None] - self._fixed).min(axis=1, initial=math.inf) > FIXED
+        return math.log(max(np.abs(modes[own]).max(initial=0.0), 1e-300)) / (self.period * len(self.phases))
 
-    def gain(self, frequencies: np.ndarray, *, delay: float = 0.0, lag: float = 0.0) -> np.ndarray:
-        """Complex gains (k, n, n) from v back to u at frequencies (k,) (rad/s) below pi / period, with a further delay
-        or lag (s) in between. Of u it is the part that has this frequency; others, which parts at several rates make of
-        it, pass the plant as little as those of a held command do."""
+    def gain(self, frequencies: np.ndarray) -> np.ndarray:
+        """Complex gains (k, n, n) from v back to u at frequencies (k,) (rad/s) below pi / period. Of u it is the part
+        that has this frequency; others, which parts at several rates make of it, pass the plant as little as those of a
+        held command do."""
         turn, count = np.exp(1j * np.reshape(frequencies, (-1, 1, 1)) * self.period), len(self.phases)
-        weights = self._weights(turn, delay, lag)
-        entering: list[Any] = [sum(map(np.multiply, weights, held)) * turn**j for j, held in enumerate(self._held)]
-        z = entering[0]
-        for (A, _, _), B in zip(self.phases[1:], entering[1:], strict=True):
-            z = A @ z + B
+        z: Any = np.zeros_like(self.phases[0].B)
+        for j, (A, B, _) in enumerate(self.phases):
+            z = A @ z + B * turn**j
         z = np.linalg.solve(turn**count * np.eye(len(self._open)) - self._open, z)
         total: Any = 0.0
-        for j, ((A, _, C), B) in enumerate(zip(self.phases, entering, strict=True)):
-            total, z = total + C @ z * turn**-j, A @ z + B
+        for j, (A, B, C) in enumerate(self.phases):
+            total, z = total + C @ z * turn**-j, A @ z + B * turn**j
         return np.asarray(total / count)
+
+    def _weights(self, delay: float, lag: float) -> tuple[np.ndarray, np.ndarray, float, int]:
+        """Of the coefficients of `_response`, for the newer of two commands that act in a period, and the older: with
+        the fraction f of a delay beyond whole periods the newer acts for 1 - f; with a lag tau the thrust goes over
+        from the older to it as 1 - e^{-t / tau}. Then what is kept of the older, and how many periods are whole."""
+        if not lag:
+            whole = math.floor(delay / self.period + 1e-9)
+            new = (1 - max(delay / self.period - whole, 0.0)) ** np.arange(ORDER + 1.0)
+            return new, 1 - new, 0.0, whole
+        rate = self.period / lag
+        old = [math.exp(-rate), -math.expm1(-rate) / rate]  # integral of i (1 - t)^(i - 1) e^{-rate t}, t in periods
+        for i in range(1, ORDER):
+            old.append((i + 1) * (1 - old[-1]) / rate)
+        return 1 - np.array(old), np.array(old), old[0], 0
 
     def _response(self) -> list[np.ndarray]:
         """Coefficients of t^i, t in periods, of what a command leaves that has acted for t, i = 0 .. ORDER, (.., m, n),
@@ -114,22 +140,13 @@ class LinearLoop:
             responses.append(np.concatenate([(B * self._direct[:, None])[None], smooth]))
         return responses
 
-    def _weights(self, turn: np.ndarray, delay: float, lag: float) -> list[Any]:
-        """Of the coefficients, for commands turn^k. With the fraction f of the delay beyond whole periods the newest
-        command acts for 1 - f; with a lag tau the thrust is 1 + (y - 1) e^{-t / tau}, y where the period begins."""
-        whole = math.floor(delay / self.period + 1e-9)
-        left = 1 - max(delay / self.period - whole, 0.0)
-        late = turn**-whole
-        weights: list[Any] = [late * (left**i + (1 - left**i) / turn) for i in range(ORDER + 1)]
-        if lag:
-            rate = self.period / lag
-            decay, integral = math.exp(-rate), -math.expm1(-rate) / rate
-            y = (1 - decay) / (turn - decay)
-            weights[0] = 1 + (y - 1) * decay
-            for i in range(1, ORDER + 1):
-                weights[i] = 1 + (y - 1) * integral
-                integral = (i + 1) * (1 - integral) / rate
-        return weights
+
+def _reached(follows: np.ndarray, begin: np.ndarray) -> np.ndarray:
+    """Which places (m,) some of them lead to, by the steps (m, m), to row from column."""
+    reached = begin
+    while (more := reached | (follows @ reached > 0)).sum() > reached.sum():
+        reached = more
+    return reached
 
 
 def _product(matrices: Iterable[np.ndarray]) -> np.ndarray:
@@ -152,51 +169,66 @@ def linear_loop(
         raise UnknownLoopError(f"{type(plant).__name__} keeps its inner states to itself")
     if not (in_operations(controller) and in_operations(inner := innermost(controller))):
         raise UnknownLoopError(f"{type(inner if in_operations(controller) else controller).__name__} steps in Python")
-    carried = _Carried(controller, plant, window, state, first)
-    phases, body, readings = carried.phases()
+    flown = _Flown(controller, plant, window, state, first, carried=False)
+    if not flown.distance < FAR:  # it may be that it is not stable
+        flown = _Flown(controller, plant, window, state, first, carried=True)
+    phases, body, readings = flown.phases()
     places = np.arange(len(phases[0].A))
     direct = (places >= readings) & (places < readings + 3)
     return LinearLoop(phases, controller.control_period, (places < body) & ~direct, direct)
 
 
-class _Carried:
-    """A vehicle that is carried along a reference, while controller and plant do what they do in a flight."""
+class _Flown:
+    """A flight along a reference without noise, for SETTLING. distance: how far it is from the reference, at most in
+    any number of the state. carried: whether the vehicle is put where the reference is at every instant."""
 
     def __init__(
-        self, controller: Any, plant: Any, window: Callable[[int], Window], state: Callable[[int], np.ndarray], k: int
+        self,
+        controller: Any,
+        plant: Any,
+        window: Callable[[int], Window],
+        state: Callable[[int], np.ndarray],
+        k: int,
+        *,
+        carried: bool,
     ) -> None:
         self._controller, self._plant, self._window, self._state, self._k = controller, plant, window, state, k
-        self._period, x = controller.control_period, state(k)
+        self._period, self._x, self._carried = controller.control_period, state(k), carried
         self._estimates = isinstance(plant, World) and plant.estimates
-        self._noise = plant.begin(x, self._period, 1.0, np.random.default_rng(0))
+        self._noise = plant.begin(self._x, self._period, 1.0, Silence())
         self._drawn = _drawn(plant, self._period)
-        self._timed = np.concatenate([np.zeros(0, bool), *map(_times, self._drawn)])  # not noise, but when a sensor is read
-        told = plant.measured.copy() if self._estimates else x
+        self._timed = np.concatenate([np.zeros(0, bool), *map(_times, self._drawn)])  # when something is, no noise
+        told = plant.measured.copy() if self._estimates else self._x
         controller.reset(told, window(k))
         self._told = Measurement(0.0, told, None, None)
         for _ in range(max(math.ceil(SETTLING / self._period), 2)):
             self._enter(self._step())
             self._go_on()
 
+    @property
+    def distance(self) -> float:
+        return float(np.abs(self._x - self._state(self._k)).max())
+
     def phases(self) -> tuple[list[Phase], int, int]:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
         running = self._controller.running
         operations = [o for o in running.instant.operations if o.kind not in ("finite", "near")]  # which are C's
         operations = [o for o in operations if not (o.kind == "python" and o.when is running.told.read)]  # learns
-        ratios = [Fraction(self._period / one.tick) for one in self._drawn if isinstance(one, Ticking)]
-        repeats = [ratio.limit_denominator(MOST_PHASES).denominator for ratio in ratios]
-        count = math.lcm(*(o.every for o in operations), *repeats)
+        sensors = [one.tick for one in self._drawn if not isinstance(one, Held) and one.tick > TICK]
+        ratios = [Fraction(self._period / tick).limit_denominator(MOST_PHASES) for tick in sensors]
+        read = math.lcm(*(ratio.denominator for ratio in ratios))
+        count = math.lcm(read, *(o.every for o in operations))
         if count > MOST_PHASES:
             raise UnknownLoopError(f"its rates are the same again only after {count} instants")
         memory, known, phases = _Memory(running, operations, count), dict[Any, Phase](), []
         for _ in range(count):
-            k, begun = running.k, memory.values
+            k, begun, guess = running.k, memory.values, [one.copy() for one in memory.planned]
             u = self._step()
-            ended, noise = memory.values, self._enter(u)
-            ticks = np.round((noise[self._timed] - self._plant.time) / self._period, 6)
-            key = (*(k % o.every == 0 for o in operations), *ticks)
+            ended = memory.values
+            self._enter(u)
+            key = (k % read, *(k % o.every == 0 for o in operations))
             if key not in known:
-                known[key] = self._phase(operations, memory, k, begun)
+                known[key] = self._phase(operations, memory, k, begun, guess)
                 memory.values = ended
             phases.append(known[key])
             self._go_on()
@@ -207,29 +239,32 @@ class _Carried:
         u, _ = self._controller.step(self._told, self._window(self._k))
         return np.asarray(u)
 
-    def _enter(self, u: np.ndarray) -> np.ndarray:
-        """Tell the plant's function all of the next period; its noise, which is none."""
+    def _enter(self, u: np.ndarray) -> None:
+        """Tell the plant's function all of the next period, without noise."""
         self._function = self._plant.prepared(self._period)
         given = self._function.arguments
-        given["x"][:], given["inner"][:], given["u"][:] = self._state(self._k), self._plant.inner, u
+        given["x"][:], given["inner"][:], given["u"][:] = self._x, self._plant.inner, u
         noise = self._plant.noise(self._function).reshape(-1)
         self._noise.standard_normal(out=noise)
         noise[~self._timed] = 0.0
-        return noise
 
     def _go_on(self) -> None:
-        """A period of the plant from the reference's state; the vehicle is then put where the reference is."""
+        """A period of the plant."""
         self._function()
         results, plant = self._function.results, self._plant
         plant.settle(results)
         plant.time += self._period
         self._k += 1
-        told = results["measured"] if self._estimates else self._state(self._k)
+        self._x = self._state(self._k) if self._carried else results["x_next"].copy()
+        told = results["measured"].copy() if self._estimates else self._x
         speed = getattr(plant, "rotor_speed", None)
-        self._told = Measurement(plant.time, told.copy(), results["specific_force"].copy(), speed)
+        self._told = Measurement(plant.time, told, results["specific_force"].copy(), speed)
 
-    def _phase(self, operations: list[Operation], memory: _Memory, k: int, begun: np.ndarray) -> Phase:
-        """Of the instant k, before which the memory was `begun`, and the period that `_enter` prepared."""
+    def _phase(
+        self, operations: list[Operation], memory: _Memory, k: int, begun: np.ndarray, guess: list[np.ndarray]
+    ) -> Phase:
+        """Of the instant k, before which the memory was `begun` and the MPC's last solution `guess`, and of the period
+        that `_enter` prepared."""
         running, given, results = self._controller.running, self._function.arguments, self._function.results
         told, window, command = running.told, running.told.window, running.instant.command
         readings = [one for one in (told.force, told.speed) if memory.reads(one)]
@@ -239,6 +274,8 @@ class _Carried:
             """What is told and remembered -> what is sent and remembered."""
             _scatter(read, values[: len(values) - m])
             memory.values = values[len(values) - m :]
+            for array, value in zip(memory.planned, guess, strict=True):
+                array[...] = value
             run(operations, k, window)
             return np.concatenate([command, memory.values])
 
@@ -278,10 +315,10 @@ class _Carried:
 
 
 class _Memory:
-    """The numbers that operations read before they write them, and write later. values: all of them, (m,)."""
+    """The numbers that operations read before they write them, and write later. values: all of them, (m,). planned: the MPC's solution."""
 
     def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
-        planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
+        self.planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
         targets = [o.to for o in operations if o.to is not None]  # which operations in Python may read
         self._read, early, late = set[int](), set[int](), set[int]()
         for k in range(running.k, running.k + count):
@@ -294,7 +331,7 @@ class _Memory:
                 if o.function is not None:
                     reads, writes = [*o.function.arguments.values()], [*o.function.results.values()]
                 elif o.kind in ("plan", "python"):
-                    reads, writes = ([], planned) if o.kind == "plan" else (targets, [])
+                    reads, writes = ([], self.planned) if o.kind == "plan" else (targets, [])
                 places = _places(reads)
                 self._read |= places
                 early |= places - written
@@ -346,12 +383,27 @@ def _lift(values: np.ndarray, *places: int) -> np.ndarray:
 
 
 def _derivative(f: Callable[[np.ndarray], np.ndarray], point: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Derivatives of f at a point (m,) along columns (m, d), by central differences."""
-    results = []
-    for column in columns.T:
-        size = DIFFERENCE * max(1.0, abs(float(column @ point)))
-        results.append((f(point + size * column) - f(point - size * column)) / (2 * size))
-    return np.stack(results, axis=1)
+    """Derivatives of f at a point (m,) along columns (m, d), by central differences; many at once of numbers that are
+    copied to others and do nothing else, as in a history."""
+    sizes = DIFFERENCE * np.maximum(1.0, np.abs(columns.T @ point))
+    base, kicks = f(point), sizes * np.linspace(1.0, 2.0, len(sizes))  # each tells by its size where it went
+    moved = f(point + columns @ kicks) - base
+    derivatives = (np.abs(moved[:, None] - kicks) < COPIED * kicks).astype(float)
+    pending = [np.flatnonzero(derivatives.any(axis=0))]
+    single = [*np.flatnonzero(~derivatives.any(axis=0))]
+    while pending:
+        group = pending.pop()
+        moved = f(point + columns[:, group] @ kicks[group]) - base
+        if np.abs(moved - derivatives[:, group] @ kicks[group]).max(initial=0.0) < COPIED * DIFFERENCE:
+            continue
+        if len(group) > FEW:
+            pending += np.array_split(group, 2)
+        else:
+            single += [*group]
+    for i in single:
+        move = sizes[i] * columns[:, i]
+        derivatives[:, i] = (f(point + move) - f(point - move)) / (2 * sizes[i])
+    return derivatives
 
 
 def _drawn(plant: SimulatedPlant, period: float) -> list[Drawn]:
