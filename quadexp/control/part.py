@@ -22,6 +22,12 @@ class ControllerPart(Part):
     prefix: ClassVar[str] = "controller."
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
+    allow_unstable: bool = key(False, "fly although the loop is not stable at hover")
+
+    def recorded(self) -> dict[str, Any]:
+        """See Part. The hash of a flight knows of `allow_unstable` where it is set, and of an MPC."""
+        recorded = super().recorded()
+        return recorded if self.allow_unstable else {k: v for k, v in recorded.items() if k != "allow_unstable"}
 
     @property
     def kinds(self) -> tuple[str, ...]:

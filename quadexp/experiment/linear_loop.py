@@ -7,10 +7,10 @@ what the operations of the controller remember: the numbers that they read befor
 differences of the functions that fly, one triple for each of the instants after which the loop is the same again: where
 parts run at several rates, and where sensors do.
 
-Before that, the vehicle flies along the reference for SETTLING, without noise, so that filters and covariances settle; a
-loop that leaves it is carried along. Frozen as they are then: what a controller learns from readings in Python; the MPC's last
-solution, on which its next one does not depend to first order. Numbers that do not lead from v back to u, such as
-covariances and counters, are no part of the loop.
+Before that, the vehicle flies along the reference without noise, so that its error, filters and covariances settle; a
+loop that leaves it is carried along. Frozen as they are then: what a controller learns from readings in Python; the
+MPC's last solution, on which its next one does not depend to first order. Numbers that do not lead from v back to u,
+such as covariances and counters, are no part of the loop.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ from quadexp.world.integrator import SimulatedPlant
 from quadexp.world.streams import TICK, Drawn, Held, Silence, Ticking
 from quadexp.world.world import World
 
-SETTLING = 0.5  # s
-FAR = 1.0  # m, m/s, rad/s: a flight that is further from its reference does not settle there
+SETTLING = 0.5, 5.0  # s, at least and at most
+STILL = 0.01  # 1/s: as fast as any number of the state's error may change where it has settled
+FAR = 5.0  # m, m/s, rad/s: a flight that is further from its reference does not settle there
 DIFFERENCE = 1e-5  # of a number of a size up to 1, for derivatives; of larger ones relative
 COPIED, FEW = 1e-6, 4  # relative difference of a copied change; columns that are not worth being looked at together
 NOTHING = 1e-6  # a derivative that is none
 FIXED = 1e-6  # an eigenvalue that differs by less is the same
 REPEATS = 1e-7  # by how much an instant may differ when it is repeated
 ORDER = 4  # of the response to a command over a few periods
+MOST_NUMBERS = 2000  # inner states of a plant, over all instants that differ
 MOST_PHASES = 100  # instants after which the loop must be the same again
 N_TANGENT, NUMBER = N_STATE - 1, 8  # NUMBER: bytes
 
@@ -160,7 +162,7 @@ def _product(matrices: Iterable[np.ndarray]) -> np.ndarray:
 def linear_loop(
     controller: Any, plant: Any, window: Callable[[int], Window], state: Callable[[int], np.ndarray], first: int = 0
 ) -> LinearLoop:
-    """The loop around a reference after SETTLING. Both must begin a flight anew afterwards.
+    """The loop around a reference, once it has settled. Both must begin a flight anew afterwards.
 
     window, state: of the reference at control instant k, Window and (13,); called from `first` on.
     Raises UnknownLoopError where plant or controller keep what they remember to themselves.
@@ -179,8 +181,8 @@ def linear_loop(
 
 
 class _Flown:
-    """A flight along a reference without noise, for SETTLING. distance: how far it is from the reference, at most in
-    any number of the state. carried: whether the vehicle is put where the reference is at every instant."""
+    """A flight along a reference without noise, until it has settled. distance: from the reference, in that number of
+    the state where it is largest. carried: whether the vehicle is put where the reference is at every instant."""
 
     def __init__(
         self,
@@ -201,13 +203,21 @@ class _Flown:
         told = plant.measured.copy() if self._estimates else self._x
         controller.reset(told, window(k))
         self._told = Measurement(0.0, told, None, None)
-        for _ in range(max(math.ceil(SETTLING / self._period), 2)):
+        least, most = (max(math.ceil(time / self._period), 2) for time in SETTLING)
+        for i in range(most):
+            before = self._error
             self._enter(self._step())
             self._go_on()
+            if not self.distance < FAR or (i >= least and np.abs(self._error - before).max() < STILL * self._period):
+                break
+
+    @property
+    def _error(self) -> np.ndarray:
+        return np.asarray(self._x - self._state(self._k))
 
     @property
     def distance(self) -> float:
-        return float(np.abs(self._x - self._state(self._k)).max())
+        return float(np.abs(self._error).max())
 
     def phases(self) -> tuple[list[Phase], int, int]:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
@@ -220,6 +230,8 @@ class _Flown:
         count = math.lcm(read, *(o.every for o in operations))
         if count > MOST_PHASES:
             raise UnknownLoopError(f"its rates are the same again only after {count} instants")
+        if read * len(self._plant.inner) > MOST_NUMBERS:
+            raise UnknownLoopError(f"it has {len(self._plant.inner)} numbers at {read} different instants")
         memory, known, phases = _Memory(running, operations, count), dict[Any, Phase](), []
         for _ in range(count):
             k, begun, guess = running.k, memory.values, [one.copy() for one in memory.planned]
@@ -285,7 +297,9 @@ class _Flown:
         if not np.allclose(instant(point), first, rtol=REPEATS, atol=REPEATS):
             raise UnknownLoopError("its operations in Python remember what they were told")
         arguments = [given[name] for name in ("x", "inner", "u")]
-        after = [results[name] for name in ("x_next", "inner_next", "specific_force", "measured")[: 3 + self._estimates]]
+        after = [
+            results[name] for name in ("x_next", "inner_next", "specific_force", "measured")[: 3 + self._estimates]
+        ]
 
         def fly(values: np.ndarray) -> np.ndarray:
             """State, inner states and command -> the same after the period, and readings."""
@@ -315,7 +329,8 @@ class _Flown:
 
 
 class _Memory:
-    """The numbers that operations read before they write them, and write later. values: all of them, (m,). planned: the MPC's solution."""
+    """The numbers that operations read before they write them, and write later. values: all of them, (m,). planned: the
+    MPC's solution."""
 
     def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
         self.planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
@@ -337,9 +352,10 @@ class _Memory:
                 early |= places - written
                 written |= _places(writes)
             late |= written
-        places = np.array(sorted(early & late), np.int64)
-        runs = np.split(places, np.flatnonzero(np.diff(places) != NUMBER) + 1) if len(places) else []
-        self._pieces = [np.frombuffer((ctypes.c_double * len(one)).from_address(int(one[0]))) for one in runs]
+        memory = np.array(sorted(early & late), np.int64)
+        runs = np.split(memory, np.flatnonzero(np.diff(memory) != NUMBER) + 1) if len(memory) else []
+        pieces = [(ctypes.c_double * len(one)).from_address(int(one[0])) for one in runs]
+        self._pieces = [np.ctypeslib.as_array(one) for one in pieces]
 
     def reads(self, array: np.ndarray) -> bool:
         """Whether an operation reads the array."""

@@ -69,8 +69,8 @@ def margins(loop: LinearLoop) -> dict[str, Any]:
         return {"growth": growth, "delay": 0.0, "lag": 0.0}
     frequencies = np.geomspace(LOWEST, (1 - 1e-6) * math.pi / loop.period, FREQUENCIES)
     eigenvalues = np.linalg.eigvals(loop.gain(frequencies))
-    delays = (np.angle(l) % (2 * np.pi) / w for l, w in _crossings(np.abs, frequencies, eigenvalues))
-    lags = (l.imag / w for l, w in _crossings(np.real, frequencies, eigenvalues))
+    delays = (np.angle(value) % (2 * np.pi) / w for value, w in _crossings(np.abs, frequencies, eigenvalues))
+    lags = (value.imag / w for value, w in _crossings(np.real, frequencies, eigenvalues))
     most = max(growth, 0.0) + FASTER
     return {
         "growth": growth,
@@ -130,12 +130,9 @@ def instability(
         except UsageError:  # of settings that contradict each other
             return False
 
-    shares = SHARES if hasattr(controller, "horizon") else ()
-    grids = [
-        {"rate": max(rate, controller.rate)} | {"horizon": round(share * controller.horizon, DIGITS) for _ in shares}
-        for rate in RATES
-        for share in shares or (1.0,)
-    ]
+    grids: list[dict[str, float]] = [{"rate": max(rate, controller.rate)} for rate in RATES]
+    if hasattr(controller, "horizon"):
+        grids = [grid | {"horizon": round(share * controller.horizon, DIGITS)} for grid in grids for share in SHARES]
     told = next((_keys(unknown | grid) for grid in grids if unknown and stable(unknown | grid)), "")
     if unknown and stable(unknown):
         told = f"{_keys(unknown)} at this rate and horizon"
@@ -144,7 +141,7 @@ def instability(
     causing = {"motors that lag by": lag, "commands and measurements that are late by": late}
     causes = " and ".join(f"{words} {1e3 * value:.0f} ms" for words, value in causing.items() if value) or "no delay"
     return (
-        f"{controller.name} on {config.plant.name}: {causes}; this loop is not stable at hover, a deviation grows e-fold"
+        f"{controller.name} on {config.plant.name}: {causes}; this loop is not stable at hover, deviations grow e-fold"
         f" in {1 / margins['growth']:.2g} s; what makes it stable: {helps}; to fly it all the same:"
         " controller.allow_unstable=true"
     )

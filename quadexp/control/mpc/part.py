@@ -21,7 +21,10 @@ class PredictivePart(MPCSettings, ControllerPart):
 
     former_kind = "mpc"
     backend: Backend = "auto"
-    allow_unstable: bool = key(False, "fly although the plant's own lag or delay makes the loop unstable at hover")
+
+    def recorded(self) -> dict[str, Any]:
+        """See ControllerPart."""
+        return super().recorded() | {"allow_unstable": self.allow_unstable}
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""
