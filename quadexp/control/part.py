@@ -25,9 +25,9 @@ class ControllerPart(Part):
     allow_unstable: bool = key(False, "fly although the loop is not stable at hover")
 
     def recorded(self) -> dict[str, Any]:
-        """See Part. The hash of a flight knows of `allow_unstable` where it is set, and of an MPC."""
-        recorded = super().recorded()
-        return recorded if self.allow_unstable else {k: v for k, v in recorded.items() if k != "allow_unstable"}
+        """See Part. The hash of a flight knows of `allow_unstable` where it is another than usual, and of an MPC."""
+        recorded, usual = super().recorded(), type(self).allow_unstable
+        return {k: v for k, v in recorded.items() if k != "allow_unstable" or v != usual}
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -7,8 +7,8 @@ what the operations of the controller remember: the numbers that they read befor
 differences of the functions that fly, one triple for each of the instants after which the loop is the same again: where
 parts run at several rates, and where sensors do.
 
-Before that, the vehicle flies along the reference without noise, so that its error, filters and covariances settle; a
-loop that leaves it is carried along. Frozen as they are then: what a controller learns from readings in Python; the
+Before that, the vehicle flies along the reference without noise, so that its error, filters and covariances settle; one
+that does not settle is carried along. Frozen as they are then: what a controller learns from readings in Python; the
 MPC's last solution, on which its next one does not depend to first order. Numbers that do not lead from v back to u,
 such as covariances and counters, are no part of the loop.
 """
@@ -27,7 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
 from quadexp.control.instant import Operation, in_operations, run
 from quadexp.control.wrapped import innermost
-from quadexp.errors import QuadexpError
+from quadexp.errors import ModelDomainError, QuadexpError
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.world.integrator import SimulatedPlant
@@ -94,8 +94,6 @@ class LinearLoop:
                     moved += np.einsum("i,imn->mn", weights, response) @ sent[n * first : n * (first + 1)]
             kept = sent[:held] + keeps * (sent[n : n + held] - sent[:held]) if held else sent[:0]
             closed = np.vstack([moved, kept]) @ closed
-        if not np.isfinite(closed).all():
-            return math.inf
         modes = np.linalg.eigvals(closed)
         own = np.abs(modes[:, None] - self._fixed).min(axis=1, initial=math.inf) > FIXED
         return math.log(max(np.abs(modes[own]).max(initial=0.0), 1e-300)) / (self.period * len(self.phases))
@@ -160,29 +158,38 @@ def _product(matrices: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def linear_loop(
-    controller: Any, plant: Any, window: Callable[[int], Window], state: Callable[[int], np.ndarray], first: int = 0
+    controller: Any,
+    plant: Any,
+    window: Callable[[int], Window],
+    state: Callable[[int], np.ndarray],
+    settling: tuple[float, float] = SETTLING,
 ) -> LinearLoop:
     """The loop around a reference, once it has settled. Both must begin a flight anew afterwards.
 
-    window, state: of the reference at control instant k, Window and (13,); called from `first` on.
+    window, state: of the reference at control instant k, Window and (13,). settling: s, at least and at most.
     Raises UnknownLoopError where plant or controller keep what they remember to themselves.
     """
     if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
         raise UnknownLoopError(f"{type(plant).__name__} keeps its inner states to itself")
     if not (in_operations(controller) and in_operations(inner := innermost(controller))):
         raise UnknownLoopError(f"{type(inner if in_operations(controller) else controller).__name__} steps in Python")
-    flown = _Flown(controller, plant, window, state, first, carried=False)
-    if not flown.distance < FAR:  # it may be that it is not stable
-        flown = _Flown(controller, plant, window, state, first, carried=True)
-    phases, body, readings = flown.phases()
+    try:
+        flown = _Flown(controller, plant, window, state, settling, carried=False)
+        if not flown.settled:  # it may be that it is not stable
+            flown = _Flown(controller, plant, window, state, settling, carried=True)
+        phases, body, readings = flown.phases()
+    except ModelDomainError as error:
+        raise UnknownLoopError(str(error)) from None
+    if not all(np.isfinite(part).all() for phase in phases for part in phase):
+        raise UnknownLoopError("its derivatives are not finite")
     places = np.arange(len(phases[0].A))
     direct = (places >= readings) & (places < readings + 3)
     return LinearLoop(phases, controller.control_period, (places < body) & ~direct, direct)
 
 
 class _Flown:
-    """A flight along a reference without noise, until it has settled. distance: from the reference, in that number of
-    the state where it is largest. carried: whether the vehicle is put where the reference is at every instant."""
+    """A flight along a reference without noise. settled: whether its error has come to rest, near the reference.
+    carried: whether the vehicle is put where the reference is at every instant."""
 
     def __init__(
         self,
@@ -190,34 +197,34 @@ class _Flown:
         plant: Any,
         window: Callable[[int], Window],
         state: Callable[[int], np.ndarray],
-        k: int,
+        settling: tuple[float, float],
         *,
         carried: bool,
     ) -> None:
-        self._controller, self._plant, self._window, self._state, self._k = controller, plant, window, state, k
-        self._period, self._x, self._carried = controller.control_period, state(k), carried
+        self._controller, self._plant, self._window, self._state, self._k = controller, plant, window, state, 0
+        self._period, self._x, self._carried = controller.control_period, state(0), carried
         self._estimates = isinstance(plant, World) and plant.estimates
         self._noise = plant.begin(self._x, self._period, 1.0, Silence())
         self._drawn = _drawn(plant, self._period)
         self._timed = np.concatenate([np.zeros(0, bool), *map(_times, self._drawn)])  # when something is, no noise
         told = plant.measured.copy() if self._estimates else self._x
-        controller.reset(told, window(k))
+        controller.reset(told, window(0))
         self._told = Measurement(0.0, told, None, None)
-        least, most = (max(math.ceil(time / self._period), 2) for time in SETTLING)
-        for i in range(most):
+        least, most = (max(math.ceil(time / self._period), 2) for time in settling)
+        self.settled = False
+        for i in range(1, most + 1):
             before = self._error
             self._enter(self._step())
             self._go_on()
-            if not self.distance < FAR or (i >= least and np.abs(self._error - before).max() < STILL * self._period):
+            still = np.abs(self._error - before).max() < STILL * self._period or least == most
+            near = np.abs(self._error).max() < FAR
+            self.settled = bool(i >= least and still and near)
+            if self.settled or not near:
                 break
 
     @property
     def _error(self) -> np.ndarray:
         return np.asarray(self._x - self._state(self._k))
-
-    @property
-    def distance(self) -> float:
-        return float(np.abs(self._error).max())
 
     def phases(self) -> tuple[list[Phase], int, int]:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""

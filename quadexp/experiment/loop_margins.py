@@ -20,11 +20,11 @@ import numpy as np
 
 from quadexp.control.base import Window
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.identity import ModelFile
-from quadexp.experiment.linear_loop import LinearLoop, UnknownLoopError, linear_loop
+from quadexp.experiment.linear_loop import SETTLING, LinearLoop, UnknownLoopError, linear_loop
 from quadexp.parts.schema import Config
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 LIMIT = 0.5  # s: largest margin that is searched for
@@ -32,6 +32,7 @@ SLOW = 0.05  # 1/s: what grows no faster is a drift, not an unstable loop
 FASTER = 1e-3  # 1/s: growth beyond a drift that is there without, from which on a delay or lag is too long
 LOWEST, FREQUENCIES = 0.5, 50  # of the search (rad/s), and how many up to half the control rate
 NEAR, RESOLUTION = 1.05, 1e-3  # how near the search comes, and relative accuracy of a margin
+POINTS = 9  # along a path
 RATES, SHARES = (100.0, 200.0), (1.0, 0.5)  # control rates that are tried (Hz), and shares of the horizon
 DIGITS = 3  # decimals of what is proposed
 
@@ -55,9 +56,35 @@ def hover_loop(controller: Any, plant: Any) -> LinearLoop:
     """The loop at hover. Raises UnknownLoopError."""
     controller.forget()
     rest, nodes = np.eye(N_STATE)[ATTITUDE.start], len(controller.node_times)
-    thrusts = np.full((nodes - 1, controller.vehicle.n_rotors), controller.vehicle.hover_thrust)
+    thrusts = np.full((max(nodes - 1, 0), controller.vehicle.n_rotors), controller.vehicle.hover_thrust)
     window = Window(np.tile(rest, (nodes, 1)), thrusts, np.zeros((5, 3)), np.zeros(3))
     return linear_loop(controller, plant, lambda k: window, lambda k: rest)
+
+
+def path_margins(config: Config, model: ModelFile | None) -> list[dict[str, Any]]:
+    """`margins` at points along the path, with their time (s) and the speed of the reference (m/s), as if the vehicle
+    went on as it does there: {t, speed, growth, delay, lag}. Raises UsageError where they are not known."""
+    from quadexp.experiment.rollout import SampledReference
+
+    vehicle = build_vehicle(config.vehicle)
+    plant = build_world(config, vehicle)
+    controller = build_controller(config, vehicle, plant, model)
+    reference = SampledReference(build_trajectory(config.trajectory, vehicle), controller)
+    last, before = len(reference) - 1, math.ceil(SETTLING[0] / controller.control_period)
+    rows = []
+    for at in np.unique(np.linspace(min(before, last), last, POINTS).astype(int)):
+
+        def instant(k: int, first: int = int(at) - before) -> int:
+            return min(max(first + k, 0), last)
+
+        window, state = lambda k: reference.window(instant(k)), lambda k: reference.at(instant(k))[0]
+        try:
+            loop = linear_loop(controller, plant, window, state, (SETTLING[0], SETTLING[0]))
+        except UnknownLoopError as error:
+            raise UsageError(f"--margins: not known of {controller.name} in this world: {error}") from None
+        speed = float(np.linalg.norm(reference.at(int(at))[0][VELOCITY]))
+        rows.append({"t": float(reference.t[at]), "speed": speed, **margins(loop)})
+    return rows
 
 
 def margins(loop: LinearLoop) -> dict[str, Any]:
@@ -105,7 +132,7 @@ def _first(unstable: Callable[[float], bool], about: Iterable[float]) -> float:
     while high - low > RESOLUTION * high:
         middle = (low + high) / 2
         low, high = (low, middle) if unstable(middle) else (middle, high)
-    return low
+    return float(low)
 
 
 def instability(

@@ -112,10 +112,7 @@ def world_note(margins: Mapping[str, Any]) -> str:
     """That a loop was flown which is not stable; "" where it is."""
     if margins.get("delay", 1.0):
         return ""
-    return (
-        f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s; give"
-        " controller.dead_time, controller.motor_lag, or a longer controller.first_node (horizon=robust)"
-    )
+    return f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s"
 
 
 def delays_note(columns: Mapping[str, Any]) -> str:
