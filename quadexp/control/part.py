@@ -20,14 +20,10 @@ class ControllerPart(Part):
     """What every controller has, as an option of the configuration."""
 
     prefix: ClassVar[str] = "controller."
+    later: ClassVar[tuple[str, ...]] = ("allow_unstable",)
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
     allow_unstable: bool = key(False, "fly although the loop is not stable at hover")
-
-    def recorded(self) -> dict[str, Any]:
-        """See Part. The hash of a flight knows of `allow_unstable` where it is another than usual, and of an MPC."""
-        recorded, usual = super().recorded(), type(self).allow_unstable
-        return {k: v for k, v in recorded.items() if k != "allow_unstable" or v != usual}
 
     @property
     def kinds(self) -> tuple[str, ...]:

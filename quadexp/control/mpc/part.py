@@ -20,11 +20,8 @@ class PredictivePart(MPCSettings, ControllerPart):
     """What every MPC has, whatever its model of the air."""
 
     former_kind = "mpc"
+    later = ()
     backend: Backend = "auto"
-
-    def recorded(self) -> dict[str, Any]:
-        """See ControllerPart."""
-        return super().recorded() | {"allow_unstable": self.allow_unstable}
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""
