@@ -1,6 +1,6 @@
 """The delay and lag that a loop tolerates beyond what it is flown with, and refusing one that is not stable at hover.
 
-Everything that is flown is in the loop (experiment.linear_loop). A further delay d or lag tau between command and plant
+Everything that is flown is in the loop (experiment.linearised). A further delay d or lag tau between command and plant
 makes it unstable where 1 is an eigenvalue of its gain with it: about where, with an eigenvalue l of the gain without,
 
     l e^{-i w d} = 1:  |l| = 1, d = arg(l) / w                  l / (1 + i w tau) = 1:  Re l = 1, tau = Im l / w
@@ -22,7 +22,8 @@ from quadexp.control.base import Window
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.identity import ModelFile
-from quadexp.experiment.linear_loop import SETTLING, LinearLoop, UnknownLoopError, linear_loop
+from quadexp.experiment.linear_loop import LinearLoop
+from quadexp.experiment.linearised import SETTLING, UnknownLoopError, linear_loop
 from quadexp.parts.schema import Config
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
