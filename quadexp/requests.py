@@ -404,3 +404,41 @@ def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
             texts = {key: record.get(key, "") for key in ("measured", "allowed", "advice")}
             earlier.append(Finding(record["name"], severity, f"the log, {record['where']}", **texts))
     return worst_first(findings + earlier)
+
+
+# --------------------------------------------------------------------------------------------------------------- look
+def margins(words: Overrides, conf: Path | None = None) -> list[dict[str, Any]]:
+    """What a loop tolerates at points along its path, see experiment.loop_margins.path_margins. words: overrides, and
+    in front of them the file of a flight, whose recorded settings they change."""
+    from quadexp.experiment.identity import find_model
+    from quadexp.experiment.loop_margins import path_margins
+    from quadexp.parts.compose import compose
+
+    if words and "=" not in words[0]:
+        from quadexp.log.store import read_metadata
+
+        words = [*_recorded(read_metadata(words[0], "flight").get("config") or {}), *words[1:]]
+    config = compose(words, conf)
+    return path_margins(config, find_model(config))
+
+
+def _recorded(config: Mapping[str, Any]) -> list[str]:
+    """The overrides that give a flight's recorded settings again: its options first."""
+    import json
+
+    from quadexp.experiment.identity import FORMER_KEYS
+
+    def keys(value: Any, prefix: str) -> list[str]:
+        if isinstance(value, Mapping):
+            return [word for name, one in value.items() for word in keys(one, f"{prefix}.{name}")]
+        return [f"{prefix}={json.dumps(value)}"]
+
+    parts = {group: part for group, part in config.items() if isinstance(part, Mapping)}
+    settings = [
+        word for group, part in parts.items() for key, one in part.items() for word in keys(one, f"{group}.{key}")
+    ]
+    unset = [f"{group}.{key}=" for group in parts for key in ("name", "kind")]
+    unset += [f"plant.{key}=" for keys in FORMER_KEYS.values() for key in keys]
+    chosen = [f"{group}={part['name']}" for group, part in parts.items()]
+    others = [f"{key}={json.dumps(value)}" for key, value in config.items() if key not in parts and value is not None]
+    return [*chosen, *(word for word in settings if not word.startswith(tuple(unset))), *others]

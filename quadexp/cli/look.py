@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from quadexp.cli.command import Answer, Ask, Force, OptionalOut, Out, command, single_values
+from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command, single_values
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.progress import Progress
@@ -194,18 +194,40 @@ def _keys(given: Sequence[str]) -> list[str] | None:
 
 
 @command
-def show(path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or results.")]) -> Answer:
+def show(
+    path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or results.")],
+    overrides: Overrides = (),
+    margins: Annotated[bool, Ask("What delay and motor lag the loop tolerates along the path, from settings.")] = False,
+    conf: Conf = None,
+) -> Answer:
     """Show what a file holds: its kind, configuration, units, seed, versions, size.
 
     \b
     quadexp show runs/a.parquet
     quadexp show models/gp
+    quadexp show --margins runs/a.parquet
+    quadexp show --margins controller=nominal_mpc trajectory=circle trajectory.speed=8
     """
+    if margins:
+        return _margins([str(path), *overrides], conf)
+    if overrides or conf:
+        raise UsageError("show: settings are for --margins")
     from quadexp.report.summary import summarise
 
     summary = summarise(path)
     record = {key: value for key, value in summary.items() if key not in ("lines", "tables")}
     return Answer(record, summary.get("tables", []), summary["lines"])
+
+
+def _margins(words: Sequence[str], conf: Path | None) -> Answer:
+    from quadexp import requests
+    from quadexp.report.table import Table
+
+    rows = requests.margins(words, conf)
+    units = {"t": (1.0, 2), "speed": (1.0, 2), "delay": (1e3, 0), "lag": (1e3, 0), "growth": (1.0, 2)}
+    texts = [[f"{factor * row[name]:.{digits}f}" for name, (factor, digits) in units.items()] for row in rows]
+    heading = ["t (s)", "speed (m/s)", "more delay (ms)", "more motor lag (ms)", "growth (1/s)"]
+    return Answer({"margins": rows}, rows, [Table(heading, texts, left=frozenset())])
 
 
 @command

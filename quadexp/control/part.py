@@ -20,8 +20,10 @@ class ControllerPart(Part):
     """What every controller has, as an option of the configuration."""
 
     prefix: ClassVar[str] = "controller."
+    later: ClassVar[tuple[str, ...]] = ("allow_unstable",)
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
+    allow_unstable: bool = key(False, "fly although the loop is not stable at hover")
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ A subclass overrides what it changes; all the rest is the inner controller's.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +18,7 @@ from quadexp.physics.vehicle import Vehicle
 
 
 class WrappedController(InOperations):
-    """A Controller (see control.base) that passes everything on to `inner`, and says by `instant` what it does.
-
-    in_margins: whether the linear loop of the MPC inside still is the whole loop, once the age `delay` (s) is taken
-    away from what the world is late by, see experiment.loop_margins.
-    """
-
-    in_margins: ClassVar[bool] = False
+    """A Controller (see control.base) that passes everything on to `inner`, and says by `instant` what it does."""
 
     def __init__(self, inner: Controller) -> None:
         self.inner = inner

@@ -146,7 +146,7 @@ class Loop:
     vehicle: Vehicle
     plant: Any
     controller: Any
-    margins: dict[str, Any] | None
+    margins: dict[str, Any]
 
     def fly(self, trajectory: Any, rng: np.random.Generator, *, digest: str = "", **options: Any) -> Flight:
         """Fly a trajectory, from its own start if it has one. digest: of all that decides it, where that is known.
@@ -184,7 +184,7 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     plant = build_world(config, vehicle)
     check_remedies(config, vehicle, plant)
     controller = build_controller(config, vehicle, plant, model)
-    margins = loop_margins(controller, config.plant, plant)
+    margins = loop_margins(controller, plant)
     if unstable := instability(config, margins, vehicle, plant, model):
         raise InfeasibleError(unstable)
     return Loop(vehicle, plant, controller, margins)

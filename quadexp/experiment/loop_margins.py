@@ -1,137 +1,179 @@
-"""The delay and lag that a flight's loop tolerates, and refusing one whose loop they make unstable at hover.
+"""The delay and lag that a loop tolerates beyond what it is flown with, and refusing one that is not stable at hover.
 
-The loop is that of quadexp.control.mpc.margins, linear at hover around the controller's own model. What is tried
-instead of an unstable one: telling the controller lag and delay, and other control rates and horizons without.
+Everything that is flown is in the loop (experiment.linearised). A further delay d or lag tau between command and plant
+makes it unstable where 1 is an eigenvalue of its gain with it: about where, with an eigenvalue l of the gain without,
+
+    l e^{-i w d} = 1:  |l| = 1, d = arg(l) / w                  l / (1 + i w tau) = 1:  Re l = 1, tau = Im l / w
+
+and exactly where the largest eigenvalue of the closed loop begins to grow. A margin is the least of all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from quadexp.control.base import Window
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.identity import ModelFile
+from quadexp.experiment.linear_loop import LinearLoop
+from quadexp.experiment.linearised import SETTLING, UnknownLoopError, linear_loop
 from quadexp.parts.schema import Config
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
+LIMIT = 0.5  # s: largest margin that is searched for
+SLOW = 0.05  # 1/s: what grows no faster is a drift, not an unstable loop
+FASTER = 1e-3  # 1/s: growth beyond a drift that is there without, from which on a delay or lag is too long
+LOWEST, FREQUENCIES = 0.5, 50  # of the search (rad/s), and how many up to half the control rate
+NEAR, RESOLUTION = 1.05, 1e-3  # how near the search comes, and relative accuracy of a margin
+POINTS = 9  # along a path
 RATES, SHARES = (100.0, 200.0), (1.0, 0.5)  # control rates that are tried (Hz), and shares of the horizon
 DIGITS = 3  # decimals of what is proposed
 
-_known: WeakKeyDictionary[Any, dict[tuple[float, float], dict[str, Any]]] = WeakKeyDictionary()  # flown many times
+_known: WeakKeyDictionary[Any, WeakKeyDictionary[Any, dict[str, Any]]] = WeakKeyDictionary()  # flown many times
 
 
-def loop_margins(controller: Any, config: Any, plant: Any = None) -> dict[str, Any] | None:
-    """{delay, lag, early} (s), see quadexp.control.mpc.margins; None for what is no MPC of this program.
+def loop_margins(controller: Any, plant: Any) -> dict[str, Any]:
+    """{growth, delay, lag} of the loop at hover, see `margins`; {unknown: why} where it cannot be linearised.
 
-    Then what is predicted, {dead_time, motor_lag, age}, age of the state by the delay remedies; what the plant's
-    options and the world around it have of both, {world_latency, world_lag} (s); and world_stable: whether the loop is
-    stable at hover there. A state that comes late counts as commands that do: around the loop they are the same, and so
-    is a state that is brought to now. without: remedies that change the loop and are not in it, such as observers,
-    whose bandwidth is outside this linear loop.
-    plant: what is flown; a World knows the delays of its link, actuators and estimator.
-    """
-    from quadexp.control.mpc.controller import PredictiveController
-    from quadexp.control.wrapped import innermost, layers
-
-    core = innermost(controller)
-    if not isinstance(core, PredictiveController):
-        return None
-    latency, lag = (float(getattr(config, name, 0.0) or 0.0) for name in ("latency", "motor_lag"))
-    latency += getattr(plant, "loop_delay", 0.0)
-    lag += getattr(plant, "loop_lag", 0.0)
-    made = _known.setdefault(controller, {})
-    if (latency, lag) not in made:
-        from quadexp.control.base import Window
-        from quadexp.control.mpc.margins import STABLE, HoverLoop, margins
-
-        n, rest = controller.vehicle.n_rotors, np.eye(N_STATE)[ATTITUDE.start]
-        nodes = len(controller.node_times)
-        thrusts = np.full((nodes - 1, n), controller.vehicle.hover_thrust)
-        controller.reset(rest, Window(np.tile(rest, (nodes, 1)), thrusts, np.zeros((5, 3)), np.zeros(3)))
-        around = layers(controller)
-        age = sum(float(getattr(one, "delay", 0.0)) for one in around if one.in_margins)
-        settings = core.settings
-        made[latency, lag] = {
-            **margins(core)._asdict(),
-            "dead_time": settings.dead_time,
-            "motor_lag": settings.known_lag,
-            "age": age,
-            "world_latency": latency,
-            "world_lag": lag,
-            "world_stable": HoverLoop(core).radius(**unmodelled(core, age, latency, lag)) <= STABLE,
-            "without": [type(one).__name__.lower() for one in around if not one.in_margins],
-        }
-    return made[latency, lag]
+    Both begin a flight anew afterwards."""
+    known = _known.setdefault(controller, WeakKeyDictionary())
+    if plant not in known:
+        try:
+            known[plant] = margins(hover_loop(controller, plant))
+        except UnknownLoopError as error:
+            known[plant] = {"unknown": str(error)}
+    return known[plant]
 
 
-def unmodelled(core: Any, age: float, latency: float, lag: float) -> dict[str, float]:
-    """{delay, lag} (s) of a world beyond what an MPC and the remedy around it predict, for HoverLoop."""
-    known = core.settings
-    return {"delay": max(latency - age, 0.0) - known.dead_time, "lag": max(lag - known.known_lag, 0.0)}
+def hover_loop(controller: Any, plant: Any) -> LinearLoop:
+    """The loop at hover. Raises UnknownLoopError."""
+    controller.forget()
+    rest, nodes = np.eye(N_STATE)[ATTITUDE.start], len(controller.node_times)
+    thrusts = np.full((max(nodes - 1, 0), controller.vehicle.n_rotors), controller.vehicle.hover_thrust)
+    window = Window(np.tile(rest, (nodes, 1)), thrusts, np.zeros((5, 3)), np.zeros(3))
+    return linear_loop(controller, plant, lambda k: window, lambda k: rest)
+
+
+def path_margins(config: Config, model: ModelFile | None) -> list[dict[str, Any]]:
+    """`margins` at points along the path, with their time (s) and the speed of the reference (m/s), as if the vehicle
+    went on as it does there: {t, speed, growth, delay, lag}. Raises UsageError where they are not known."""
+    from quadexp.experiment.rollout import SampledReference
+
+    vehicle = build_vehicle(config.vehicle)
+    plant = build_world(config, vehicle)
+    controller = build_controller(config, vehicle, plant, model)
+    reference = SampledReference(build_trajectory(config.trajectory, vehicle), controller)
+    last, before = len(reference) - 1, math.ceil(SETTLING[0] / controller.control_period)
+    rows = []
+    for at in np.unique(np.linspace(min(before, last), last, POINTS).astype(int)):
+
+        def instant(k: int, first: int = int(at) - before) -> int:
+            return min(max(first + k, 0), last)
+
+        window, state = lambda k: reference.window(instant(k)), lambda k: reference.at(instant(k))[0]
+        try:
+            loop = linear_loop(controller, plant, window, state, (SETTLING[0], SETTLING[0]))
+        except UnknownLoopError as error:
+            raise UsageError(f"--margins: not known of {controller.name} in this world: {error}") from None
+        speed = float(np.linalg.norm(reference.at(int(at))[0][VELOCITY]))
+        rows.append({"t": float(reference.t[at]), "speed": speed, **margins(loop)})
+    return rows
+
+
+def margins(loop: LinearLoop) -> dict[str, Any]:
+    """{growth, delay, lag}: rate at which the largest deviation grows (1/s), and what the loop tolerates of a further
+    dead time and of a further first-order lag of every rotor, each alone (s); 0 where it is not stable without, LIMIT
+    for that and more."""
+    growth = loop.growth()
+    if growth > SLOW:
+        return {"growth": growth, "delay": 0.0, "lag": 0.0}
+    frequencies = np.geomspace(LOWEST, (1 - 1e-6) * math.pi / loop.period, FREQUENCIES)
+    eigenvalues = np.linalg.eigvals(loop.gain(frequencies))
+    delays = (np.angle(value) % (2 * np.pi) / w for value, w in _crossings(np.abs, frequencies, eigenvalues))
+    lags = (value.imag / w for value, w in _crossings(np.real, frequencies, eigenvalues))
+    most = max(growth, 0.0) + FASTER
+    return {
+        "growth": growth,
+        "delay": _first(lambda delay: loop.growth(delay=delay) > most, delays),
+        "lag": _first(lambda lag: loop.growth(lag=lag) > most, lags),
+    }
+
+
+def _crossings(score: Any, frequencies: np.ndarray, eigenvalues: np.ndarray) -> list[tuple[complex, float]]:
+    """Eigenvalues of the gain, (k, n), and frequencies (rad/s), about where their score is 1."""
+    eigenvalues = np.take_along_axis(eigenvalues, np.argsort(score(eigenvalues), axis=1), 1)
+    beyond, found = score(eigenvalues) - 1, list[tuple[complex, float]]()
+    for k, i in np.argwhere(beyond[1:] * beyond[:-1] < 0):
+        share = beyond[k, i] / (beyond[k, i] - beyond[k + 1, i])
+        between = eigenvalues[k, i] + share * (eigenvalues[k + 1, i] - eigenvalues[k, i])
+        found.append((between, frequencies[k] * (frequencies[k + 1] / frequencies[k]) ** share))
+    return found
+
+
+def _first(unstable: Callable[[float], bool], about: Iterable[float]) -> float:
+    """Where stability first ends (s), at most LIMIT. about: where it may (s)."""
+    low, high = 0.0, LIMIT
+    for time in sorted(time for time in about if 0 < time < LIMIT / NEAR):
+        if unstable(high := min(time * NEAR, LIMIT)):
+            break
+        low, high = high, LIMIT
+    else:
+        if low == LIMIT or not unstable(LIMIT):
+            return LIMIT
+    if not unstable(near := max(low, high / NEAR**2)):
+        low = near
+    while high - low > RESOLUTION * high:
+        middle = (low + high) / 2
+        low, high = (low, middle) if unstable(middle) else (middle, high)
+    return float(low)
 
 
 def instability(
-    config: Config, margins: Mapping[str, Any] | None, vehicle: Vehicle, plant: Any, model: ModelFile | None
+    config: Config, margins: Mapping[str, Any], vehicle: Vehicle, plant: Any, model: ModelFile | None
 ) -> str:
     """Why the loop of a flight is not stable at hover, in one line with what helps; "" where it is, where that is not
-    known (margins None, see loop_margins), where the world is not to blame, and where the configuration allows it."""
-    if not margins or margins["world_stable"] or not margins["delay"]:
-        return ""
+    known, and where the configuration allows it. What is tried: telling the controller lag and delay, and other control
+    rates and horizons without."""
     controller: Any = config.controller
-    if controller.allow_unstable:
+    if margins.get("growth", 0.0) <= SLOW or controller.allow_unstable:
         return ""
-    late = max(margins["world_latency"] - margins["age"], 0.0)
-    lag = "motor_lead" if controller.motor_lead else "motor_lag"
-    world = {lag: round(margins["world_lag"], DIGITS), "dead_time": round(late, DIGITS)}
-    known = {lag: margins["motor_lag"], "dead_time": margins["dead_time"]}
-    unknown = {name: value for name, value in world.items() if value != known[name]}
+    lag = getattr(config.plant, "motor_lag", 0.0) + getattr(plant, "loop_lag", 0.0)
+    late = getattr(plant, "loop_delay", 0.0)
+    knows = "motor_lead" if getattr(controller, "motor_lead", 0.0) else "motor_lag"
+    true = {knows: round(lag, DIGITS), "dead_time": round(late, DIGITS)}
+    unknown = {name: value for name, value in true.items() if getattr(controller, name, value) != value}
 
     def stable(changes: Mapping[str, float]) -> bool:
-        from quadexp.control.mpc.margins import STABLE, HoverLoop
-        from quadexp.control.wrapped import innermost
-
         try:
-            other = replace(config, controller=replace(controller, backend="interpreted", **changes))
-            loop = innermost(build_controller(other, vehicle, plant, model))
+            other = replace(config, controller=replace(controller, **changes))
+            return loop_margins(build_controller(other, vehicle, plant, model), plant).get("growth", math.inf) <= SLOW
         except UsageError:  # of settings that contradict each other
             return False
-        beyond = unmodelled(loop, margins["age"], margins["world_latency"], margins["world_lag"])
-        return bool(HoverLoop(loop).radius(**beyond) <= STABLE)
 
-    grids = [
-        {"rate": max(rate, controller.rate), "horizon": round(share * controller.horizon, DIGITS)}
-        for rate in RATES
-        for share in SHARES
-    ]
-    told = next((_keys(unknown | grid) for grid in grids if stable(unknown | grid)), "")
-    if stable(unknown):
+    grids: list[dict[str, float]] = [{"rate": max(rate, controller.rate)} for rate in RATES]
+    if hasattr(controller, "horizon"):
+        grids = [grid | {"horizon": round(share * controller.horizon, DIGITS)} for grid in grids for share in SHARES]
+    told = next((_keys(unknown | grid) for grid in grids if unknown and stable(unknown | grid)), "")
+    if unknown and stable(unknown):
         told = f"{_keys(unknown)} at this rate and horizon"
     faster = next((_keys(grid) for grid in grids if stable(grid)), "")
-    found = ", or ".join(filter(None, (told, faster))) or "nothing that was tried"
-    causing = {
-        "motors that lag by": margins["world_lag"],
-        "commands and measurements that are late by": margins["world_latency"],
-    }
-    causes = " and ".join(f"{words} {_ms(value)}" for words, value in causing.items() if value)
-    predicts = {"lag": margins["motor_lag"], "delay": margins["dead_time"] + margins["age"]}
-    told_of = " and ".join(f"{_ms(value)} of {name}" for name, value in predicts.items() if value)
+    helps = ", or ".join(filter(None, (told, faster))) or "nothing that was tried"
+    causing = {"motors that lag by": lag, "commands and measurements that are late by": late}
+    causes = " and ".join(f"{words} {1e3 * value:.0f} ms" for words, value in causing.items() if value) or "no delay"
     return (
-        f"{controller.name} on {config.plant.name}: {causes or 'no delay'}; at {controller.rate:g} Hz with a horizon of"
-        f" {controller.horizon:g} s this loop tolerates {_ms(margins['lag'])} of lag or {_ms(margins['delay'])} of"
-        f" delay{f' beyond the {told_of} that it predicts' if told_of else ''}, and is not stable at hover; what makes"
-        f" it stable: {found}; to fly it all the same: controller.allow_unstable=true"
+        f"{controller.name} on {config.plant.name}: {causes}; this loop is not stable at hover, deviations grow e-fold"
+        f" in {1 / margins['growth']:.2g} s; what makes it stable: {helps}; to fly it all the same:"
+        " controller.allow_unstable=true"
     )
 
 
 def _keys(changes: Mapping[str, float]) -> str:
     return " ".join(f"controller.{name}={value:g}" for name, value in changes.items())
-
-
-def _ms(time: float) -> str:
-    return f"{1e3 * time:.0f} ms"

@@ -95,32 +95,25 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
 
 
 def margin_line(margins: Mapping[str, Any] | None) -> str:
-    """What a loop tolerates of what nobody predicted; "" where it is not known. margins: see experiment.loop_margins.
-    They are those of the MPC by itself, which is said where a remedy is around it."""
+    """What a loop tolerates beyond what it was flown with; "" where no record says. margins: see
+    experiment.loop_margins; in flights of earlier versions those of the MPC by itself, beyond what it predicts."""
     if not margins:
         return ""
+    if why := margins.get("unknown"):
+        return f"what it tolerates is not known: {why}"
     if not margins["delay"]:
-        return "hover is not stable, even without a delay"
+        return "is not stable at hover"
     delay, lag = (_milliseconds(margins[name]) for name in ("delay", "lag"))
-    of = "the bare MPC tolerates" if margins.get("without") or margins.get("age") else "tolerates"
-    line = f"{of} {delay} of unmodelled delay, {lag} of unmodelled lag"
-    if predicted := _predicted(margins):
-        line += f" beyond the {_milliseconds(predicted)} predicted"
-        line += f", and {_milliseconds(margins['early'])} less than these" if margins["dead_time"] else ""
-    return f"{line} (at hover{''.join(f', without {name}' for name in margins.get('without', ()))})"
+    if "growth" not in margins:
+        return f"the bare MPC tolerates {delay} of unmodelled delay, {lag} of unmodelled lag (at hover)"
+    return f"tolerates {delay} more of delay, {lag} more of motor lag (at hover)"
 
 
-def world_note(margins: Mapping[str, Any] | None) -> str:
-    """Where the world's own delays are more than the loop tolerates; "" where they are not."""
-    if not margins or margins["world_stable"] or not margins["delay"]:
+def world_note(margins: Mapping[str, Any]) -> str:
+    """That a loop was flown which is not stable; "" where it is."""
+    if margins.get("delay", 1.0):
         return ""
-    world = f"{_milliseconds(margins['world_latency'])} of delay and {_milliseconds(margins['world_lag'])} of motor lag"
-    loop = "the loop of the bare MPC" if margins.get("without") else "the loop"
-    return (
-        f"this world has {world}, the controller predicts {_milliseconds(_predicted(margins))} of dead time and"
-        f" {_milliseconds(margins['motor_lag'])} of lag: {loop} is not stable at hover; give controller.dead_time,"
-        " controller.motor_lag, or a longer controller.first_node (horizon=robust)"
-    )
+    return f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s"
 
 
 def delays_note(columns: Mapping[str, Any]) -> str:
@@ -134,11 +127,6 @@ def delays_note(columns: Mapping[str, Any]) -> str:
     names = {"delay_time": "state", "delay_dead_time": "commands", "delay_lag": "motors"}
     delays = ", ".join(f"{word} {_milliseconds(float(columns[name][-1]))}" for name, word in names.items())
     return f"delays found in flight: {delays}; {soft} flew until t={known[0]:.2f} s"
-
-
-def _predicted(margins: Mapping[str, Any]) -> float:
-    """What is predicted of delays (s), of commands and of the state; flights of earlier versions have no age."""
-    return float(margins["dead_time"] + margins.get("age", 0.0))
 
 
 def _milliseconds(time: float) -> str:

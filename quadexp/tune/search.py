@@ -204,7 +204,7 @@ class Search:
             raise QuadexpError(f"{request.given[0]} cannot be flown as it is: {broken[0]['cause']}")
         margins = [self._margin(row) for row in rows] if least else []
         if first and least and not np.isfinite(margins).any():
-            raise UsageError(f"--delay-margin: none is known of {self.config.controller.name}, which is no MPC")
+            raise UsageError(f"--delay-margin: none is known of {self.config.controller.name}")
         known = [margin for margin in margins if np.isfinite(margin)]
         return worth(rows, self._durations, metric=request.metric, margins=known, least_margin=least)
 

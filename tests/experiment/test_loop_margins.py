@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.experiment.evaluate import fly_one
+from quadexp import requests
+from quadexp.experiment.evaluate import InfeasibleError, fly_one
+from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose
 from quadexp.report.page.sections import margins as margins_of
 from quadexp.report.summary import flight_lines, margin_line, world_note
@@ -17,33 +19,72 @@ def flown(*overrides: str) -> dict:
 
 
 @pytest.mark.parametrize(
-    ("horizon", "line"),
+    ("controller", "line"),
     [
-        ("published", "tolerates 67 ms of unmodelled delay, 93 ms of unmodelled lag (at hover)"),
-        ("precise", "tolerates 17 ms of unmodelled delay, 51 ms of unmodelled lag (at hover)"),
-        ("robust", "tolerates 47 ms of unmodelled delay, 83 ms of unmodelled lag (at hover)"),
+        (
+            "controller=nominal_mpc horizon=published",
+            "tolerates 67 ms more of delay, 92 ms more of motor lag (at hover)",
+        ),
+        ("controller=nominal_mpc horizon=precise", "tolerates 18 ms more of delay, 51 ms more of motor lag (at hover)"),
+        ("controller=geometric", "tolerates 47 ms more of delay, 86 ms more of motor lag (at hover)"),
     ],
 )
-def test_a_flight_says_what_its_loop_tolerates(horizon, line):
-    metadata = flown("controller=nominal_mpc", f"horizon={horizon}")
-    assert f"loop        {line}" in flight_lines(metadata)
-    assert metadata["margins"]["world_stable"] and not world_note(metadata["margins"])
-    assert margins_of([metadata, metadata, {}]) == [f"nominal_mpc: {line}"]
+def test_a_flight_says_what_its_loop_tolerates(controller, line):
+    metadata = flown(*controller.split())
+    assert f"loop        {line}" in flight_lines(metadata) and not world_note(metadata["margins"])
+    assert margins_of([metadata, metadata, {}]) == [f"{metadata['controller']}: {line}"]
 
 
-def test_a_predicted_dead_time_is_what_the_margins_count_from():
-    margins = flown("controller=nominal_mpc", "horizon=robust", "controller.dead_time=0.02")["margins"]
-    line = margin_line(margins)
-    assert f"{1e3 * margins['delay']:.0f} ms of unmodelled delay" in line
-    assert line.endswith("beyond the 20 ms predicted, and 20 ms less than these (at hover)")
+def test_a_predicted_dead_time_that_is_there_is_no_surprise():
+    """10 ms more than 20 ms that are predicted leave as much as 10 ms more than none: Smith's predictor."""
+    world = ["controller=nominal_mpc", "horizon=robust", "plant=ideal"]
+    prompt, late = (
+        flown(*world, *more)["margins"]
+        for more in ((), ("controller.dead_time=0.02", "link=latency", "link.latency=0.02"))
+    )
+    assert 0.03 < late["delay"] < prompt["delay"]
 
 
-def test_who_has_no_horizon_has_no_line():
-    metadata = flown("vehicle=lei_li", "plant=blade_element", "controller=static_feedback")
-    assert metadata["margins"] is None and margin_line(None) == world_note(None) == ""
-    assert not any(line.startswith("loop") for line in flight_lines(metadata))
-    assert margin_line({"delay": 0.0, "lag": 0.0}) == "hover is not stable, even without a delay"
-    assert "over 500 ms of unmodelled lag" in margin_line({"delay": 0.1, "lag": 0.5, "early": 0.0, "dead_time": 0.0})
+def test_who_keeps_its_memory_to_itself_says_so(tmp_path):
+    margins = {"unknown": "Mine steps in Python"}
+    assert margin_line(margins) == "what it tolerates is not known: Mine steps in Python"
+    assert margin_line(None) == world_note({}) == world_note(margins) == ""
+    assert margin_line({"growth": 3.0, "delay": 0.0, "lag": 0.0}) == "is not stable at hover"
+    assert "over 500 ms more of motor lag" in margin_line({"growth": -1.0, "delay": 0.1, "lag": 0.5})
+    former = {"delay": 0.1, "lag": 0.05, "early": 0.0, "dead_time": 0.0, "world_stable": True}
+    assert (
+        margin_line(former) == "the bare MPC tolerates 100 ms of unmodelled delay, 50 ms of unmodelled lag (at hover)"
+    )
+
+
+@pytest.mark.parametrize("controller", ["nominal_mpc", "geometric"])
+def test_what_is_not_stable_is_refused_and_flown_where_it_is_allowed(controller):
+    world = [f"controller={controller}", "link=latency", "link.latency=0.1"]
+    with pytest.raises(InfeasibleError, match=r"late by 100 ms; this loop is not stable at hover") as refused:
+        flown(*world)
+    assert ("controller.dead_time=0.1" in str(refused.value)) == (controller == "nominal_mpc")
+    margins = flown(*world, "controller.allow_unstable=true")["margins"]
+    assert margins["delay"] == 0 and f"e-fold in {1 / margins['growth']:.2g} s" in world_note(margins)
+
+
+def test_the_hash_of_a_law_does_not_know_of_what_is_as_usual():
+    def recorded(*words):
+        return compose([*HOVER, *words]).controller.recorded()
+
+    assert "allow_unstable" not in recorded("controller=geometric") | recorded("controller=raptor")
+    assert recorded("controller=geometric", "controller.allow_unstable=true")["allow_unstable"]
+    assert recorded("controller=nominal_mpc")["allow_unstable"] is False
+
+
+def test_margins_along_a_path_begin_with_those_at_hover(tmp_path):
+    """At rest at the beginning; of a flight's file as of its settings."""
+    words = ["controller=geometric", "trajectory=circle", "trajectory.speed=6", "world=only_latency"]
+    rows = requests.margins(words)
+    known = flown("controller=geometric", "world=only_latency")["margins"]
+    assert len(rows) == 9 and rows[0]["speed"] < 0.1 and max(row["speed"] for row in rows) > 5
+    assert rows[0]["delay"] == pytest.approx(known["delay"], rel=0.02)
+    write_flight(tmp_path / "flight.parquet", fly_one(compose(words)))
+    assert requests.margins([str(tmp_path / "flight.parquet")]) == rows
 
 
 @pytest.mark.parametrize(("lag", "grid", "stable"), [(0.04, "precise", True), (0.2, "precise", False)])
@@ -51,9 +92,7 @@ def test_a_world_that_lags_more_than_the_loop_tolerates_is_noted(lag, grid, stab
     world = ["vehicle=lei_li", "plant=blade_element", f"plant.motor_lag={lag}", f"horizon={grid}"]
     world.append("controller.allow_unstable=true")  # without it such a flight is refused
     margins = flown(*world, "controller=nominal_mpc")["margins"]
-    assert margins["world_stable"] == stable == (lag < margins["lag"]) and bool(world_note(margins)) != stable
-    if not stable:
-        assert f"{1e3 * lag:.0f} ms of motor lag" in world_note(margins)
+    assert (margins["delay"] > 0) == stable and bool(world_note(margins)) != stable
 
 
 def test_a_lag_that_the_controller_knows_is_no_surprise():

@@ -18,7 +18,7 @@ from quadexp.parts.schema import controller_name
 WORLD = ["trajectory=hover", "trajectory.duration=0.3", "external=push", "external.force=[0.5,-0.3,-0.4]"]
 WORLD += ["external.torque=[0.01,-0.01,0.002]", "estimator=late", "estimator.gyro=fresh"]
 LEI_LI = ["vehicle=lei_li", "plant=blade_element"]
-FEW = ["controller.nodes=3", "controller.horizon=0.3", "controller.allow_unstable=true"]  # quick to build
+FEW = ["controller.nodes=3", "controller.horizon=0.3"]  # quick to build
 CONTROLLERS = {
     "nominal_mpc": FEW,
     "perfect_mpc": FEW,
@@ -40,6 +40,7 @@ GROUPS = {
 def overrides(controller, parts):
     given = [f"controller={controller}", "controller.backend=interpreted", *CONTROLLERS[controller], *WORLD]
     given += [f"{group}={option}" for group, option in parts.items() if option != "none"]
+    given.append("controller.allow_unstable=true")  # a few of these loops swing at hover
     given += ["delay.time=0.01"] if parts["delay"] in ("strapdown", "prediction") else []
     both = parts["inner"] != "none" and parts["observer"] != "none"
     return given + (["observer.torque_bandwidth=0"] if both else [])

@@ -100,7 +100,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/control/mpc/test_dead_time.py",
         "tests/control/mpc/test_first_solve.py",
     ),
-    "quadexp/control/mpc/margins.py": ("tests/control/mpc/test_margins.py", "tests/control/mpc/test_dead_time.py"),
+    "quadexp/experiment/linear_loop.py": ("tests/experiment/test_linear_loop.py",),
+    "quadexp/experiment/linearised.py": ("tests/experiment/test_linear_loop.py",),
     "quadexp/reference/flat*.py": (
         "tests/reference/test_flat_map.py",
         "tests/reference/test_flatness.py",

@@ -120,6 +120,6 @@ def test_a_least_delay_margin_is_kept(tmp_path):
     assert min(short) > max(trial.worth.value for trial in trials if trial.worth.margin >= 0.06)
 
 
-def test_a_margin_is_asked_of_an_mpc_only(tmp_path):
-    with pytest.raises(UsageError, match="none is known of open_loop, which is no MPC"):
+def test_a_margin_is_asked_of_what_has_one(tmp_path):
+    with pytest.raises(UsageError, match="none is known of open_loop"):
         tuned(tmp_path, delay_margin=0.05, flights=4)

@@ -52,8 +52,6 @@ COLUMNS = ("delay_known", "delay_time", "delay_dead_time", "delay_lag")
 class Identified(WrappedController):
     """A controller that finds out what makes its measurements and commands late."""
 
-    in_margins = True
-
     def __init__(self, inner: Controller, config: IdentifiedPart) -> None:
         super().__init__(inner)
         self._core: Any = innermost(inner)

@@ -45,8 +45,6 @@ class Prediction(WrappedController):
     in flight. The model is that of the MPC inside; without one, the rigid body alone.
     """
 
-    in_margins = True
-
     def __init__(
         self, inner: Controller, delay: float, dead_time: float, lag: float, reach: tuple[float, float] | None = None
     ) -> None:

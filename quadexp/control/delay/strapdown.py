@@ -46,8 +46,6 @@ class KnownDelay(Remedy):
 class Strapdown(WrappedController):
     """A controller that is told position, velocity and attitude of now instead of those of `delay` (s) ago."""
 
-    in_margins = True
-
     def __init__(self, inner: Controller, delay: float, largest: float | None = None) -> None:
         super().__init__(inner)
         self.delay = delay  # may change in flight, up to `largest`

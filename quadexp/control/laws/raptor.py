@@ -153,6 +153,7 @@ class Raptor(RaptorKeys, ControllerPart):
     """RAPTOR, a learned policy for all quadrotors (Eschmann et al. 2025), of the package foundation-policy."""
 
     former_kind = "raptor"
+    allow_unstable: bool = key(True, "fly although the loop is not stable at hover, where the policy trembles")
     backend: Backend = "auto"
 
     def build(self, given: Given) -> Any:

@@ -20,8 +20,8 @@ class PredictivePart(MPCSettings, ControllerPart):
     """What every MPC has, whatever its model of the air."""
 
     former_kind = "mpc"
+    later = ()
     backend: Backend = "auto"
-    allow_unstable: bool = key(False, "fly although the plant's own lag or delay makes the loop unstable at hover")
 
     def build(self, given: Given) -> Any:
         """See ControllerPart."""

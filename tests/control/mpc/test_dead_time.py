@@ -10,15 +10,19 @@ from scipy.integrate import solve_ivp
 
 from quadexp.control.instant import run
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.margins import HoverLoop
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
+from quadexp.experiment.loop_margins import hover_loop
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
+from quadexp.world.actuator import Actuator
+from quadexp.world.from_model import FromModelPlant
+from quadexp.world.link import Latency
+from quadexp.world.world import World
 from tests.control.mpc.delayed import DelayedPlant
 from tests.models.residuals import RESIDUALS, make_residual
 from tests.states import random_state
@@ -89,9 +93,13 @@ def test_a_predicted_dead_time_leaves_the_poles_where_they_are(vehicle, name, de
     residual, first_node = make_residual(name, vehicle), 0.04
 
     def poles(dead_time):
-        loop = HoverLoop(controller_of(vehicle, residual, dead_time=dead_time, first_node=first_node, **settings))
-        found = np.linalg.eigvals(loop.matrix())
-        return found[np.abs(found) > 0.1]  # a multiple pole at zero is found only to a root of the error
+        lag = settings.get("motor_lag", 0.0)
+        motors = Actuator(time_constant_up=lag, time_constant_down=lag, lag_of="thrust")
+        world = World(FromModelPlant(vehicle, residual, backend="interpreted"), [Latency(latency=dead_time), motors])
+        controller = controller_of(vehicle, residual, dead_time=dead_time, first_node=first_node, **settings)
+        ((A, B, C),) = hover_loop(controller, world).phases
+        found = np.linalg.eigvals(A + B @ C)
+        return found[np.abs(found) > 0.2]  # a multiple pole at zero is found only to a root of the error
 
     with_it, without = poles(dead_time), poles(0.0)
     assert len(with_it) == len(without)

@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.margins import margins
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import held_deviation
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.experiment.loop_margins import hover_loop, margins
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import corrected_function
@@ -132,9 +132,10 @@ def test_the_grid_costs_no_accuracy_on_the_reference(vehicle, path, settings, mo
 
 @pytest.mark.parametrize("settings", [{}, {"first_node": 0.04, "dead_time": 0.03}, {"motor_lag": 0.03}])
 def test_the_margins_are_those_of_the_held_command(vehicle, settings):
-    residual = make_residual("linear_drag", vehicle)
+    residual, plant = make_residual("linear_drag", vehicle), SimplifiedPlant(vehicle, PlantEffects.none(), step=1e-3)
     held, deviation = (
-        margins(controller_of(vehicle, residual, input_hold=hold, **settings)) for hold in ("command", "deviation")
+        margins(hover_loop(controller_of(vehicle, residual, input_hold=hold, **settings), plant))
+        for hold in ("command", "deviation")
     )
     assert deviation == pytest.approx(held, abs=2e-4)
 

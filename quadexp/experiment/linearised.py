@@ -1,0 +1,333 @@
+"""The linear loop of a controller and its plant, as they fly, with everything that is in the loop.
+
+z: the body's state in its tangent space (rotation vector about body axes), the plant's inner states, the readings, and
+what the operations of the controller remember: the numbers that they read before they write them. Derivatives are
+central differences of the functions that fly.
+
+Before that, the vehicle flies along the reference without noise, so that its error, filters and covariances settle; one
+that does not settle is carried along. Frozen as they are then: what a controller learns from readings in Python; the
+MPC's last solution, on which its next one does not depend to first order.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Iterable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from quadexp.compile.symbolic import ca
+from quadexp.control.base import Measurement, Window
+from quadexp.control.instant import Operation, in_operations, run
+from quadexp.control.wrapped import innermost
+from quadexp.errors import ModelDomainError, QuadexpError
+from quadexp.experiment.linear_loop import LinearLoop, Phase
+from quadexp.physics.rotation import left_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.world.integrator import SimulatedPlant
+from quadexp.world.streams import TICK, Drawn, Held, Silence, Ticking
+from quadexp.world.world import World
+
+SETTLING = 0.5, 5.0  # s, at least and at most
+STILL = 0.01  # 1/s: as fast as any number of the state's error may change where it has settled
+FAR = 5.0  # m, m/s, rad/s: a flight that is further from its reference does not settle there
+DIFFERENCE = 1e-5  # of a number of a size up to 1, for derivatives; of larger ones relative
+COPIED, FEW = 1e-6, 4  # relative difference of a copied change; columns that are not worth being looked at together
+REPEATS = 1e-7  # by how much an instant may differ when it is repeated
+MOST_NUMBERS = 2000  # inner states of a plant, over all instants that differ
+MOST_PHASES = 100  # instants after which the loop must be the same again
+N_TANGENT, NUMBER = N_STATE - 1, 8  # NUMBER: bytes
+
+
+class UnknownLoopError(QuadexpError):
+    """Why a loop cannot be linearised."""
+
+
+def linear_loop(
+    controller: Any,
+    plant: Any,
+    window: Callable[[int], Window],
+    state: Callable[[int], np.ndarray],
+    settling: tuple[float, float] = SETTLING,
+) -> LinearLoop:
+    """The loop around a reference, once it has settled. Both must begin a flight anew afterwards.
+
+    window, state: of the reference at control instant k, Window and (13,). settling: s, at least and at most.
+    Raises UnknownLoopError where plant or controller keep what they remember to themselves.
+    """
+    if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
+        raise UnknownLoopError(f"{type(plant).__name__} keeps its inner states to itself")
+    if not (in_operations(controller) and in_operations(inner := innermost(controller))):
+        raise UnknownLoopError(f"{type(inner if in_operations(controller) else controller).__name__} steps in Python")
+    try:
+        flown = _Flown(controller, plant, window, state, settling, carried=False)
+        if not flown.settled:  # it may be that it is not stable
+            flown = _Flown(controller, plant, window, state, settling, carried=True)
+        phases, body, readings = flown.phases()
+    except ModelDomainError as error:
+        raise UnknownLoopError(str(error)) from None
+    if not all(np.isfinite(part).all() for phase in phases for part in phase):
+        raise UnknownLoopError("its derivatives are not finite")
+    places = np.arange(len(phases[0].A))
+    direct = (places >= readings) & (places < readings + 3)
+    return LinearLoop(phases, controller.control_period, (places < body) & ~direct, direct)
+
+
+class _Flown:
+    """A flight along a reference without noise. settled: whether its error has come to rest, near the reference.
+    carried: whether the vehicle is put where the reference is at every instant."""
+
+    def __init__(
+        self,
+        controller: Any,
+        plant: Any,
+        window: Callable[[int], Window],
+        state: Callable[[int], np.ndarray],
+        settling: tuple[float, float],
+        *,
+        carried: bool,
+    ) -> None:
+        self._controller, self._plant, self._window, self._state, self._k = controller, plant, window, state, 0
+        self._period, self._x, self._carried = controller.control_period, state(0), carried
+        self._estimates = isinstance(plant, World) and plant.estimates
+        self._noise = plant.begin(self._x, self._period, 1.0, Silence())
+        self._drawn = _drawn(plant, self._period)
+        self._timed = np.concatenate([np.zeros(0, bool), *map(_times, self._drawn)])  # when something is, no noise
+        told = plant.measured.copy() if self._estimates else self._x
+        controller.reset(told, window(0))
+        self._told = Measurement(0.0, told, None, None)
+        least, most = (max(math.ceil(time / self._period), 2) for time in settling)
+        self.settled = False
+        for i in range(1, most + 1):
+            before = self._error
+            self._enter(self._step())
+            self._go_on()
+            still = np.abs(self._error - before).max() < STILL * self._period or least == most
+            near = np.abs(self._error).max() < FAR
+            self.settled = bool(i >= least and still and near)
+            if self.settled or not near:
+                break
+
+    @property
+    def _error(self) -> np.ndarray:
+        return np.asarray(self._x - self._state(self._k))
+
+    def phases(self) -> tuple[list[Phase], int, int]:
+        """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
+        running = self._controller.running
+        operations = [o for o in running.instant.operations if o.kind not in ("finite", "near")]  # which are C's
+        operations = [o for o in operations if not (o.kind == "python" and o.when is running.told.read)]  # learns
+        sensors = [one.tick for one in self._drawn if not isinstance(one, Held) and one.tick > TICK]
+        ratios = [Fraction(self._period / tick).limit_denominator(MOST_PHASES) for tick in sensors]
+        read = math.lcm(*(ratio.denominator for ratio in ratios))
+        count = math.lcm(read, *(o.every for o in operations))
+        if count > MOST_PHASES:
+            raise UnknownLoopError(f"its rates are the same again only after {count} instants")
+        if read * len(self._plant.inner) > MOST_NUMBERS:
+            raise UnknownLoopError(f"it has {len(self._plant.inner)} numbers at {read} different instants")
+        memory, known, phases = _Memory(running, operations, count), dict[Any, Phase](), []
+        for _ in range(count):
+            k, begun, guess = running.k, memory.values, [one.copy() for one in memory.planned]
+            u = self._step()
+            ended = memory.values
+            self._enter(u)
+            key = (k % read, *(k % o.every == 0 for o in operations))
+            if key not in known:
+                known[key] = self._phase(operations, memory, k, begun, guess)
+                memory.values = ended
+            phases.append(known[key])
+            self._go_on()
+        inner = N_TANGENT + len(self._plant.inner)
+        return phases, inner + 3 + N_TANGENT * self._estimates, inner
+
+    def _step(self) -> np.ndarray:
+        u, _ = self._controller.step(self._told, self._window(self._k))
+        return np.asarray(u)
+
+    def _enter(self, u: np.ndarray) -> None:
+        """Tell the plant's function all of the next period, without noise."""
+        self._function = self._plant.prepared(self._period)
+        given = self._function.arguments
+        given["x"][:], given["inner"][:], given["u"][:] = self._x, self._plant.inner, u
+        noise = self._plant.noise(self._function).reshape(-1)
+        self._noise.standard_normal(out=noise)
+        noise[~self._timed] = 0.0
+
+    def _go_on(self) -> None:
+        """A period of the plant."""
+        self._function()
+        results, plant = self._function.results, self._plant
+        plant.settle(results)
+        plant.time += self._period
+        self._k += 1
+        self._x = self._state(self._k) if self._carried else results["x_next"].copy()
+        told = results["measured"].copy() if self._estimates else self._x
+        speed = getattr(plant, "rotor_speed", None)
+        self._told = Measurement(plant.time, told, results["specific_force"].copy(), speed)
+
+    def _phase(
+        self, operations: list[Operation], memory: _Memory, k: int, begun: np.ndarray, guess: list[np.ndarray]
+    ) -> Phase:
+        """Of the instant k, before which the memory was `begun` and the MPC's last solution `guess`, and of the period
+        that `_enter` prepared."""
+        running, given, results = self._controller.running, self._function.arguments, self._function.results
+        told, window, command = running.told, running.told.window, running.instant.command
+        readings = [one for one in (told.force, told.speed) if memory.reads(one)]
+        read, m = [told.state, *readings], len(begun)
+
+        def instant(values: np.ndarray) -> np.ndarray:
+            """What is told and remembered -> what is sent and remembered."""
+            _scatter(read, values[: len(values) - m])
+            memory.values = values[len(values) - m :]
+            for array, value in zip(memory.planned, guess, strict=True):
+                array[...] = value
+            run(operations, k, window)
+            return np.concatenate([command, memory.values])
+
+        point = np.concatenate([*read, begun])
+        first = instant(point)
+        by_told = _derivative(instant, point, _lift(point, 0))
+        if not np.allclose(instant(point), first, rtol=REPEATS, atol=REPEATS):
+            raise UnknownLoopError("its operations in Python remember what they were told")
+        arguments = [given[name] for name in ("x", "inner", "u")]
+        after = [
+            results[name] for name in ("x_next", "inner_next", "specific_force", "measured")[: 3 + self._estimates]
+        ]
+
+        def fly(values: np.ndarray) -> np.ndarray:
+            """State, inner states and command -> the same after the period, and readings."""
+            _scatter(arguments, values)
+            self._function()
+            return np.concatenate(after)
+
+        point = np.concatenate(arguments)
+        first = fly(point)
+        if results["doubt"].any() or not np.isfinite(first).all():
+            raise UnknownLoopError("the plant's equations are in doubt there")
+        onto = _lift(first, 0, *[len(first) - N_STATE] * self._estimates)
+        by_plant = _derivative(fly, point, _lift(point, 0))
+        fly(point)
+        by_plant = (onto / (onto**2).sum(axis=0)).T @ by_plant
+
+        inner, n = N_TANGENT + len(given["inner"]), len(command)
+        places = [np.arange(N_TANGENT) + (inner + 3) * self._estimates]
+        for one in readings:
+            places.append(inner + np.arange(3) if one is told.force else N_TANGENT + np.array(self._plant.rotor_places))
+        body, places = len(by_plant), [*places, len(by_plant) + np.arange(m)]
+        by_all = np.zeros((n + m, body + m))
+        by_all[:, np.concatenate(places)] = by_told
+        A, B = np.zeros((body + m, body + m)), np.zeros((body + m, n))
+        A[:body, :inner], A[body:], B[:body] = by_plant[:, :inner], by_all[n:], by_plant[:, inner:]
+        return Phase(A, B, by_all[:n])
+
+
+class _Memory:
+    """The numbers that operations read before they write them, and write later. values: all of them, (m,). planned: the
+    MPC's solution."""
+
+    def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
+        self.planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
+        targets = [o.to for o in operations if o.to is not None]  # which operations in Python may read
+        self._read, early, late = set[int](), set[int](), set[int]()
+        for k in range(running.k, running.k + count):
+            written = set[int]()
+            for o in operations:
+                if k % o.every or (o.when is not None and not o.when[0]):
+                    continue
+                reads = [one for one in (o.source, o.other) if one is not None and o.kind != "window"]
+                writes = [one for one in (o.to, o.other if o.kind == "window" else None) if one is not None]
+                if o.function is not None:
+                    reads, writes = [*o.function.arguments.values()], [*o.function.results.values()]
+                elif o.kind in ("plan", "python"):
+                    reads, writes = ([], self.planned) if o.kind == "plan" else (targets, [])
+                places = _places(reads)
+                self._read |= places
+                early |= places - written
+                written |= _places(writes)
+            late |= written
+        memory = np.array(sorted(early & late), np.int64)
+        runs = np.split(memory, np.flatnonzero(np.diff(memory) != NUMBER) + 1) if len(memory) else []
+        pieces = [(ctypes.c_double * len(one)).from_address(int(one[0])) for one in runs]
+        self._pieces = [np.ctypeslib.as_array(one) for one in pieces]
+
+    def reads(self, array: np.ndarray) -> bool:
+        """Whether an operation reads the array."""
+        return bool(_places([array]) & self._read)
+
+    @property
+    def values(self) -> np.ndarray:
+        return np.concatenate([np.zeros(0), *self._pieces])
+
+    @values.setter
+    def values(self, values: np.ndarray) -> None:
+        _scatter(self._pieces, values)
+
+
+def _places(arrays: Iterable[np.ndarray]) -> set[int]:
+    """Addresses of all numbers of some arrays."""
+    found = set[int]()
+    for array in arrays:
+        places = np.array([array.ctypes.data])
+        for count, stride in zip(array.shape, array.strides, strict=True):
+            places = np.add.outer(places, stride * np.arange(count)).ravel()
+        found.update(places.tolist())
+    return found
+
+
+def _scatter(arrays: Iterable[np.ndarray], values: np.ndarray) -> None:
+    """Write values (m,) into arrays, one after another."""
+    first = 0
+    for array in arrays:
+        array[...] = values[first : first + array.size].reshape(array.shape)
+        first += array.size
+
+
+def _lift(values: np.ndarray, *places: int) -> np.ndarray:
+    """How small deviations move numbers (m,): those of the states (13,) that begin at some places as rotations."""
+    columns = np.eye(len(values))
+    for first in places:
+        attitude = slice(first + ATTITUDE.start, first + ATTITUDE.stop)
+        columns[attitude, attitude] = np.array(left_matrix(ca.DM(values[attitude]))) / 2
+    return np.delete(columns, [first + ATTITUDE.start for first in places], axis=1)
+
+
+def _derivative(f: Callable[[np.ndarray], np.ndarray], point: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Derivatives of f at a point (m,) along columns (m, d), by central differences; many at once of numbers that are
+    copied to others and do nothing else, as in a history."""
+    sizes = DIFFERENCE * np.maximum(1.0, np.abs(columns.T @ point))
+    base, kicks = f(point), sizes * np.linspace(1.0, 2.0, len(sizes))  # each tells by its size where it went
+    moved = f(point + columns @ kicks) - base
+    derivatives = (np.abs(moved[:, None] - kicks) < COPIED * kicks).astype(float)
+    pending = [np.flatnonzero(derivatives.any(axis=0))]
+    single = [*np.flatnonzero(~derivatives.any(axis=0))]
+    while pending:
+        group = pending.pop()
+        moved = f(point + columns[:, group] @ kicks[group]) - base
+        if np.abs(moved - derivatives[:, group] @ kicks[group]).max(initial=0.0) < COPIED * DIFFERENCE:
+            continue
+        if len(group) > FEW:
+            pending += np.array_split(group, 2)
+        else:
+            single += [*group]
+    for i in single:
+        move = sizes[i] * columns[:, i]
+        derivatives[:, i] = (f(point + move) - f(point - move)) / (2 * sizes[i])
+    return derivatives
+
+
+def _drawn(plant: SimulatedPlant, period: float) -> list[Drawn]:
+    """What is drawn in a control period, in its order."""
+    parts = [drawn for _, drawn in plant.own_noise(np.random.default_rng(0), period)]
+    if isinstance(plant, World):
+        clock = plant.clock(period)
+        parts += [one for effect in plant.effects for one in effect.sizes(clock, plant.vehicle).drawn]
+    return parts
+
+
+def _times(drawn: Drawn) -> np.ndarray:
+    """Which numbers of a control period are times, (k,)."""
+    ticks = isinstance(drawn, Ticking)
+    return np.arange(drawn.size) % (1 + drawn.numbers) == 0 if ticks else np.zeros(drawn.size, bool)
