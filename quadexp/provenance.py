@@ -36,7 +36,7 @@ MODULES = {
 DECIDING = (
     "compile", "control", "models", "physics", "reference", "world", "experiment/build.py",
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
-    "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py",
+    "experiment/identity.py", "experiment/loop_margins.py",
     "experiment/rollout.py", "log/outcome.py", "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")

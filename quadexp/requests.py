@@ -152,6 +152,9 @@ def evaluate(
     if not sweep and first.sweep:
         raise UsageError("this experiment is a sweep: add --sweep")
     out = out or Path("results") / _results_name(overrides, first, sweep)
+    from quadexp import papers
+
+    papers.check(first.evaluate.figures)
     figures = sweep if figures is None else figures
     preload = _preload(cells[:SAMPLED], figures)
     if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
@@ -193,7 +196,9 @@ def evaluate(
             flown=drawn.begin if figures else lambda rows, record: None,
         )
         files = dict(result.files) | drawn.end()
-    special, lines = _of_a_paper(settings.figures, result.rows, out, figures)
+    paper = papers.paper(settings.figures)
+    special = papers.write(paper, result.rows, out) if paper and figures else {}
+    lines = paper.overview(result.rows).lines() if paper and hasattr(paper, "overview") else []
     failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
     if missing := result.not_flown:
         cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
@@ -201,25 +206,6 @@ def evaluate(
     doubts = [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes]
     notes, invalid = [note for note in doubts if note], invalid_text(result.rows) if result.invalid else ""
     return Swept(result, settings.metric, out, files | special, lines, notes, failed, invalid)
-
-
-def _of_a_paper(
-    kind: str, rows: Sequence[Mapping[str, Any]], out: Path, figures: bool
-) -> tuple[dict[str, str], Sequence[str]]:
-    """Figures of an experiment of a paper, and the lines of its table, where that of all controllers has no room."""
-    if kind == "ladder":
-        from quadexp.report import ladder
-
-        return ladder.draw(rows, out) if figures else {}, ladder.ladder_table(rows).lines()
-    if kind == "sun":
-        from quadexp.papers.sun import report as sun
-
-        return sun.draw(rows, out) if figures else {}, sun.overview(rows).lines()
-    if kind != "standard" and figures:
-        from quadexp.papers.lei_li import report as lei_li
-
-        return lei_li.draw(kind, rows, out), []
-    return {}, []
 
 
 def _doubts(cells: Sequence[Any]) -> list[str]:
@@ -342,7 +328,7 @@ def identify(
     choice = choose_method(flights, method, named)
     chosen(choice.method, choice.reason)
     if choice.method == "delays":
-        from quadexp.experiment.identify import identify_delays
+        from quadexp.experiment.delays import identify_delays
 
         return {"method": "delays", **identify_delays(flights, named, conf, figure)}
     if choice.method == "rls":

@@ -79,15 +79,10 @@ class SweepFrame:
     @classmethod
     def read(cls, folder: str | Path) -> SweepFrame:
         """The last sweep of a folder; UsageError where it holds no results."""
-        path = Path(folder)
-        file = path / RESULTS if path.is_dir() else path
-        if not file.is_file():
-            raise UsageError(f"{folder}: holds no results (made by `quadexp evaluate`)")
-        columns, record = read_table(file, "results", required=("key", "outcome"))
-        rows = [{**dict.fromkeys(ROW_COLUMNS), **row} for row in from_columns(columns)]
+        root, rows, record = read_results(folder)
         if not rows:
-            raise DataError(f"{file}: holds no flights; run the sweep again")
-        return cls(rows, file.parent, record)
+            raise DataError(f"{folder}: holds no flights; run the sweep again")
+        return cls(rows, root, record)
 
     def where(self, kept: Sequence[bool]) -> SweepFrame:
         """The frame of some of its rows."""
@@ -207,6 +202,18 @@ class SweepFrame:
             except QuadexpError:  # a cell that has gone: what its row says has to do
                 self._gone[group] += 1
         return self._configs.get(group, {})
+
+
+def read_results(path: str | Path) -> tuple[Path, list[dict[str, Any]], dict[str, Any]]:
+    """Folder, rows and record of the last sweep of a folder, or of its table; None for a column that it does not have.
+
+    Raises UsageError where it holds no results.
+    """
+    file = Path(path) / RESULTS if Path(path).is_dir() else Path(path)
+    if file.name == RESULTS and not file.is_file():
+        raise UsageError(f"{path}: holds no results (made by `quadexp evaluate`)")
+    columns, record = read_table(file, "results", required=("key", "outcome"))
+    return file.parent, [dict.fromkeys(ROW_COLUMNS) | row for row in from_columns(columns)], record
 
 
 def chosen(frame: SweepFrame, condition: str) -> list[bool]:
