@@ -25,6 +25,7 @@ from typing import Any
 
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
+from quadexp.log.schema import describe
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
 from quadexp.parts.options import units
@@ -332,8 +333,11 @@ def of_controller(key: str) -> bool:
 
 def unit_of(key: str) -> str:
     """The unit of a key of the configuration; "" for an unknown one, and where there is none or its name (nodes)."""
-    group, _, name = ALIASES.get(key, key).partition(".")
-    unit = units(group).get(name, "") if group in PARTS else ""
+    column = next((short for short, full in ALIASES.items() if key in (short, full)), "")
+    if column:  # which the rows have too: no module of a part is imported for it
+        return describe(column, "results").unit
+    group, _, name = key.partition(".")
+    unit = units(group).get(name, "") if name and group in PARTS else ""
     return "" if unit == name else unit
 
 
