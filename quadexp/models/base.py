@@ -32,7 +32,6 @@ from quadexp.physics.vehicle import Vehicle
 
 Callback = Callable[[str, float], None]  # told a message and the completed share, 0 .. 1
 SPEED = "speed"  # norm of the body velocity, m/s
-REPORTED_SHARE = 0.01  # least share of samples outside that is reported for a flight
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0)]

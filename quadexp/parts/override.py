@@ -1,8 +1,8 @@
 """Overrides, KEY=VALUE: read and checked. Is it a key of this program, is there such an option.
 
 They have Hydra's grammar. Its parser takes as long to import as all the rest of a plain command (.16 s of processor
-time), so a number, a word, a list of them, several with commas between and range(a, b) are read here, with the same
-result.
+time), so a number, a word, a path, a list of them, several with commas between and range(a, b) are read here, with the
+same result.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ KEPT = 50_000  # overrides that are remembered at most
 _KEY = re.compile(r"[a-z_]\w*(?:\.\w+)*", re.ASCII)
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}", re.ASCII)
 _DECIMAL = re.compile(r"-?(?:0|[1-9]\d{0,14})\.\d{1,15}", re.ASCII)
-_WORD = re.compile(r"[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
+_WORD = re.compile(r"(?:\.{0,2}/)*[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
+_PATHS = re.compile(r"[A-Za-z./][^,]*(?:,[A-Za-z./][^,]*)*", re.ASCII)  # none that may pass for a number
 _RANGE = re.compile(r"range\((?:(\d{1,9}), ?)?(\d{1,9})\)", re.ASCII)
 _ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
 _NO_WORDS = {"null", "true", "false", "nan", "inf"}  # in any case of their letters
@@ -59,7 +60,7 @@ class OverrideReader:
         key, equals, value = text.partition("=")
         if not equals:
             raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
-        override = None if key in PATHS and not re.match("[A-Za-z]", value) else plain_override(text)
+        override = None if key in PATHS and not _PATHS.fullmatch(value) else plain_override(text)
         override = override or self._by_grammar(text)
         if re.split(r"[/.]", override.key)[0] in RESERVED:
             raise UsageError(f"{text!r}: not a key of this program; where to write is said by --out, how by engine=")
