@@ -19,8 +19,6 @@ typedef struct {
     const real *x_next, *inner_next, *specific_force, *doubt, *measured;
     const real *noise; /* of the periods first_drawn .. end_drawn - 1, each its noise and then its draws */
     integer first_drawn, end_drawn;
-    /* accelerometer, all null where it is exact: its bias, and the noise of its readings at the instants */
-    const real *bias, *sensed;
     /* now, as it is; which inner states are rotor speeds, null where there are none */
     real *x, *inner;
     const integer *rotors;
@@ -80,8 +78,6 @@ static int advance(flight *f, integer k) {
     copy(l->state, f->measured ? f->measured : f->x, BODY);
     copy(f->inner, f->inner_next, f->inner_size);
     copy(l->force, f->specific_force, 3);
-    if (f->bias)
-        for (int i = 0; i < 3; i++) l->force[i] = (l->force[i] + f->bias[i]) + f->sensed[3 * (k + 1) + i];
     if (f->rotors)
         for (integer i = 0; i < l->inputs; i++) l->speed[i] = f->inner[f->rotors[i]];
     f->time += l->period;

@@ -22,9 +22,7 @@ class EvaluateConfig(Settings):
     metric: Literal["mean_error", "rmse", "max_error"] = key(
         "mean_error", "error in the table: mean, root mean square, or largest distance from the reference"
     )
-    figures: Literal["standard", "lei_li", "families", "adaptation", "ladder", "sun"] = key(
-        "standard", "figures drawn in addition to the standard ones"
-    )
+    figures: str = key("standard", "figures drawn in addition to the standard ones: a module of quadexp/papers")
     baseline: str = key("nominal_mpc", "controller with which the others are compared, seed by seed")
     confidence: float = key(0.95, "confidence level of every interval", "[0.5, 0.9999]")
     workers: int = key(0, "parallel processes; 0: one per core", "[0, 1024]", "processes")
@@ -110,7 +108,7 @@ def controller_name(config: Config) -> str:
 
 
 def world_parts(config: Config) -> dict[str, Part]:
-    """The parts of the world that do something, by group; a sensor that is only an accelerometer is none."""
+    """The parts of the world that do something, by group."""
     parts = {group: getattr(config, group) for group in WORLD}
     return {group: part for group, part in parts.items() if not part.idle}
 
@@ -121,7 +119,7 @@ def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
 
     bundle: option of the group `world`. bundled: the parts that it chooses, by group.
     """
-    if not world_parts(config):
+    if not any(part.names_world for part in world_parts(config).values()):
         return "clean"
     differing = [
         f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]
