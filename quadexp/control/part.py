@@ -20,7 +20,7 @@ class ControllerPart(Part):
     """What every controller has, as an option of the configuration."""
 
     prefix: ClassVar[str] = "controller."
-    later: ClassVar[tuple[str, ...]] = ("allow_unstable",)
+    added: ClassVar[tuple[str, ...]] = ("allow_unstable",)
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
     allow_unstable: bool = key(False, "fly although the loop is not stable at hover")

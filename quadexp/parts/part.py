@@ -51,11 +51,11 @@ class Part(Settings):
     """Base of what an option stands for. name: what tables and figures call it; that of the option unless it says so.
 
     former_kind: what stands for the class in hashes, so that stored flights and cells keep theirs; "" for nothing.
-    later: keys that it did not always have, recorded where they are not as usual.
+    added: keys that it did not always have, recorded where they are not as usual.
     """
 
     former_kind: ClassVar[str] = ""
-    later: ClassVar[tuple[str, ...]] = ()
+    added: ClassVar[tuple[str, ...]] = ()
 
     name: Name = "unnamed"
 
@@ -76,7 +76,7 @@ class Part(Settings):
 
     def recorded(self) -> dict[str, Any]:
         """Its settings as plain data, for files and hashes."""
-        settings = {k: v for k, v in record(self).items() if k not in self.later or v != getattr(type(self), k)}
+        settings = {k: v for k, v in record(self).items() if k not in self.added or v != getattr(type(self), k)}
         return settings | ({"kind": self.former_kind} if self.former_kind else {})
 
 

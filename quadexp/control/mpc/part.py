@@ -20,7 +20,7 @@ class PredictivePart(MPCSettings, ControllerPart):
     """What every MPC has, whatever its model of the air."""
 
     former_kind = "mpc"
-    later = ()
+    added = ()
     backend: Backend = "auto"
 
     def build(self, given: Given) -> Any:
