@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from types import SimpleNamespace
 
 import pytest
 
 from quadexp.cli.fly import _controllers
-from tests.bench.rows import board
 from tests.cli.command import run
 
 
@@ -25,21 +23,6 @@ from tests.cli.command import run
 def test_wrong_requests_are_one_line(here, words, message):
     code, out, err = run("bench", *words)
     assert code == 2 and out == "" and err.startswith("error: ") and err.count("\n") == 1 and message in err, err
-
-
-def test_rows_that_are_there_are_ranked_without_a_flight(here):
-    from quadexp.bench.board import write_board
-    from quadexp.bench.protocol import read_protocol
-
-    errors = {"nominal_mpc": lambda t, s: 0.2, "other": lambda t, s: 0.1}
-    rows = board(errors, protocol_sha256=read_protocol().sha256)
-    write_board("mine.parquet", rows, {})
-    code, out, err = run("bench", "--only", "--add", "mine.parquet", "--out", "b", "--markdown", "b.md", "--json")
-    found = json.loads(out)
-    assert code == 0, err
-    assert [line["entry"] for line in found["boards"]["small"]] == ["other", "nominal_mpc"]
-    assert "| 1 | other |" in (here / "b.md").read_text()
-    assert run("show", "b/leaderboard.parquet")[0] == 0
 
 
 def test_controllers_are_completed():

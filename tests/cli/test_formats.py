@@ -35,7 +35,7 @@ CALLS = {  # of each command: a call that answers with a table
     "validate": ("validate", "models/vehicle", "--flights", "logged.parquet"),
     "compare": ("compare", "results", "other"),
     "plot": ("plot", "results", "--x", "controller.nodes", "--out", "p.svg", "--force"),
-    "report": ("report", "results", "--out", "page.html", "--force"),
+    "report": ("report", "results", "--out", "page.html", "--figures", "paper", "--force"),
     "export": ("export", "a.parquet", "--to", "csv", "--out", "x.csv", "--force"),
     "animate": ("animate", "a.parquet", "--rate", "5", "--to", "0.4", "--out", "g.gif", "--force"),
     "tune": ("tune", "controller=open_loop", "--conf", "mine", "plant=ideal", "trajectory=hover",
