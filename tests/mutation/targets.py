@@ -15,7 +15,6 @@ MECHANICS = (
 AIR = ("tests/physics/test_blade_element.py", "tests/properties/test_blade_limits.py")
 STEP = (
     "tests/control/mpc/test_riccati.py",
-    "tests/control/mpc/test_attitude_guard.py",
     "tests/control/mpc/test_step.py",
     "tests/control/mpc/test_active_set.py",
     "tests/properties/test_optimality.py",
@@ -110,7 +109,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/reference/test_flatness.py",
         "tests/properties/test_flatness.py",
     ),
-    "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
+    "quadexp/reference/air_step.py": ("tests/reference/test_flat_map.py", "tests/reference/test_fixed_point.py"),
     "quadexp/reference/traced.py": ("tests/reference/test_air_model.py",),
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
     "quadexp/models/rls.py": ("tests/models/test_rls.py", "tests/properties/test_identification.py"),

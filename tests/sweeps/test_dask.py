@@ -21,7 +21,7 @@ from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
 from tests.sweeps.dask_cluster import Cluster
-from tests.sweeps.driver import kill, start, wait_for
+from tests.sweeps.quick import kill, start, wait_for
 from tests.sweeps.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")

@@ -22,7 +22,7 @@ from quadexp.sweeps.sweep import run_sweep
 from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
 from tests.sweeps import cells
-from tests.sweeps.driver import start, wait_for
+from tests.sweeps.quick import start, wait_for
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.experiment.build import build_sensor
+from quadexp.parts.compose import compose
 from quadexp.physics.state import RATE
 from quadexp.world import eskf
+from quadexp.world.accelerometer import Accelerometer
 from quadexp.world.gnss import ImuGnss
 from quadexp.world.inertial import Aid, means, read, sample
 from quadexp.world.motion_capture import ImuMocap
+from tests import paper
 from tests.states import random_state
 from tests.world.aided_flights import GRAVITY, AidedRun, motion, standing
 
@@ -157,3 +161,26 @@ def test_heading_tells_nothing_of_tilt():
         fix = aid.measure(ca.DM(state), ca.DM.zeros(1), ca.DM(aid.deviations))
         nominal = ca.DM(np.r_[np.zeros(3), q.as_quat(scalar_first=True), np.zeros(9)])
         assert abs(float(aid.compare(nominal, fix)[0].value)) < 1e-7
+
+
+LEI_LI = build_sensor(compose(["sensor=lei_li"]).sensor)
+
+
+def test_perfect_by_default(rng):
+    force = rng.normal(size=3)
+    assert np.array_equal(Accelerometer().read(force, rng.normal(size=3)), force)
+
+
+def test_bias_and_noise(rng):
+    sensor = Accelerometer(bias=(0.3, -0.2, 0.1), noise_std=(0.05, 0.1, 0.0))
+    force = np.array([1.0, -2.0, 9.81])
+    readings = sensor.read(force, rng.standard_normal((20000, 3))) - force
+    assert readings.mean(0) == pytest.approx([0.3, -0.2, 0.1], abs=3e-3)
+    assert readings.std(0) == pytest.approx([0.05, 0.1, 0.0], rel=0.03, abs=1e-9)
+    assert np.corrcoef(readings[1:, 0], readings[:-1, 0])[0, 1] == pytest.approx(0, abs=0.03)
+
+
+def test_numbers_of_the_paper():
+    """B_accel = (.001, -.001, .001) in FRD, deviation .05 m/s^2."""
+    assert paper.flip(LEI_LI.bias) == pytest.approx([0.001, -0.001, 0.001])
+    assert LEI_LI.noise_std == (0.05, 0.05, 0.05)
