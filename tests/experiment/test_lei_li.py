@@ -269,12 +269,6 @@ class TestIdentifyingMPC:
         assert commands[0] == pytest.approx(commands[1], abs=1e-6)  # both end at an optimality residual of 1e-6
         assert commands[2] == pytest.approx(commands[3], abs=1e-12)
 
-    def test_flights_do_not_depend_on_the_one_before(self):
-        path = ("trajectory=circle", "trajectory.speed=4", "trajectory.acceleration=2")
-        first = flown("controller=rls_mpc", *path)
-        again = flown.__wrapped__("controller=rls_mpc", *path)
-        assert np.array_equal(first.state, again.state)
-
 
 def test_what_cannot_be_known_is_refused():
     with pytest.raises(UsageError, match="oracle_feedback: knows the plant's blade-element coefficients"):

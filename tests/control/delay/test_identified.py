@@ -48,18 +48,6 @@ def test_delays_are_found_and_made_good_in_flight():
     assert late["dead_time"] == 0.03 and late["world_stable"]  # the loop that takes off is the soft one
 
 
-def test_nothing_is_left_of_a_flight():
-    """The same object flies twice: the second flight begins soft and is the first to the last bit."""
-    config = compose([*INTERPRETED, *WORLD, "trajectory.speed=3", "delay=identified", "delay.after=2.5"])
-    flights = [fly_one(config) for _ in range(2)]
-    for name in ("p_x", "u_0", "delay_time", "delay_lag"):
-        assert np.array_equal(flights[0][name], flights[1][name])
-    vehicle = build_vehicle(config.vehicle)
-    controller = build_controller(config, vehicle, build_world(config, vehicle), None)
-    controller.forget()
-    assert innermost(controller).settings.position_weight == (10.0, 10.0, 10.0)
-
-
 def test_the_soft_controller_has_the_published_grid():
     made = soft(MPCSettings(first_node=0.02, horizon=0.6, position_weight=(200.0, 5.0, 100.0)), 0.03)
     assert np.allclose(made.node_periods, MPCSettings().node_periods) and made.dead_time == 0.03

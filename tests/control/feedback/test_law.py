@@ -205,15 +205,6 @@ class TestController:
         known = KnownCoefficients(np.array(theta), "test")
         return FeedbackController(vehicle, FeedbackSettings(), VARIANTS[variant], known, backend=backend)
 
-    def test_a_flight_begins_anew_with_reset(self, lei_li):
-        controller, x = self.make(lei_li), Rectangle().start_state
-        controller.reset(x, self.window())
-        first, _ = controller.step(Measurement(0.0, x, None, None), self.window())
-        again, _ = controller.step(Measurement(0.01, x, None, None), self.window())
-        controller.reset(x, self.window())
-        anew, _ = controller.step(Measurement(0.0, x, None, None), self.window())
-        assert np.array_equal(first, anew) and not np.array_equal(first, again)
-
     def test_without_delay_the_secondary_terms_are_those_of_the_command(self, lei_li):
         """A second round from the answer changes nothing."""
         controller, x = self.make(lei_li, "oracle_impl"), Rectangle().start_state
