@@ -196,7 +196,7 @@ HUMMINGBIRD, LEI_LI = ["vehicle=hummingbird"], ["vehicle=lei_li", "plant=blade_e
 )
 def test_a_controller_s_second_flight_is_its_first(settings):
     """Filters, integrals, estimates and what was found begin anew; the same object flies both."""
-    given = ["trajectory=ellipse", "trajectory.speed=3", *"trajectory.acceleration=4 trajectory.duration=2.5".split()]
+    given = ["trajectory=ellipse", "trajectory.speed=3", *["trajectory.acceleration=4", "trajectory.duration=2.5"]]
     config = compose([*given, "estimator=late_noisy", *settings.split(), *INTERPRETED])
     first, second = (fly_one(config) for _ in range(2))
     for name, values in first.columns.items():
