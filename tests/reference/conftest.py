@@ -35,8 +35,3 @@ class Wave:
 @pytest.fixture
 def wave() -> Wave:
     return Wave()
-
-
-@pytest.fixture
-def free_wave() -> Wave:
-    return Wave(yaw=False)

@@ -103,11 +103,6 @@ def slow_cell(config, model, path, key):
     return quick_cell(config, model, path, key)
 
 
-def endless_cell(config, model, path, key):
-    while True:
-        time.sleep(0.01)
-
-
 def foreign_cell(config, model, path, key):
     """A cell whose second seed another program has flown."""
     row = quick_cell(config, model, path, key)

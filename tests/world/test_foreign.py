@@ -86,10 +86,6 @@ def some_flight(name: str):
     return states, commands, float(flight.t[1])
 
 
-def unsigned(q: np.ndarray) -> np.ndarray:
-    return q / np.sign(q[:, :1])
-
-
 # ------------------------------------------------------------------------------------------------------------ RotorPy
 def rotorpy_itself(**others):
     from rotorpy.vehicles.hummingbird_params import quad_params

@@ -184,10 +184,6 @@ def imported(folder: Path, flight: Flight, mapping: str = MAPPING, *, vehicle=No
     return outcome, Flight(*read_table(outcome.path, "flight")) if outcome.path else None
 
 
-# ------------------------------------------------------------------------------------------------------------- ULog
-_C = {"uint64_t": "Q", "float": "f", "uint8_t": "B", "uint16_t": "H", "int32_t": "i", "uint32_t": "I", "bool": "?"}
-
-
 class ULogWriter:
     """A small valid ULog: header, flag bits, formats, parameters, subscriptions, data in the order of time.
 
