@@ -102,12 +102,6 @@ class TestMistakes:
         assert code == 2 and "cannot be written" in err
         assert files(here) == ["file"]
 
-    def test_no_compiler(self, here, monkeypatch):
-        monkeypatch.setattr("quadexp.compile.compiler._words", list)
-        arguments = ["trajectory=hover", "trajectory.duration=0.2", "--out", "a.parquet"]
-        code, _, err = run("simulate", *arguments, "controller.backend=compiled")
-        assert code == 2 and "no C compiler found" in err and files(here) == []
-
     def test_the_unexpected_is_one_line_too(self, here, monkeypatch):
         def fails(*_):
             raise RuntimeError("the sky\nis falling")
