@@ -40,10 +40,10 @@ class Layout:
 
     def ends(self, kind: str) -> list[int]:
         """Where each begins, and the end of all: offsets for vertsplit."""
-        found = [0]
+        offsets = [0]
         for sizes in (self.airframe, *self.effects):
-            found.append(found[-1] + getattr(sizes, kind))
-        return found
+            offsets.append(offsets[-1] + getattr(sizes, kind))
+        return offsets
 
     def size(self, kind: str) -> int:
         """How many numbers there are; of the inner states without the wind."""
@@ -114,12 +114,12 @@ def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: c
     """
     if steps > WRITTEN_OUT:
         again = [ca.repmat(value, 1, steps) for value in held]
-        found = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
-        return list(found) if isinstance(found, tuple) else [found]
+        results = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
+        return list(results) if isinstance(results, tuple) else [results]
     columns = list[list[ca.MX]]()
     for i in range(steps):
-        found = one(state, times[i], *held[:2], noise[:, i], *held[2:])
-        columns.append(list(found) if isinstance(found, tuple) else [found])
+        results = one(state, times[i], *held[:2], noise[:, i], *held[2:])
+        columns.append(list(results) if isinstance(results, tuple) else [results])
         state = columns[-1][0]
     return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
 
@@ -209,7 +209,7 @@ class _Parts:
         ]
 
     def _function(self, name: str, symbols: list[Any], results: list[Any]) -> ca.Function:
-        results = [ca.densify(one) for one in results]
+        results = [ca.densify(result) for result in results]
         return ca.Function(name, symbols, ca.cse(results) if self._kind is ca.SX else results)
 
     def begun(self) -> ca.Function:
@@ -217,21 +217,21 @@ class _Parts:
         symbols = self._symbols("t", "x", "own", "u", "parameters", "draws", "step")
         t, x, own, u, parameters, draws, step = symbols
         moments = self._moments(t=t, x=x, own=own, command=u, parameters=parameters, draws=draws, step=step)
-        found = [
+        inner = [
             effect.begin(at) if effect.has("begin") else at.inner
             for effect, at in zip(self._effects, moments, strict=True)
         ]
-        return self._function("begun", symbols, [ca.vertcat(*found)])
+        return self._function("begun", symbols, [ca.vertcat(*inner)])
 
     def ending(self) -> ca.Function:
         """(t, x, own, parameters, step) -> own at the end of a period, before anything is measured."""
         symbols = self._symbols("t", "x", "own", "parameters", "step")
         t, x, own, parameters, step = symbols
         moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
-        found = [
+        inner = [
             effect.end(at) if effect.has("end") else at.inner for effect, at in zip(self._effects, moments, strict=True)
         ]
-        return self._function("ending", symbols, [ca.vertcat(*found)])
+        return self._function("ending", symbols, [ca.vertcat(*inner)])
 
     def drive(self) -> ca.Function:
         """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""
@@ -261,11 +261,11 @@ class _Parts:
         moments = self._moments(
             t=t, x=x, own=own, parameters=parameters, step=step, wind=wind, thrust=thrusts, x_next=x_next
         )
-        found = [
+        inner = [
             effect.advance(at._replace(command=command)) if effect.has("advance") else at.inner
             for effect, at, command in zip(self._effects, moments, entering, strict=True)
         ]
-        return self._function("after", [*symbols, *entering], [ca.vertcat(*found)])
+        return self._function("after", [*symbols, *entering], [ca.vertcat(*inner)])
 
     def step(self) -> ca.Function:
         """(S, t, still, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s,
@@ -299,8 +299,8 @@ class _Parts:
 
         seen = kicked(_seen_from_the_air(x, wind) if blows else x)
         held = equations.command(thrusts, theta) if equations.command else thrusts
-        found = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
-        s, *kept = found if isinstance(found, tuple) else (found,)
+        results = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
+        s, *kept = results if isinstance(results, tuple) else (results,)
         x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
         if blows:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])

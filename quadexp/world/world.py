@@ -82,12 +82,12 @@ class World(SimulatedPlant):
         inner, parameters = [self.airframe.initial(thrust)], []
         for effect, sizes in zip(self.effects, layout.effects, strict=True):
             stream = part_stream(rng, effect.part)
-            found = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
-            if [len(values) for values in found] != [sizes.inner, sizes.parameters]:
-                raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in found]} numbers, sizes {sizes}")
-            begun[effect.part] = found[0]
-            inner.append(found[0])
-            parameters.append(found[1])
+            begins = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
+            if [len(values) for values in begins] != [sizes.inner, sizes.parameters]:
+                raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in begins]} numbers, sizes {sizes}")
+            begun[effect.part] = begins[0]
+            inner.append(begins[0])
+            parameters.append(begins[1])
             parts += [(part_stream(rng, f"{effect.part} {i}"), drawn) for i, drawn in enumerate(sizes.drawn)]
         ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
         slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
@@ -145,11 +145,11 @@ class World(SimulatedPlant):
             views = {"noise": buffer[: clock.steps * rows].reshape(shape), "draws": buffer[-draws:]}
             views = {name: view for name, view in views.items() if function.size1_in(name)}
             self._made[clock] = _Prepared(function, views, buffer, clock)
-        made = self._made[clock]
-        made.arguments["step"][0], made.arguments["time"][0] = clock.step, self.time
+        prepared = self._made[clock]
+        prepared.arguments["step"][0], prepared.arguments["time"][0] = clock.step, self.time
         if len(self.inner):  # a flight has begun
-            made.arguments["parameters"][:] = self.parameters(clock.step)
-        return made
+            prepared.arguments["parameters"][:] = self.parameters(clock.step)
+        return prepared
 
     def noise(self, function: BufferedFunction) -> np.ndarray:
         assert isinstance(function, _Prepared)
