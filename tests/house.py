@@ -6,8 +6,6 @@ A room is a folder of quadexp; every room imports from rooms further down only (
 leaves out an arrow that follows from others, and those to the files that every room may use.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import math

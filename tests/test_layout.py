@@ -1,7 +1,5 @@
 """The house: modules import along the data flow and in no circle; tests do not depend on how busy the machine is."""
 
-from __future__ import annotations
-
 import ast
 import re
 

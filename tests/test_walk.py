@@ -6,8 +6,6 @@ on the way is not on it, nor what composed the configuration before. The walk is
 what is called and what computes.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from functools import cache

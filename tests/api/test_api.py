@@ -1,7 +1,5 @@
 """The Python API: the same numbers as the commands, errors by name, nothing written unless asked for."""
 
-from __future__ import annotations
-
 import ast
 import copy
 import gc

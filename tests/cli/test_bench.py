@@ -1,7 +1,5 @@
 """`quadexp bench` as a user meets it: wrong requests are one line, before anything is flown."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

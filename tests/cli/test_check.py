@@ -1,7 +1,5 @@
 """quadexp check: what it prints, its exit codes, JSON, figures."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """--format json, csv, markdown and latex: every command has it, and says the same in each of them."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

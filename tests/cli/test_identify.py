@@ -1,7 +1,5 @@
 """quadexp identify: coefficients and their confidence from flights, by recursive least squares or by regression."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`quadexp new` writes a part whose test passes at once, and which flies."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`quadexp plot`, `results`, `compare` of many, `--format`, `export` of results, as a user meets them."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,8 +1,6 @@
 """Small things that stung: wrong kinds of files, folders for files, a model for a controller that takes none, paths
 below the ground, and terminals of few columns."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`quadexp tune` as a user meets it."""
 
-from __future__ import annotations
-
 import json
 
 from tests.cli.command import run

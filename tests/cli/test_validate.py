@@ -1,7 +1,5 @@
 """`quadexp validate` and the chain before it, from the command line, on flights whose model is known."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """L1: the estimate is the mean of the last period's disturbance, the command its low pass, and what that leads to."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Observers: their filters as designed, and no offset under a constant force and torque, whatever the weights."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -4,8 +4,6 @@ A line that begins with `quadexp` or `python examples/` is a command, and goes o
 indented below it, up to the next command, is what it prints.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The pages of calls: they give what they show, and the one on the API names every function there is."""
 
-from __future__ import annotations
-
 import doctest
 from pathlib import Path
 

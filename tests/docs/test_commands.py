@@ -1,7 +1,5 @@
 """Every command of the documentation: read by the command line as it stands, and flown in its order."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

@@ -1,7 +1,5 @@
 """`make docs` makes a site whose pages need no network."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io

@@ -1,7 +1,5 @@
 """The flight in C is the flight of the Python loop: every column and the record, to the last bit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Delay remedies in flight, the margins of the loop around which they are put, and what is said of these."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

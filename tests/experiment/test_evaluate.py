@@ -1,7 +1,5 @@
 """Flights from configurations: paired noise, also of earlier versions, the same bits whoever flies them."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

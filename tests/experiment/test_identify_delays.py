@@ -1,7 +1,5 @@
 """Delays found in flights: of worlds whose delays are stated, and where a flight cannot tell."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -3,8 +3,6 @@
 The figures that are held are those of an independent implementation (Euler 1e-4 s, control at 100 Hz).
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """trajectory=random as it stands: flown cleanly, on every seed, by who knows the air and who does not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

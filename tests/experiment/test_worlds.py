@@ -1,7 +1,5 @@
 """Flights in worlds, from their configuration to their row: what is built, named, refused and logged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

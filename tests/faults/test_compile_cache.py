@@ -1,7 +1,5 @@
 """The cache of compiled functions: nothing damaged is loaded, and any number of processes may build at once."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Strange surroundings: each ends in the right result or in a clear line."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import subprocess

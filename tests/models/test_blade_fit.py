@@ -1,7 +1,5 @@
 """Blade-element coefficients of a whole flight: the truth is in the intervals, in flights and in repeated readings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

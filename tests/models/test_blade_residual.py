@@ -1,7 +1,5 @@
 """The blade-element residual: zero where the static map is right, linear drag at low speed, regular at the edges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

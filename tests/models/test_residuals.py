@@ -1,7 +1,5 @@
 """What every residual promises, and what each one is."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

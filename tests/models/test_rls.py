@@ -1,7 +1,5 @@
 """Recursive least squares: the paper's update by hand in its own frame, batch least squares, and what it finds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How well a fit predicts: scores by their definitions, the split by flight, the verdict where the truth is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm, ttest_1samp

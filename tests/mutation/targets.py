@@ -1,7 +1,5 @@
 """Which files are mutated, and which fast tests must notice; the ones that notice most come first."""
 
-from __future__ import annotations
-
 from fnmatch import fnmatch
 from pathlib import Path
 

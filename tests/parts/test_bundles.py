@@ -1,7 +1,5 @@
 """Bundles and presets: options of several parts at once, of the group `world` and of the horizon's grid."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What there is to choose is listed and completed from files and classes, with what an option sets and inherits."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.errors import UsageError

@@ -1,7 +1,5 @@
 """Overrides: what is plain is read without Hydra, as Hydra reads it; what is none is one line in plain words."""
 
-from __future__ import annotations
-
 import random
 import re
 

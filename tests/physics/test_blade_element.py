@@ -1,7 +1,5 @@
 """The blade-element equations against the paper computed by hand in its own frame, and against what air must do."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

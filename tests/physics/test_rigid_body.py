@@ -1,7 +1,5 @@
 """The rigid body against what mechanics says of it."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation

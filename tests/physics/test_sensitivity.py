@@ -1,7 +1,5 @@
 """The chained linearisation against automatic differentiation of the whole step, for every residual."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """References of random paths for random vehicles in random air obey the equations of motion, and turn with the path."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """An analytic trajectory for the trajectory tests."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a reference is computed from: the tilt frame, steps of Newton's method towards the air, the time grid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Results that many tests here read."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.report.results import make_results

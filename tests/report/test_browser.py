@@ -1,7 +1,5 @@
 """The pages in a headless Chromium; skipped where there is none (test_html.py checks the file itself)."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil

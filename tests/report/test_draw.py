@@ -1,7 +1,5 @@
 """Figures with any axes: every panel, cell and line with its number, and marks where flights are missing."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The report as a file: what it says, how large it is, what it would load. Nothing here needs a browser."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

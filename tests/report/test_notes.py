@@ -1,7 +1,5 @@
 """Notes on rows: what their columns say, where they are, and nothing where they are not."""
 
-from __future__ import annotations
-
 import math
 
 from quadexp.report.notes import notes

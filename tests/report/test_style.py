@@ -1,8 +1,6 @@
 """A controller looks the same in every figure, and can be told from the others, with and without colour vision;
 logarithmic axes have plain numbers."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """One table in every form: the same cells in text, Markdown, LaTeX, the terminal and HTML."""
 
-from __future__ import annotations
-
 import io
 import re
 from html.parser import HTMLParser

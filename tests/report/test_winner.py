@@ -1,7 +1,5 @@
 """Who is named best: hardly ever by chance, and where there is a difference. Error rates over many made-up sweeps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

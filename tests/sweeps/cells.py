@@ -1,7 +1,5 @@
 """Cell functions for tests of the engine and of sweeps, importable by worker processes."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -1,7 +1,5 @@
 """A sweep of four quick cells, the bytes of its files, and a sweep of slow cells by a process of its own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Sweeps on a real Dask cluster: the same files and rows as at home, whatever is killed in between."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """What dies costs itself alone: cells, workers, the pool, or the driver by kill -9; the same command goes on."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Sweeps: done cells stay done, whatever happened in between; one folder holds one sweep."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """Which settings are varied, what a number of an axis makes of them, and in which order the trials stand."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The blade-element plant: the motion of the paper in its frame, integrators, options, limits, and flights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

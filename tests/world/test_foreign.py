@@ -3,8 +3,6 @@
 What needs no package: motors, limits, the controllers' view of the equations, refusals.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess

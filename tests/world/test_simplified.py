@@ -1,7 +1,5 @@
 """The simplified plant: noise as a density, drag's sign, motor loss, accelerometer, both back ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Noise is a function of time: white and normal, drawn in its time, the same at every control rate and step."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Delays that are found in flight: what is found, a controller that is soft until then, flights that begin anew."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Strapdown propagation against SciPy's integration of the same motion, and what a bias leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

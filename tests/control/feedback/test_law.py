@@ -1,7 +1,5 @@
 """One controller call equals (27)-(40) computed apart, in the paper's frames; and the pieces mean what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

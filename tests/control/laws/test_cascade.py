@@ -1,7 +1,5 @@
 """A flight stack's cascade: its pieces as printed, steps within limits, integrals that do not wind up, no offset."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Rotor thrusts by priority are what a linear program says: most tilt, then the nearest thrust, then most yaw."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

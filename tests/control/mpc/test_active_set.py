@@ -1,7 +1,5 @@
 """The subproblem's solution against an independent QP solver, with and without active bounds, on both back ends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

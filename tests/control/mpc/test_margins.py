@@ -1,7 +1,5 @@
 """Delay and lag margins: the measured table, the exact discretisation, flights at hover on both sides of a margin."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The controller: near the converged problem, exact in its bounds, alike on both back ends, failing loudly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

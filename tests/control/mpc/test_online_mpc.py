@@ -1,7 +1,5 @@
 """The MPC whose model adapts in flight, and sums of models."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

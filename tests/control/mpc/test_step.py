@@ -1,7 +1,5 @@
 """The control step by itself: it predicts what its own linearisation says, in whatever coordinates it solves."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

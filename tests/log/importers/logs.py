@@ -4,8 +4,6 @@ The path is a Lissajous figure with a turning nose; attitude, rates, specific fo
 rigid-body dynamics with linear drag, so that every column is consistent with every other.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from dataclasses import dataclass
