@@ -58,13 +58,6 @@ def test_strict_lets_warnings_block(folder):
     assert {"where", "measured", "allowed", "message", "blocks", "severity"} <= set(finding)
 
 
-def test_what_is_no_flight_is_one_line(tmp_path):
-    (tmp_path / "a.parquet").write_bytes(b"no")
-    code, _, error = run("check", tmp_path / "a.parquet")
-    assert code == 2 and len(error.strip().splitlines()) == 1
-    assert run("check", tmp_path / "missing.parquet")[0] == 2
-
-
 def shorter(flight, rows):
     return Flight({name: values[:rows] for name, values in flight.columns.items()}, flight.metadata)
 

@@ -75,19 +75,6 @@ class TestSimulate:
         assert Path("a.parquet").read_text() == "precious"
         monkeypatch.undo()
 
-    def test_a_speed_that_cannot_be_flown(self, here):
-        code, _, err = run("simulate", "trajectory.speed=30", "--out", "a.parquet")
-        assert code == 2 and "cannot be flown: it takes" in err and "the vehicle has 0 to 80 N" in err
-        assert err.count("\n") == 1 and files(here) == []
-
-    @pytest.mark.parametrize("controller", ["gp_mpc", "linear_drag_mpc"])
-    def test_a_controller_without_its_model_never_flies_as_another(self, here, controller):
-        code, _, err = run("simulate", f"controller={controller}", "--out", "a.parquet")
-        assert code == 2 and f"{controller} needs a model and none is in models/" in err and "quadexp fit-" in err
-        code, _, err = run("simulate", f"controller={controller}", "model=models/nowhere", "--out", "a.parquet")
-        assert code == 2 and "model=models/nowhere: no checkpoint there" in err
-        assert files(here) == []
-
 
 class TestMistakes:
     @pytest.mark.parametrize("out", ["/proc/quadexp/a.parquet", "file/a.parquet"])
@@ -158,10 +145,6 @@ class TestEvaluate:
         columns, _ = read_table("r/results.parquet", "results")
         assert columns["outcome"].tolist() == ["ok", "infeasible"] and np.isnan(columns["rmse"][1])
         assert Path("r/results.csv").exists() and Path("r/table.tex").exists()
-
-    def test_an_experiment_with_a_sweep_wants_to_be_swept(self, here):
-        code, _, err = run("evaluate", "experiment=quick")
-        assert code == 2 and "add --sweep" in err and files(here) == []
 
 
 class TestLearning:

@@ -97,10 +97,6 @@ class TestPlot:
         assert (done.returncode, done.stdout) == (2, "") and said in done.stderr and done.stderr.count("\n") == 1
         assert not Path("plot.png").exists()
 
-    def test_of_no_results(self, here):
-        code, _, err = run("plot", "nowhere")
-        assert code == 2 and "nowhere: holds no results" in err
-
 
 class TestResults:
     def test_filters_sorts_and_chooses_columns(self, results):

@@ -1,7 +1,10 @@
 """What there is to choose is listed and completed from files and classes, with what an option sets and inherits."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from quadexp.cli.fly import _controllers
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
 from quadexp.parts.listing import candidates, key_words, listed
@@ -110,3 +113,7 @@ def test_every_key_offered_can_be_set_with_some_option():
     keys = {f"{group}.{name}" for group in PARTS for part in files.parts(group).values() for name in plain(part)}
     assert {key if key in root else ".".join(key.split(".")[:2]) for key in key_words()} <= keys | set(root)
     assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "gp", "drag", "experiment"}
+
+
+def test_controllers_of_the_leaderboard_are_completed():
+    assert _controllers(SimpleNamespace(params={"conf": None}), "gp_") == ["gp_mpc", "gp_mpc_tuned"]
