@@ -30,7 +30,7 @@ CALLS = {  # of each command: a call that answers with a table
     "identify": ("identify", "logged.parquet", "--no-figures", "--out", "e", "--force"),
     "import": ("import", "a.csv", "--keep", "--out", "flights", "--force"),
     "results": ("results", "results"),
-    "validate": ("validate", "models/vehicle", "--flights", "logged.parquet"),
+    "validate": ("validate", "models/vehicle", "--flights", "logged.parquet", "--horizons", "0.1"),
     "compare": ("compare", "results", "other"),
     "plot": ("plot", "results", "--x", "controller.nodes", "--out", "p.svg", "--force"),
     "report": ("report", "results", "--out", "page.html", "--figures", "paper", "--force"),
