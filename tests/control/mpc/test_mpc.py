@@ -148,6 +148,19 @@ def test_a_line_search_without_bounds_says_so_and_ends_where_full_steps_do(vehic
     assert (record.status, record.sweeps, record.active) == (Status.RICCATI, 0, 0) and record.converged
 
 
+def test_settings_that_change_in_flight_keep_the_plan(vehicle):
+    """States between the old nodes, quaternions at length one; each thrust is the one that was held at its time."""
+    mpc = ModelPredictiveController(
+        vehicle, make_residual("none", vehicle), MPCSettings(nodes=5, horizon=0.5), backend="interpreted"
+    )
+    mpc._X[...], mpc._U[...] = 0.1 * np.arange(6)[:, None], 1.0 + np.arange(5)[:, None]
+    mpc.use(MPCSettings(nodes=5, horizon=0.75))
+    t = [0.0, 0.15, 0.3, 0.45, 0.5, 0.5]  # beyond the old horizon its end
+    np.testing.assert_allclose(mpc._X[:, [0, 9, 12]], np.tile(t, (3, 1)).T, atol=1e-12)
+    np.testing.assert_allclose(mpc._X[1:, 3:7], 0.5, atol=1e-12)
+    np.testing.assert_allclose(mpc._U[:, 0], [1, 2, 4, 5, 5])
+
+
 def test_parameters_change_in_flight_without_rebuilding(vehicle):
     controller = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
     fresh = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
