@@ -65,7 +65,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/models/neural.py": (*RESIDUAL, "tests/models/test_neural.py"),
     "quadexp/models/blade_element.py": (*RESIDUAL, "tests/models/test_blade_fit.py"),
     "quadexp/control/observers/*.py": ("tests/control/test_observers.py",),
-    "quadexp/control/delivered.py": ("tests/control/test_delivered.py", "tests/control/test_observers.py"),
+    "quadexp/control/delivered.py": (
+        "tests/control/test_delivered.py",
+        "tests/control/delay/test_prediction.py",
+        "tests/control/test_observers.py",
+    ),
     "quadexp/control/mpc/believed_world.py": (
         "tests/control/mpc/test_believed_world.py",
         "tests/control/test_observers.py",
@@ -99,6 +103,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/mpc/margins.py": ("tests/control/mpc/test_margins.py", "tests/control/mpc/test_dead_time.py"),
     "quadexp/reference/flat*.py": (
         "tests/reference/test_flat_map.py",
+        "tests/reference/test_limits.py",
         "tests/reference/test_flatness.py",
         "tests/properties/test_flatness.py",
     ),
