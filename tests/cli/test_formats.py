@@ -45,14 +45,8 @@ CALLS = {  # of each command: a call that answers with a table
     "options": ("options", "wind=gust"),
 }  # fmt: skip
 
-LONG = (
-    "fit-gp",
-    "fit-nn",
-    "report",
-    "validate",
-    "tune",
-    "animate",
-)  # checked in two forms: what prints is the same for all
+# Checked in two forms: what prints is the same for all.
+LONG = ("fit-gp", "fit-nn", "report", "validate", "tune", "animate")
 HEADS = {"evaluate": 1}  # rows of a heading, which CSV has not
 
 

@@ -12,20 +12,9 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 STARTS = ("quadexp ", "python examples/")
 OTHERS = (
-    "make",
-    "python ",
-    "pip ",
-    "dask ",
-    "DASK",
-    "apt-get",
-    "QUADEXP",
-    "git ",
-    "chromium",
-    "conf/",
-    "log (",
-    "defaults:",
+    "make", "python ", "pip ", "dask ", "DASK", "apt-get", "QUADEXP", "git ", "chromium", "conf/", "log (", "defaults:",
     "[",
-)
+)  # fmt: skip
 INLINE = re.compile(r"`(quadexp [^`]+)`")
 
 
