@@ -163,14 +163,14 @@ class TestInterrupt:
     @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
     @pytest.mark.parametrize("whole_group", [True, pytest.param(False, marks=pytest.mark.slow)])
     def test_ctrl_c_keeps_what_is_done_and_leaves_nothing_else(self, tmp_path, whole_group):
-        process = start(tmp_path, "seed=range(200)")  # many: they end while this waits for a processor
+        process = start(tmp_path, "seed=range(40)")
         wait_for(process, 6)
         os.killpg(process.pid, signal.SIGINT) if whole_group else process.send_signal(signal.SIGINT)
         rest = process.communicate(timeout=600)[0]
         assert process.returncode == 1
         line = rest.strip().splitlines()[-1]
         done = int(line.split()[1])
-        assert line.startswith(f"error: {done} of 200 done; run the same command to continue (what is done is kept in ")
+        assert line.startswith(f"error: {done} of 40 done; run the same command to continue (what is done is kept in ")
         assert done >= 6
         assert len(CellStore(tmp_path / "r").done()) == done
         assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
