@@ -27,6 +27,7 @@ from quadexp.models.gaussian_process import GPConfig, fit_gp, gaussian_process_r
 from quadexp.parts.compose import compose
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
+from tests.composing import _from_nothing  # noqa: F401 - whose composer knows options that others composed
 from tests.house import PACKAGE
 
 SETTINGS = (
@@ -165,7 +166,7 @@ def test_a_newcomer_reads_few_modules(walk):
 
 
 def test_from_the_words_of_the_command_line_to_the_first_period(tmp_path):
-    walk, words = Walk(), ["trajectory=hover", "trajectory.duration=0.44", *SETTINGS[3:], "--out", str(tmp_path / "f")]
+    walk, words = Walk(), ["trajectory=hover", "trajectory.duration=0.4", *SETTINGS[3:], "--out", str(tmp_path / "f")]
     walk.station("configuration", lambda: app(["simulate", *words], standalone_mode=False))
     read = walk.read["configuration"]
     assert len(read) <= CONFIGURING, ", ".join(read)
