@@ -4,8 +4,6 @@ What composes is the same; only the reading of conf/ is done once. tests/parts, 
 without this, and so does everything with a --conf folder.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,11 +1,10 @@
 """Fixtures that every test may use."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections import Counter
 from collections.abc import Generator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,3 +117,10 @@ def lei_li(blade) -> Vehicle:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20210131)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

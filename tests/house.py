@@ -6,13 +6,11 @@ A room is a folder of quadexp; every room imports from rooms further down only (
 leaves out an arrow that follows from others, and those to the files that every room may use.
 """
 
-from __future__ import annotations
-
 import ast
+import io
+import math
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
-from statistics import mean
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "quadexp"
@@ -36,17 +34,6 @@ FLOORS = (
     ("cli",),
     ("__main__",),
 )
-
-# Of the picture: size of a box, of a floor and of the whole, in pixels.
-BOX, FLOOR, WIDTH, MARGIN = (132, 34), 66, 760, 14
-STYLE = """
-text { font: 14px sans-serif; text-anchor: middle; dominant-baseline: central; fill: #1f2328; }
-rect { fill: #eef3fb; stroke: #4a6fa5; } .files { fill: #f4f4f4; stroke: #888; }
-path { fill: none; stroke: #6e7781; stroke-width: 1.3; } marker path { fill: #6e7781; stroke: none; }
-@media (prefers-color-scheme: dark) {
-text { fill: #e6edf3; } rect { fill: #1d2a3d; stroke: #7ea3d8; } .files { fill: #262626; stroke: #999; }
-path { stroke: #9aa4af; } marker path { fill: #9aa4af; }
-}"""
 
 
 @cache
@@ -128,75 +115,32 @@ def arrows() -> list[tuple[str, str]]:
 
 
 def picture() -> str:
-    """The SVG: a line of boxes a floor, arrows down; long arrows pass between the boxes of the floors they cross."""
-    levels = [[name for name in names if is_room(name)] for names in reversed(FLOORS)]
-    levels = [names for names in levels if names]
-    of = {name: i for i, names in enumerate(levels) for name in names}
-    chains = []  # every arrow as its points, one a floor: rooms, and places where it passes
+    """The SVG: a line of rooms a floor, arrows down; a long arrow goes round what may stand between. The id of an
+    arrow is "above-below"."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+    from matplotlib.patches import FancyArrowPatch
+
+    levels = [names for floor in reversed(FLOORS) if (names := [name for name in floor if is_room(name)])]
+    places = {n: (2 * (i - (len(row) - 1) / 2), -k) for k, row in enumerate(levels) for i, n in enumerate(row)}
+    figure = Figure(figsize=(6, 0.7 * len(levels)), dpi=72)
+    panel = figure.add_axes((0, 0, 1, 1), xlim=(-3.4, 3.4), ylim=(-len(levels) - 0.3, 0.5))
+    panel.set_axis_off()
+    box = {"boxstyle": "round", "facecolor": "#eef3fb", "edgecolor": "#4a6fa5"}
+    boxes = {name: panel.text(*at, f"{name}/", ha="center", va="center", bbox=box) for name, at in places.items()}
+    figure.draw_without_rendering()  # so that the boxes, from which arrows begin, have their sizes
     for above, below in arrows():
-        passed = [f"{above}>{below}@{i}" for i in range(of[above] + 1, of[below])]
-        for i, point in enumerate(passed, of[above] + 1):
-            levels[i] = [*levels[i], point]
-        chains.append([above, *passed, below])
-    near: dict[str, set[str]] = {}
-    for one, other in (pair for chain in chains for pair in pairwise(chain)):
-        near.setdefault(one, set()).add(other)
-        near.setdefault(other, set()).add(one)
-    x = _places(levels, near)
-    y = {name: MARGIN + BOX[1] / 2 + i * FLOOR for i, names in enumerate(levels) for name in names}
-    height = MARGIN * 2 + len(levels) * FLOOR + BOX[1]
-    lines = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" width="{WIDTH}">']
-    lines.append(f"<title>Rooms of quadexp: imports go down only</title><style>{STYLE}</style>")
-    lines.append('<marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">')
-    lines.append('<path d="M0 0L8 4L0 8Z"/></marker>')
-    for chain in chains:
-        lines.append(f'<path marker-end="url(#tip)" d="{_curve([(x[name], y[name]) for name in chain])}"/>')
-    for name in of:
-        lines.append(_box(name + "/", x[name], y[name], BOX[0]))
+        (x, y), (to_x, to_y) = places[above], places[below]
+        away = 1.25 * (y - to_y - 1) / math.hypot(to_x - x, to_y - y) * (1 if x + to_x >= 0 else -1)
+        ends = {"patchA": boxes[above].get_bbox_patch(), "patchB": boxes[below].get_bbox_patch()}
+        look = {"arrowstyle": "-|>", "connectionstyle": f"arc3,rad={-away}", "color": "#6e7781", "mutation_scale": 11}
+        panel.add_patch(FancyArrowPatch((x, y), (to_x, to_y), gid=f"{above}-{below}", **look, **ends))
     files = ", ".join(name for name in FLOORS[1] if not is_room(name))
-    lines.append(_box(f"{files}: used everywhere", WIDTH / 2, height - MARGIN - BOX[1] / 2, 600, "files"))
-    return "\n".join([*lines, "</svg>"]) + "\n"
-
-
-def _places(levels: list[list[str]], near: dict[str, set[str]]) -> dict[str, float]:
-    """x of every room and passing point: each floor spread out evenly, in the order of the means of its neighbours."""
-    x = {}
-
-    def spread(names: list[str]) -> None:
-        widths = [BOX[0] + 24 if is_room(name) else 40 for name in names]
-        left = WIDTH / 2 - sum(widths) / 2
-        for name, width in zip(names, widths, strict=True):
-            x[name], left = left + width / 2, left + width
-
-    for names in levels:
-        spread(names)
-    for _ in range(20):
-        for names in [*levels, *reversed(levels)]:
-            names.sort(key=lambda name: (mean([x[other] for other in sorted(near.get(name, {name}))]), name))
-            spread(names)
-    return x
-
-
-def _curve(points: list[tuple[float, float]]) -> str:
-    """From the lower edge of the first box to the upper edge of the last, straight down past boxes between."""
-    half = BOX[1] / 2
-    x, y = points[0]
-    text = f"M{x:.0f} {y + half:.0f}"
-    y += half
-    for i, (to_x, to_y) in enumerate(points[1:], 2):
-        end = to_y - half
-        text += f"C{x:.0f} {(y + end) / 2:.0f} {to_x:.0f} {(y + end) / 2:.0f} {to_x:.0f} {end:.0f}"
-        x, y = to_x, end
-        if i < len(points):
-            y = to_y + half
-            text += f"L{x:.0f} {y:.0f}"
-    return text
-
-
-def _box(text: str, x: float, y: float, width: float, kind: str = "room") -> str:
-    left, top = x - width / 2, y - BOX[1] / 2
-    shape = f'<rect class="{kind}" x="{left:.0f}" y="{top:.0f}" width="{width}" height="{BOX[1]}" rx="5"/>'
-    return f'{shape}<text x="{x:.0f}" y="{y:.0f}">{text}</text>'
+    panel.text(0, -len(levels), f"{files}: used everywhere", ha="center", fontsize=9, color="#57606a")
+    stream = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "house"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
 
 
 if __name__ == "__main__":

@@ -3,8 +3,6 @@
 Nothing of quadexp is used here, so that agreement means something.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

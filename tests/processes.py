@@ -1,7 +1,5 @@
 """The processes of this machine, from /proc."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Random states for property-like tests."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """One escaper a format: whatever a name holds, what is written is one line, one cell or one word, and obeys nobody."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

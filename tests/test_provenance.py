@@ -1,7 +1,5 @@
 """Which sources decide a flight, and what is said of versions."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

@@ -6,8 +6,6 @@ on the way is not on it, nor what composed the configuration before. The walk is
 what is called and what computes.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -29,6 +27,7 @@ from quadexp.models.gaussian_process import GPConfig, fit_gp, gaussian_process_r
 from quadexp.parts.compose import compose
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
+from tests.composing import _from_nothing  # noqa: F401 - whose composer knows options that others composed
 from tests.house import PACKAGE
 
 SETTINGS = (

@@ -1,7 +1,5 @@
 """The Python API: the same numbers as the commands, errors by name, nothing written unless asked for."""
 
-from __future__ import annotations
-
 import ast
 import copy
 import gc
@@ -27,13 +25,6 @@ INTERPRETED = ("controller.backend=interpreted", "plant.backend=interpreted")
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", *INTERPRETED)
 MOVING = ("controller=nominal_mpc", "trajectory.acceleration=4", "trajectory.duration=2")
 TIMES = {"solve_time", "solve_time_median", "solve_time_p99", "solve_time_max"}
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """An empty folder to work in."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def same(one: pd.DataFrame, columns: dict[str, np.ndarray]) -> None:
@@ -260,17 +251,6 @@ class TestSweep:
 
 
 class TestLoad:
-    def test_what_there_is_not(self, here):
-        Path("empty").mkdir()
-        Path("text.parquet").write_text("no table")
-        for path, error, message in (
-            ("nowhere.parquet", qx.UsageError, "nowhere.parquet: no such file"),
-            ("empty", qx.UsageError, "empty: neither a checkpoint"),
-            ("text.parquet", qx.DataError, "not a Parquet file"),
-        ):
-            with pytest.raises(error, match=message):
-                qx.load(path)
-
     def test_a_flight_of_a_log_has_no_row(self, here):
         flight = straight_flight()
         loaded = qx.Flight.of(flight.columns, {"recorded": True})

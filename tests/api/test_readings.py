@@ -1,7 +1,5 @@
 """Numbers that are not finite, in every reading of every controller and remedy: refused or held, and forgotten."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Rows of a leaderboard with errors that are known, and a small protocol."""
 
-from __future__ import annotations
-
 import math
 
 from quadexp.bench.protocol import Protocol, protocol_of

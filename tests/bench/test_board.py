@@ -1,7 +1,5 @@
 """Leaderboards as files: what may be ranked together, and what is written."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.bench.board import (

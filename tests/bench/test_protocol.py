@@ -1,7 +1,5 @@
 """A version of the protocol never changes: neither its words, nor what they mean."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.bench.protocol import Protocol, read_protocol, with_fewer_seeds

@@ -1,7 +1,5 @@
 """The rule of the leaderboard on rows whose standing is known."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """A leaderboard of real flights, short ones: who takes part, and that nothing is flown twice."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.bench import Bench

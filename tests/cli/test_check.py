@@ -1,7 +1,5 @@
 """quadexp check: what it prints, its exit codes, JSON, figures."""
 
-from __future__ import annotations
-
 import json
 import shutil
 
@@ -58,13 +56,6 @@ def test_strict_lets_warnings_block(folder):
     (finding,) = [one for one in record["flights"][0]["findings"] if one["severity"] == "warning"]
     assert finding["name"] == "dropped_samples"
     assert {"where", "measured", "allowed", "message", "blocks", "severity"} <= set(finding)
-
-
-def test_what_is_no_flight_is_one_line(tmp_path):
-    (tmp_path / "a.parquet").write_bytes(b"no")
-    code, _, error = run("check", tmp_path / "a.parquet")
-    assert code == 2 and len(error.strip().splitlines()) == 1
-    assert run("check", tmp_path / "missing.parquet")[0] == 2
 
 
 def shorter(flight, rows):

@@ -1,7 +1,5 @@
 """`quadexp fit-nn` and sums, from a data set to a flight, as a user types it."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """--format json, csv, markdown and latex: every command has it, and says the same in each of them."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -32,10 +30,10 @@ CALLS = {  # of each command: a call that answers with a table
     "identify": ("identify", "logged.parquet", "--no-figures", "--out", "e", "--force"),
     "import": ("import", "a.csv", "--keep", "--out", "flights", "--force"),
     "results": ("results", "results"),
-    "validate": ("validate", "models/vehicle", "--flights", "logged.parquet"),
+    "validate": ("validate", "models/vehicle", "--flights", "logged.parquet", "--horizons", "0.1"),
     "compare": ("compare", "results", "other"),
     "plot": ("plot", "results", "--x", "controller.nodes", "--out", "p.svg", "--force"),
-    "report": ("report", "results", "--out", "page.html", "--force"),
+    "report": ("report", "results", "--out", "page.html", "--figures", "paper", "--force"),
     "export": ("export", "a.parquet", "--to", "csv", "--out", "x.csv", "--force"),
     "animate": ("animate", "a.parquet", "--rate", "5", "--to", "0.4", "--out", "g.gif", "--force"),
     "tune": ("tune", "controller=open_loop", "--conf", "mine", "plant=ideal", "trajectory=hover",
@@ -47,14 +45,8 @@ CALLS = {  # of each command: a call that answers with a table
     "options": ("options", "wind=gust"),
 }  # fmt: skip
 
-LONG = (
-    "fit-gp",
-    "fit-nn",
-    "report",
-    "validate",
-    "tune",
-    "animate",
-)  # checked in two forms: what prints is the same for all
+# Checked in two forms: what prints is the same for all.
+LONG = ("fit-gp", "fit-nn", "report", "validate", "tune", "animate")
 HEADS = {"evaluate": 1}  # rows of a heading, which CSV has not
 
 

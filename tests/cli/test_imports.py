@@ -1,7 +1,5 @@
 """Which libraries a command imports: none that it does not need, for some take as long as a flight."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

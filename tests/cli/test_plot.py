@@ -1,7 +1,5 @@
 """`quadexp plot`, `results`, `compare` of many, `--format`, `export` of results, as a user meets them."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -99,10 +97,6 @@ class TestPlot:
         assert (done.returncode, done.stdout) == (2, "") and said in done.stderr and done.stderr.count("\n") == 1
         assert not Path("plot.png").exists()
 
-    def test_of_no_results(self, here):
-        code, _, err = run("plot", "nowhere")
-        assert code == 2 and "nowhere: holds no results" in err
-
 
 class TestResults:
     def test_filters_sorts_and_chooses_columns(self, results):
@@ -150,17 +144,6 @@ class TestCompare:
         assert np.asarray(lines["results=heavy"]) == pytest.approx(1.5 * np.asarray(lines["results=r"]))
         assert np.asarray(lines["results=lossy"]) == pytest.approx(2 * np.asarray(lines["results=r"]))
 
-    def test_flights_in_every_format(self, results):
-        flights = [str(path) for path in sorted(Path("r/cells").glob("*/*.parquet"))[:3]]
-        code, out, _ = run("compare", *flights, "--out", "f.svg", "--format", "csv")
-        assert code == 0 and out.startswith("setting,") and Path("f.svg").is_file()
-        record = json.loads(run("compare", *flights, "--json")[1])
-        assert len(record["metrics"]["mean_error"]) == 3
-        many = [str(path) for path in sorted(Path("r/cells").glob("*/*.parquet"))[:9]]
-        assert run("compare", *many)[0] == 0
-        code, _, err = run("compare", *flights, "--out", "f.html")
-        assert code == 2 and "a figure is a file .png, .pdf, .svg" in err
-
 
 class TestShow:
     def test_held_out_scores_of_a_checkpoint(self, tmp_path):
@@ -172,11 +155,3 @@ class TestShow:
         assert table.rows == [["a_x (m/s^2)", "0.500", "2.00"], ["t_x (N m)", "0.00100", "-"]]
         (tmp_path / "report.json").write_text("{'damaged")
         assert held_out_rows(tmp_path) == [] and held_out_table([]) is None
-
-    def test_formats(self, results):
-        code, out, _ = run("show", "r", "--format", "csv")
-        assert code == 0 and out.startswith("trajectory,m/s,nodes,nominal_mpc,perfect_mpc")
-        flight = next(Path("r/cells").glob("*/*.parquet"))
-        found = {row["figure"]: row for row in rows(run("show", flight, "--format", "csv")[1])}
-        row = pd.read_parquet("r/results.parquet").set_index("key").loc[flight.stem]
-        assert float(found["mean_error"]["value"]) == row["mean_error"] and found["mean_error"]["unit"] == "m"

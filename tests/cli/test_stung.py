@@ -1,8 +1,6 @@
 """Small things that stung: wrong kinds of files, folders for files, a model for a controller that takes none, paths
 below the ground, and terminals of few columns."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path
@@ -132,10 +130,39 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
         (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),
         (["export", ".", "--to", "csv"], "is a folder, a flight is needed here"),
+        (
+            ["new", "rotor", "mine", "--to", "parts"],
+            "'rotor' is none of vehicle, trajectory, plant, residual, controller",
+        ),
+        (["new", "plant", "my-plant", "--to", "parts"], "'my-plant' is no name for a module"),
+        (["new", "plant", "../up", "--to", "parts"], "'../up' is no name"),
+        (["new", "plant", "class", "--to", "parts"], "'class' is no name"),
+        (["new", "plant", "match", "--to", "parts"], "'match' is no name"),
+        (["new", "vehicle", "null", "--to", "parts"], "'null' means something else"),
+        (["new", "trajectory", "circle", "--to", "parts"], "there is trajectory=circle already"),
+        (["new", "residual", "gp", "--to", "parts"], "there is controller=gp_mpc already"),
+        (["new", "controller", "random", "--to", "parts"], "there is a Python module random already"),
+        (["new", "residual", "theta", "--to", "parts"], "'theta' has a meaning in the code"),
+        (["bench", "trajectory=circle"], "what is flown is the protocol's"),
+        (["bench", "--only"], "nobody takes part"),
+        (["bench", "--controller", "nominal_mcp"], "no such controller; did you mean nominal_mpc"),
+        (["bench", "--add", "nothing.parquet"], "no such file (made by `quadexp bench`)"),
+        (["bench", "--conf", "nowhere"], "no such folder"),
+        (["tune", "--flights", "1"], "a trial takes 2 flights, so 4 are needed"),
+        (["tune", "--vary", "plant.mass=1..2"], "what is tuned is the controller"),
+        (["tune", "controller=rls_feedback,static_feedback"], "one controller is tuned at a time"),
+        (["tune", "trajectory=circle", "trajectory.speed=40"], "circle cannot be flown"),
+        (["plot", "nowhere"], "nowhere: holds no results"),
+        (["simulate", "trajectory.speed=30"], "cannot be flown: it takes"),
+        (["evaluate", "experiment=quick"], "add --sweep"),
+        (["simulate", "controller=gp_mpc"], "gp_mpc needs a model and none is in models/"),
+        (["simulate", "controller=linear_drag_mpc"], "linear_drag_mpc needs a model and none is in models/"),
+        (["simulate", "controller=gp_mpc", "model=models/nowhere"], "model=models/nowhere: no checkpoint there"),
     ],
 )
-def test_a_wrong_request_is_one_line_and_exit_code_2(here, words, message):
+def test_a_wrong_request_is_one_line_and_exit_code_2_and_nothing_is_done(here, words, message):
     Path("nothing.csv").touch() if "pdf" in words else None
     done = run_main(*words)
     assert done.returncode == 2 and done.stdout == "" and message in done.stderr, done.stderr
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert {path.name for path in here.iterdir()} <= {"nothing.csv"}

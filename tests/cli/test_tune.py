@@ -1,7 +1,5 @@
 """`quadexp tune` as a user meets it."""
 
-from __future__ import annotations
-
 import json
 
 from tests.cli.command import run
@@ -30,14 +28,3 @@ def test_it_tunes_in_worker_processes_says_what_was_found_and_goes_on(here):
     code, out, _ = tune("--flights", "2", "--seed", "1", "--force", "--json")
     assert code == 0 and json.loads(out)["flights"] == 2
     assert run("show", "t/history.parquet")[0] == 0
-
-
-def test_wrong_requests_are_one_line(here):
-    for words, message in [
-        (["--flights", "1"], "a trial takes 2 flights, so 4 are needed"),
-        (["--vary", "plant.mass=1..2"], "what is tuned is the controller"),
-        (["controller=rls_feedback,static_feedback"], "one controller is tuned at a time"),
-        (["trajectory=circle", "trajectory.speed=40"], "circle cannot be flown"),
-    ]:
-        code, out, err = run("tune", *words)
-        assert code == 2 and out == "" and err.startswith("error: ") and err.count("\n") == 1 and message in err, err

@@ -1,7 +1,5 @@
 """What a command says on a terminal while it takes long, and that nothing of it stays."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

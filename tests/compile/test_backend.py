@@ -1,7 +1,5 @@
 """The compiled back end beside the virtual machine: same numbers, and nothing else in the process changes."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

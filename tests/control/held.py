@@ -1,7 +1,5 @@
 """A user's own controller: it commands what it is given, and keeps what it is told."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

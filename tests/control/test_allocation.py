@@ -1,7 +1,5 @@
 """The constrained allocation against a general solver, on vehicles of four and six rotors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Delivered thrusts: against a lag integrated over a late step-wise command, and from rotor speeds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

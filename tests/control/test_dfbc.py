@@ -1,7 +1,5 @@
 """Flatness-based control by its theory: exact on the reference, its errors and gains by a second computation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

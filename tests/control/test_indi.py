@@ -1,7 +1,5 @@
 """The INDI loop by its theory: transfer functions, steady errors, and what must break them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """L1: the estimate is the mean of the last period's disturbance, the command its low pass, and what that leads to."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,13 +7,12 @@ import pytest
 
 from quadexp.control.base import Measurement
 from quadexp.control.l1 import LOGGED, L1Controller, L1Keys
-from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.physics.state import POSITION, RATE, VELOCITY
+from quadexp.physics.state import POSITION
 from tests.control.held import Held
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 
@@ -229,14 +226,3 @@ def test_what_it_cannot_be_put_around_is_said():
     inner = WrappedController(GeometricController(vehicle, GeometricKeys(), **INTERPRETED))
     with pytest.raises(UsageError, match="an observer estimates the same disturbance"):
         compose(["adaptive=l1"]).adaptive.around(inner)
-
-
-def test_a_second_flight_begins_anew():
-    vehicle, window = vehicle_of("torrente"), hovering(vehicle_of("torrente"))
-    controller, body = geometric(vehicle), Body(vehicle, lambda t: np.array([1.0, 0.0, 2.0]))
-    assert isinstance(controller.inner, ExplicitController)
-    start = at_rest((0.1, 0.2, -0.1))
-    start[VELOCITY], start[RATE] = (0.5, 0.2, 0.1), (0.3, -0.2, 0.1)
-    first, _ = fly(body, controller, start, 0.6, lambda t: window)
-    second, _ = fly(body, controller, start, 0.6, lambda t: window)
-    assert (first == second).all()

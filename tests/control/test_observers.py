@@ -1,8 +1,7 @@
 """Observers: their filters as designed, and no offset under a constant force and torque, whatever the weights."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -158,9 +157,7 @@ def test_no_error_in_a_constant_wind(vehicle, settings):
     residual = make_residual("gp_with_mean", vehicle)
     push = ((0, 0, 0), (0.02, -0.01, 0.0), (5.0, -2.0, 0.5))
 
-    def observed(controller):
-        return wind(controller, **settings)
-
+    observed = partial(wind, **settings)
     error, belief = hover_error(vehicle, vehicle, residual, observed, push, 6)
     assert not settings or belief[6:9] == pytest.approx(push[2], abs=1e-3)
     assert error < 1e-4
@@ -170,9 +167,7 @@ def test_without_targets_an_offset_stays(vehicle):
     """The weights on attitude and thrust pull against the correction: what the test above would miss on its own."""
     residual = make_residual("none", vehicle)
 
-    def plain(controller):
-        return disturbance(controller, targets=False)
-
+    plain = partial(disturbance, targets=False)
     assert hover_error(vehicle, vehicle, residual, plain, ((1.5, -2.0, -3.0),), 1)[0] > 1e-3
 
 
@@ -265,9 +260,7 @@ def test_the_force_is_a_low_pass_of_the_chosen_bandwidth(vehicle):
     K = 1 - np.exp(-bandwidth * PERIOD)
     steady = noise * np.sqrt(K)  # P = (1 - K) P-, P- = r K / (1 - K)
 
-    def observed(controller):
-        return disturbance(controller, force_bandwidth=bandwidth, force_noise=noise, force_initial=steady)
-
+    observed = partial(disturbance, force_bandwidth=bandwidth, force_noise=noise, force_initial=steady)
     reading = np.tile([0.7, -0.4, vehicle.gravity + 1.1], (60, 1))
     found = still(vehicle, observed, reading, 60)[:, :3] / vehicle.mass
     t = PERIOD * np.arange(1, 61)
@@ -279,9 +272,7 @@ def test_first_estimates_are_fast_and_later_ones_smooth(vehicle, rng):
     bandwidth, noise, steps = 8.0, 0.5, 20000
     reading = [0, 0, vehicle.gravity] + noise * rng.normal(size=(steps, 3))
 
-    def observed(controller):
-        return disturbance(controller, force_bandwidth=bandwidth, force_noise=noise, force_initial=10.0)
-
+    observed = partial(disturbance, force_bandwidth=bandwidth, force_noise=noise, force_initial=10.0)
     found = still(vehicle, observed, reading, steps)[:, :3] / vehicle.mass
     K = 1 - np.exp(-bandwidth * PERIOD)
     assert found[200:].var() == pytest.approx(noise**2 * K / (2 - K), rel=0.05)
@@ -295,9 +286,7 @@ def test_the_torque_observer_has_its_poles_where_they_were_put(vehicle):
     z, k = np.exp(-bandwidth * PERIOD), np.arange(1, steps + 1)[:, None]
     rates = 0.5 * spin * k * PERIOD  # small inertia differences: gyroscopic terms are known to the model
 
-    def observed(controller):
-        return disturbance(controller, torque_bandwidth=bandwidth)
-
+    observed = partial(disturbance, torque_bandwidth=bandwidth)
     reading = np.tile([0, 0, vehicle.gravity], (steps, 1))
     expected = 0.5 * spin * (1 - z**k - k * (1 - z) * z**k)
     principal = replace(vehicle, inertia=((0.03, 0, 0), (0, 0.03, 0), (0, 0, 0.03)))  # then w x J w is zero
@@ -346,9 +335,7 @@ def test_the_force_by_the_velocity_has_its_poles_where_they_were_put(vehicle):
     bandwidth, push, steps = 10.0, np.array([1.5, -1.0, 0.5]), 80
     z, k = np.exp(-bandwidth * PERIOD), np.arange(1, steps + 1)[:, None]
 
-    def observed(controller):
-        return disturbance(controller, source="velocity", force_bandwidth=bandwidth)
-
+    observed = partial(disturbance, source="velocity", force_bandwidth=bandwidth)
     reading = np.full((steps, 3), 7.0)  # is not used
     found = still(vehicle, observed, reading, steps, velocities=push * k * PERIOD)[:, :3] / vehicle.mass
     assert found == pytest.approx(push * (1 - z**k - k * (1 - z) * z**k), abs=1e-9)
@@ -364,9 +351,7 @@ def test_what_noise_of_the_rates_makes_of_the_torque(vehicle, rng):
     principal = replace(vehicle, inertia=((0.03, 0, 0), (0, 0.03, 0), (0, 0, 0.03)))
     rates = noise * rng.normal(size=(steps, 3))
 
-    def observed(controller):
-        return disturbance(controller, torque_bandwidth=bandwidth, torque_limit=1e6)
-
+    observed = partial(disturbance, torque_bandwidth=bandwidth, torque_limit=1e6)
     found = still(principal, observed, np.tile([0, 0, 9.81], (steps, 1)), steps, rates)[200:, 3:6] / 0.03
     assert found.var() == pytest.approx(noise**2 * np.sum(response**2), rel=0.05)
 
@@ -530,9 +515,7 @@ def test_as_a_part_of_the_step_or_before_it(vehicle, monkeypatch, observed, lag,
 
 # ------------------------------------------------------------------------------------------------ limits and refusals
 def test_estimates_stay_within_their_limits(vehicle):
-    def observed(controller):
-        return disturbance(controller, force_limit=2.0, torque_limit=5.0)
-
+    observed = partial(disturbance, force_limit=2.0, torque_limit=5.0)
     reading = np.tile([30.0, 0, vehicle.gravity], (50, 1))
     found = still(vehicle, observed, reading, 50, rates=np.arange(50)[:, None] * [1.0, 0, 0])
     assert found[-1, 0] == pytest.approx(2.0 * vehicle.mass) and found[-1, 3] == pytest.approx(5.0 * 0.03)

@@ -4,8 +4,6 @@ A line that begins with `quadexp` or `python examples/` is a command, and goes o
 indented below it, up to the next command, is what it prints.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path
@@ -14,20 +12,9 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 STARTS = ("quadexp ", "python examples/")
 OTHERS = (
-    "make",
-    "python ",
-    "pip ",
-    "dask ",
-    "DASK",
-    "apt-get",
-    "QUADEXP",
-    "git ",
-    "chromium",
-    "conf/",
-    "log (",
-    "defaults:",
+    "make", "python ", "pip ", "dask ", "DASK", "apt-get", "QUADEXP", "git ", "chromium", "conf/", "log (", "defaults:",
     "[",
-)
+)  # fmt: skip
 INLINE = re.compile(r"`(quadexp [^`]+)`")
 
 

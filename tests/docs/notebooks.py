@@ -1,7 +1,5 @@
 """Execute the example notebooks; `python -m tests.docs.notebooks [NAME ...]` stores what they then show."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

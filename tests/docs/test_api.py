@@ -1,23 +1,23 @@
-"""The page on the Python API: its calls give what it shows, and it names every function there is."""
-
-from __future__ import annotations
+"""The pages of calls: they give what they show, and the one on the API names every function there is."""
 
 import doctest
 from pathlib import Path
 
+import pytest
+
 import quadexp as qx
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "api.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-def test_its_calls_give_what_it_shows(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("page", "calls"), [("api.md", 30), ("lei_li.md", 15)])
+def test_its_calls_give_what_it_shows(here, page, calls):
     """And leave nothing behind where they are run."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "docs").symlink_to(PAGE.parent)
-    found = doctest.testfile(str(PAGE), module_relative=False, optionflags=doctest.NORMALIZE_WHITESPACE)
-    assert found.attempted > 30 and found.failed == 0 and list(tmp_path.iterdir()) == [tmp_path / "docs"]
+    (here / "docs").symlink_to(DOCS)
+    found = doctest.testfile(str(DOCS / page), module_relative=False, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert found.attempted > calls and found.failed == 0 and list(here.iterdir()) == [here / "docs"]
 
 
 def test_it_names_what_there_is():
-    text = PAGE.read_text(encoding="utf-8")
+    text = (DOCS / "api.md").read_text(encoding="utf-8")
     assert [name for name in qx.__all__ if not name.startswith("__") and name not in text] == []

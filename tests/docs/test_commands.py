@@ -1,7 +1,5 @@
 """Every command of the documentation: read by the command line as it stands, and flown in its order."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re
@@ -18,14 +16,7 @@ from quadexp.cli.app import app
 from quadexp.parts.compose import session
 from tests.docs.commands import ROOT, commands, inline, steps
 
-PAGES = sorted(
-    [
-        *ROOT.glob("*.md"),
-        *(ROOT / "docs").glob("*.md"),
-        *(ROOT / "docs/site").glob("*.md"),
-        *(ROOT / "benchmarks").glob("*.md"),
-    ]
-)
+PAGES = sorted(page for folder in (".", "docs", "docs/site", "benchmarks") for page in (ROOT / folder).glob("*.md"))
 OVERRIDE = re.compile(r"[\w./@]+=.*", re.DOTALL)
 LOOSE = ("step", "a_x", "a_y", "a_z", "...")  # times, errors that a few held-out rows decide, and what stands for more
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\w)")

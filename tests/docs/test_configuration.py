@@ -1,7 +1,5 @@
 """The page of all keys that `make docs` makes: what the parts say today."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

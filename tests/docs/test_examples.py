@@ -1,7 +1,5 @@
 """The worked examples of user-written parts together; what each claims is tested beside it, in examples/test_*.py."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the documentation points to is there: links, files and functions."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The example notebooks: executed from empty to end, as a reader would, with the outputs that are stored."""
 
-from __future__ import annotations
-
 import base64
 import re
 from pathlib import Path

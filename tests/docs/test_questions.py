@@ -1,7 +1,5 @@
 """docs/questions.md: twenty questions, each answered by one command that draws the picture that is named."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

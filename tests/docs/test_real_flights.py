@@ -1,7 +1,5 @@
 """The page on real flights, command by command: on the public flights where they are, and on ULogs written here."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whether two sweeps have the same results, to the last bit."""
 
-from __future__ import annotations
-
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 

@@ -1,7 +1,5 @@
 """What training flights are drawn from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Data sets of flights in worlds: what was delivered, told and known, in several worlds, up to the checkpoint."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The flight in C is the flight of the Python loop: every column and the record, to the last bit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -358,13 +356,8 @@ REMEDIES = {
 @compiled
 @pytest.mark.parametrize("flown", REMEDIES)
 def test_any_controller_with_what_is_around_it(monkeypatch, flown):
-    world = [
-        "trajectory=ellipse",
-        "trajectory.speed=4",
-        "trajectory.acceleration=4",
-        "trajectory.duration=3",
-        *REMEDIES[flown],
-    ]
+    path = "trajectory=ellipse trajectory.speed=4 trajectory.acceleration=4 trajectory.duration=3"
+    world = [*path.split(), *REMEDIES[flown]]
     if not any(word.startswith(("sensor=", "world=")) for word in world):
         world.append("sensor.accelerometer_noise=[0.05,0.05,0.05]")
     given = [f"controller={flown.split()[0]}", *flown.split()[1:], *world]

@@ -1,6 +1,4 @@
-"""Delay remedies in flight, and in the margins of the loop around which they are put."""
-
-from __future__ import annotations
+"""Delay remedies in flight, the margins of the loop around which they are put, and what is said of these."""
 
 import numpy as np
 import pytest

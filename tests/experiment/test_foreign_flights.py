@@ -1,7 +1,5 @@
 """Flights on the plants of other programs: what was promised of them, and who flies them."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.errors import UsageError

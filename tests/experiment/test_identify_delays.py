@@ -1,7 +1,5 @@
 """Delays found in flights: of worlds whose delays are stated, and where a flight cannot tell."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -79,11 +77,14 @@ def test_too_few_samples_are_refused():
 def test_the_command_prints_what_to_set(tmp_path):
     path = tmp_path / "a.parquet"
     write_flight(path, fly_one(compose(NOISY)))
-    said = CliRunner().invoke(app, ["identify", "--method", "delays", str(path)])
-    assert said.exit_code == 0 and "age of position, velocity and attitude: " in said.output
+    words, picture = ["identify", "--method", "delays", str(path)], tmp_path / "delays.svg"
+    said = CliRunner().invoke(app, [*words, "--figure", str(picture)])
+    assert said.exit_code == 0 and picture.stat().st_size > 10_000 and picture.with_suffix(".png").exists()
     assert "delay=prediction delay.time=0.0" in said.output and "controller.motor_lag=0.0" in said.output
-    record = json.loads(CliRunner().invoke(app, ["identify", "--method", "delays", str(path), "--json"]).stdout)
+    record = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
     assert record["flights"][0]["age"] == pytest.approx(0.01, abs=2e-3)
+    two = CliRunner().invoke(app, [*words, str(path), "--figure", str(picture)])
+    assert two.exit_code == 2 and "--figure: draws one flight, 2 are given" in two.output
 
 
 @pytest.mark.parametrize("age", [0.0, 0.01])

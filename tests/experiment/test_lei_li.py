@@ -3,8 +3,6 @@
 The figures that are held are those of an independent implementation (Euler 1e-4 s, control at 100 Hz).
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
@@ -267,12 +265,6 @@ class TestIdentifyingMPC:
                 commands.append(controller.step(Measurement(0.0, state, None, None), seen)[0])
         assert commands[0] == pytest.approx(commands[1], abs=1e-6)  # both end at an optimality residual of 1e-6
         assert commands[2] == pytest.approx(commands[3], abs=1e-12)
-
-    def test_flights_do_not_depend_on_the_one_before(self):
-        path = ("trajectory=circle", "trajectory.speed=4", "trajectory.acceleration=2")
-        first = flown("controller=rls_mpc", *path)
-        again = flown.__wrapped__("controller=rls_mpc", *path)
-        assert np.array_equal(first.state, again.state)
 
 
 def test_what_cannot_be_known_is_refused():

@@ -1,7 +1,5 @@
 """Flights on the filter's estimate instead of the truth: every airframe, every controller, every set of sensors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Flights of a learned model say which share lay outside its data: in the file, the row, the table, the page."""
 
-from __future__ import annotations
-
 import json
 import math
 

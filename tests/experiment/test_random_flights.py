@@ -1,7 +1,5 @@
 """trajectory=random as it stands: flown cleanly, on every seed, by who knows the air and who does not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -33,15 +31,9 @@ def clean(flight, controller):
 
 
 @pytest.mark.parametrize("controller", SATURATED)
-@pytest.mark.parametrize("seed", [0, 7])
-def test_the_default_is_clean(controller, seed):
-    clean(fly(seed, controller), controller)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("controller", SATURATED)
-def test_the_default_is_clean_on_a_hundred_seeds(controller):
-    for seed in range(100):
+@pytest.mark.parametrize("seeds", [(0, 7), pytest.param(range(100), marks=pytest.mark.slow)])
+def test_the_default_is_clean(controller, seeds):
+    for seed in seeds:
         clean(fly(seed, controller), controller)
 
 
@@ -82,14 +74,11 @@ class TestFlownByAll:
         fit_checkpoint("gp", config, folder / "residuals.parquet", folder / "gp", figures=False)
         return folder / "gp"
 
-    @pytest.mark.parametrize(("extent", "seed"), [(20, 2), (40, 3)])
-    def test_fast_random_paths(self, model, extent, seed):
-        self.compare(model, extent, seed)
+    SLOW = [pytest.param(extent, range(20), marks=pytest.mark.slow) for extent in (20, 40)]
 
-    @pytest.mark.slow
-    @pytest.mark.parametrize("extent", [20, 40])
-    def test_fast_random_paths_of_twenty_seeds(self, model, extent):
-        for seed in range(20):
+    @pytest.mark.parametrize(("extent", "seeds"), [(20, (2,)), (40, (3,)), *SLOW])
+    def test_fast_random_paths(self, model, extent, seeds):
+        for seed in seeds:
             self.compare(model, extent, seed)
 
     def compare(self, model, extent, seed):

@@ -1,7 +1,5 @@
 """Remedies as a configuration puts them together: every combination flies or is refused in one line."""
 
-from __future__ import annotations
-
 import random
 from functools import cache
 from itertools import product

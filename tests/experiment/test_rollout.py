@@ -1,7 +1,5 @@
 """The reference that a flight follows, as its controller sees it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Flights in worlds, from their configuration to their row: what is built, named, refused and logged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,13 +7,14 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle, build_world, unshared
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import flight_entropy, flight_record
+from quadexp.log.store import write_flight
 from quadexp.loop import controller
 from quadexp.parts.compose import compose, expand
 from quadexp.parts.schema import WORLD, world_parts
 from quadexp.physics.state import POSITION, STATE_COLUMNS
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.notes import notes
-from quadexp.report.summary import world_note
+from quadexp.report.summary import summarise, world_note
 from quadexp.world.effect import STAGES
 from quadexp.world.world import World
 
@@ -58,12 +57,13 @@ def test_parts_change_neither_the_noise_nor_each_other():
 @pytest.mark.parametrize(
     "plant", [["plant=simplified"], ["vehicle=lei_li", "plant=blade_element", "plant.step=1e-3", "plant.method=rk4"]]
 )
-def test_hover_in_a_wind(plant):
+def test_hover_in_a_wind(tmp_path, plant):
     """It is blown away a little and hovers: the controller leans against the wind, and the row says where it was."""
     flight = fly_one(compose([*SHORT, "trajectory.duration=6", "wind=constant", "wind.velocity=[2,0,0]", *plant]))
     speed = np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"])[-1])
     assert flight.outcome == "ok" and speed < 0.02 and 0.001 < flight["p_x"][-1] < 0.5
     assert flight.metadata["row"]["plant"].endswith("/wind=constant") and flight.metadata["world"] == "wind=constant"
+    assert summarise(write_flight(tmp_path / "a.parquet", flight))["world"]["name"] == "wind=constant"
 
 
 def test_metrics_are_of_the_truth():
@@ -177,6 +177,28 @@ IN_MOTION = ["trajectory=ellipse", "trajectory.speed=5", "trajectory.acceleratio
 INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
 OBSERVED = ["controller=nominal_mpc", "observer=disturbance"]
 HUMMINGBIRD, LEI_LI = ["vehicle=hummingbird"], ["vehicle=lei_li", "plant=blade_element"]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        "controller=pid",
+        "controller=dfbc observer=disturbance",
+        "controller=geometric controller.force_adaptation=8 controller.torque_adaptation=60 adaptive=l1",
+        "controller=nominal_mpc delay=strapdown delay.time=0.03 inner=indi",
+        "controller=nominal_mpc delay=identified delay.after=2 horizon=firm",
+        "controller=perfect_mpc observer=wind controller.dead_time=0.02",
+        "controller=rls_feedback vehicle=lei_li plant=blade_element",
+        "controller=rls_mpc vehicle=lei_li plant=blade_element",
+    ],
+)
+def test_a_controller_s_second_flight_is_its_first(settings):
+    """Filters, integrals, estimates and what was found begin anew; the same object flies both."""
+    given = ["trajectory=ellipse", "trajectory.speed=3", *["trajectory.acceleration=4", "trajectory.duration=2.5"]]
+    config = compose([*given, "estimator=late_noisy", *settings.split(), *INTERPRETED])
+    first, second = (fly_one(config) for _ in range(2))
+    for name, values in first.columns.items():
+        assert name == "solve_time" or np.array_equal(values, second[name], equal_nan=True), name
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Damaged files: a changed bit or a missing byte ends in the right data or in a clear line, never in other data."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How a command ends when nobody takes what it prints, or somebody asks it to stop."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Files made to harm: a few kilobytes that fill the memory, models that are none, names that a terminal would obey."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import json

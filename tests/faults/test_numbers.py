@@ -1,7 +1,5 @@
 """Numbers that no experiment has: refused in one line that names the key, before anything is flown."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

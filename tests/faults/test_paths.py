@@ -1,7 +1,5 @@
 """Paths as people have them: letters that the grammar of overrides, the file system or a terminal trips over."""
 
-from __future__ import annotations
-
 import os
 import stat
 

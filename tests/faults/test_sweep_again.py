@@ -1,7 +1,5 @@
 """The same sweep once more, after its files were damaged, its disk was full, or it was ended between two writes."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import shutil

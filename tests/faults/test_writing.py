@@ -1,7 +1,5 @@
 """Files that cannot be written, or not to their end: nothing half, nothing lost, one clear line."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """Attacks on the cache of compiled functions: folders that others can swap, compilers and processors that differ."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

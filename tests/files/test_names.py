@@ -1,7 +1,5 @@
 """Attacks by names: out of the output folder, through links, onto the terminal's next line."""
 
-from __future__ import annotations
-
 import copy
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Attacks on files that are written: links planted beside them, two writers of one name, what a cleaner may remove."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import fcntl

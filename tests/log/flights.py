@@ -1,7 +1,5 @@
 """Small flights for tests, with errors that are known by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from quadexp.log.schema import Flight

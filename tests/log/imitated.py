@@ -5,8 +5,6 @@ specific force follow from it with linear drag, rotor thrusts from the rigid bod
 the torque that the motion needs, less an offset, over a gain, `lag` seconds early.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Flights in other formats, each read back and held against the flight."""
 
-from __future__ import annotations
-
 import json
 import sys
 

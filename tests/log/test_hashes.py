@@ -1,7 +1,5 @@
 """Hashes of columns and of files: what is edited or damaged is noticed, what is only written anew is read."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 

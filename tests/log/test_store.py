@@ -1,7 +1,5 @@
 """Files: whole or not at all, units inside, one line for every way they can be wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq

@@ -1,7 +1,5 @@
 """Samples of the blade-element model, computed by tests.paper: body velocity, rotor speeds, specific force."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Regularised least squares of all samples at once: what recursive least squares must end at."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from quadexp.models.gaussian_process import GPConfig, GPModel, fit_gp

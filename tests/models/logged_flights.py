@@ -1,7 +1,5 @@
 """Flights as a log has them, with a known truth: thrust from motor commands and voltage, drag in the air, wind."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation

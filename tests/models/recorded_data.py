@@ -1,7 +1,5 @@
 """The recorded flights beside the repository, read the shortest way; tests skip where they are not there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recorded flights whose model is known: thrust curve, linear drag, offsets, noise and a thrust scale of their own."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

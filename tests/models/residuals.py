@@ -1,7 +1,5 @@
 """One instance of every residual, for the contract and for everything that must work with any of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

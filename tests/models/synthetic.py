@@ -1,7 +1,5 @@
 """A residual dataset with a known truth, like Torrente's simplified simulation: drag and motor loss."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from quadexp.models.dataset import ResidualDataset

@@ -1,7 +1,5 @@
 """Blade-element coefficients of a whole flight: the truth is in the intervals, in flights and in repeated readings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -134,14 +132,6 @@ def test_is_the_estimator_sample_by_sample(lei_li, flight):
         force = [flight[f"acc_{axis}"][k] for axis in "xyz"]
         estimator.update(data.velocity[k], data.rotor_speed[k], np.array(force))
     assert found.raw[-1] == pytest.approx(estimator.raw, rel=1e-9)
-
-
-def test_without_enough_samples_no_interval_is_printed(lei_li, flight):
-    short = Flight({name: column[:20] for name, column in flight.columns.items()}, flight.metadata)
-    found = identify_flight(short, lei_li)
-    assert found.fit is None and "19 samples, at least 28 are needed" in found.lines()[-1]
-    assert not any("interval " in line for line in found.lines()[1:6])
-    assert "interval_95" not in found.metadata() and found.metadata()["estimates"] == found.metadata()["recursion"]
 
 
 def test_missing_and_damaged_columns(lei_li, flight):

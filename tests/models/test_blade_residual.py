@@ -1,10 +1,7 @@
 """The blade-element residual: zero where the static map is right, linear drag at low speed, regular at the edges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from scipy.optimize import approx_fprime
 
 from quadexp.errors import UsageError
 from quadexp.models.blade_element import blade_element_residual
@@ -43,25 +40,6 @@ def test_parameters_are_the_coefficients(lei_li, residual, rng):
     z = features([4.0, -2.0, 1.0], [2.0, 2.5, 3.0, 2.2])
     assert np.array(residual.function(z, theta)[0]).reshape(-1) == pytest.approx(other(z)[0], rel=1e-14)
     assert other.theta == pytest.approx(theta)
-
-
-def test_small_velocities_see_linear_drag(lei_li, residual):
-    """d a_x / d v_x = -4 h / m with h of (15) at u = nu w, see tests/physics; exactly, from the analytic Jacobian."""
-    w, s = paper.HOVER / 0.00891390136552146, paper.RHO * paper.C
-    nu = 0.00891390136552146
-    h = s * w * (paper.R**2 * 0.22 / 2 - paper.R * paper.TH * 3.32 * nu / 6 + 3.32 * nu**2 / 2)
-    _, jacobian = residual.function(features(np.zeros(3), np.full(4, lei_li.hover_thrust)), residual.theta)
-    drag = np.array(jacobian.full())[:2, :2]
-    assert drag == pytest.approx(-4 * h / paper.M * np.eye(2), rel=1e-9, abs=1e-12)
-
-
-def test_derivative_through_the_induced_velocity(residual, rng):
-    """The implicit derivative against differences of the whole, V_I included."""
-    for _ in range(10):
-        z = features(rng.normal(0, 5, 3) * [1, 1, 0.4], rng.uniform(1, 8, 4))
-        _, jacobian = residual.function(z, residual.theta)
-        numeric = approx_fprime(z, lambda z: residual(z)[0], 1e-7)
-        assert np.array(jacobian.full()) == pytest.approx(numeric, rel=1e-4, abs=1e-5)
 
 
 @pytest.mark.parametrize("u", [0.0, 1e-9, 0.0216, 0.0217])

@@ -1,7 +1,5 @@
 """A checkpoint gives back every bit, and nothing that was touched, or meant for another vehicle, is flown."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

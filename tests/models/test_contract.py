@@ -1,7 +1,5 @@
 """What every learned model promises, whatever it is: the seam of quadexp/models/base.py."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 import pytest

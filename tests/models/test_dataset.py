@@ -1,7 +1,5 @@
 """The residual target is the force that was added to a rigid body, to the order in dt that the frame promises."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The fit finds the truth it was made from, and refuses what it cannot fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

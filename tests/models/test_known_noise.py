@@ -1,7 +1,5 @@
 """The noise that a world states is what remains of the targets when the plant's own equations are taken away."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The drag fit is least squares, and its standard errors say how far off it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize

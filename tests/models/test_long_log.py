@@ -1,7 +1,5 @@
 """An hour of log: what is identified is right, and the commands take little memory."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Networks: they learn what linear drag cannot, keep the promised slope, and come back from a file as they were."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Weights that adapt in flight: against least squares, the Riccati equation, the Lyapunov argument, and 1e5 samples."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

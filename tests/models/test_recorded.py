@@ -1,7 +1,5 @@
 """Residual rows of recorded flights, trims, tracking and validation against flights whose model is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Regression whose intervals hold although neighbouring samples err alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

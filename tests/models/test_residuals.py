@@ -1,7 +1,5 @@
 """What every residual promises, and what each one is."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,10 +7,8 @@ import pytest
 from quadexp.compile.backend import realise
 from quadexp.errors import UsageError
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
-from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import no_residual, scaled_residual, symbolic_residual
-from quadexp.physics.rigid_body import corrected_function
-from quadexp.world import PlantEffects, SimplifiedPlant
+from quadexp.world import SimplifiedPlant
 from tests.models.residuals import RESIDUALS, make_residual
 
 
@@ -61,44 +57,10 @@ def test_what_knows_nothing_of_the_air(vehicle):
     assert gust.function.nnz_out(1) == 0 and not gust.is_zero
 
 
-def test_linear_drag_is_its_equation(vehicle, rng):
-    residual = linear_drag_residual(vehicle, (0.5, 0.6, 0.1), (0.02, -0.01, 0.1), -0.015)
-    z = features(rng, 6)
-    expected = -z[:, :3] * [0.5, 0.6, 0.1] + [0.02, -0.01, 0.1]
-    expected[:, 2] -= 0.015 * z[:, 6:].sum(1)
-    assert np.allclose(residual(z), np.hstack([expected, np.zeros((6, 3))]))
-
-
-def test_gaussian_process_is_its_equation(vehicle, rng):
-    Z, alpha, length = rng.normal(0, 5, (9, 2)), rng.normal(size=9), np.array([3.0, 7.0])
-    output = OutputPosterior.mean_only("a_z", ("v_z", "thrust"), Z, alpha, length)
-    z = features(rng, 8)
-    phi = np.stack([z[:, 2], z[:, 6:].sum(1)], axis=-1)
-    kernel = np.exp(-0.5 * (((phi[:, None] - Z) / length) ** 2).sum(-1))
-    expected = np.zeros((8, 6))
-    expected[:, 2] = kernel @ alpha
-    assert np.allclose(gaussian_process_residual(vehicle, [output])(z), expected, rtol=1e-13, atol=1e-13)
-
-
 def test_unknown_features_are_refused(vehicle):
     points = OutputPosterior.mean_only("a_x", ("speed",), np.zeros((3, 1)), np.zeros(3), np.ones(1))
     with pytest.raises(UsageError, match="gp feature 'speed': allowed are"):
         gaussian_process_residual(vehicle, [points])
-
-
-def test_plant_residual_is_what_the_plant_does(vehicle, rng):
-    """Short noise-free step of the plant against the corrected rigid body, lift included."""
-    effects = PlantEffects(motor_noise_density=0, force_noise_density=0, torque_noise_density=0, lift=0.03)
-    plant = SimplifiedPlant(vehicle, effects, backend="interpreted")
-    residual = plant.residual()
-    corrected = corrected_function(vehicle, residual)
-    from tests.states import random_state
-
-    for _ in range(5):
-        x, u, h = random_state(rng), rng.uniform(1, 10, 4), 1e-6
-        x_next, _ = plant.advance(x, u, h, rng)
-        derivative = np.array(corrected(x, u, residual.theta)).reshape(-1)
-        assert np.allclose((x_next - x) / h, derivative, atol=2e-3, rtol=1e-5)
 
 
 def test_torrente_numbers(vehicle):

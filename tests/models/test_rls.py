@@ -1,7 +1,5 @@
 """Recursive least squares: the paper's update by hand in its own frame, batch least squares, and what it finds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from quadexp.models.rls import AXES, BladeElementRLS, RLSSettings
 from quadexp.physics.rotor import BladeCoefficients
 from tests import paper
 from tests.models.air_data import air_data
-from tests.models.batch import batch_least_squares
 
 TRUE = np.array([0.22, 3.32, 0.01, 0.01, 0.02])
 HALF = BladeCoefficients.from_parameters(TRUE / 2)
@@ -80,32 +77,6 @@ def test_combination_at_rest(lei_li):
     assert estimator.weight == 0.5
     assert theta[[0, 2, 3, 4]] == pytest.approx(HALF.parameters()[[0, 2, 3, 4]])
     assert theta[1] > HALF.lift_slope
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [RLSSettings(), RLSSettings.scaled(), RLSSettings(covariance=1e6), RLSSettings(lift_weight=0.3)],
-    ids=["paper", "scaled", "huge", "weighted"],
-)
-def test_equals_batch_least_squares(lei_li, data, rng, settings):
-    """The same regressors and readings at once, the first values as a prior."""
-    estimator, rows, readings = BladeElementRLS(lei_li, HALF, settings), [], []
-    spreads = estimator.covariance
-    for velocity, w, force in zip(data.velocity, data.rotor_speed, data.specific_force, strict=True):
-        readings.append(force + rng.normal(0, 0.05, 3))
-        estimator.update(velocity, w, readings[-1])
-        rows.append(estimator.regressors)
-    rows, readings = np.array(rows), np.array(readings)
-    for axis, at in enumerate(AXES):
-        columns = list(at)
-        batch = batch_least_squares(
-            rows[:, axis][:, columns],
-            readings[:, axis],
-            prior=HALF.parameters()[columns],
-            covariance=spreads[axis],
-            noise=settings.noise,
-        )
-        assert estimator.axis_theta[axis] == pytest.approx(batch, rel=1e-8)
 
 
 def test_forgetting_weighs_a_sample_by_its_age(lei_li, data, rng):

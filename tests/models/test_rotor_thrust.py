@@ -1,7 +1,5 @@
 """Thrusts that rotors deliver late: against SciPy's integration, and found in flights of known worlds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

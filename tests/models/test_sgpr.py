@@ -1,7 +1,5 @@
 """The bound, the posterior and the greedy choice against their equations written out densely."""
 
-from __future__ import annotations
-
 import gpytorch
 import numpy as np
 import pytest

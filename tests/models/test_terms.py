@@ -1,7 +1,5 @@
 """Sums of named terms against plain numpy, and lumped coefficients against the blade elements of tests/paper.py."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

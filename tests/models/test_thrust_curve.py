@@ -1,7 +1,5 @@
 """Thrust curves from commands, rotor speeds and logged accelerations, with the drag along z beside them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """Gain, lag and offset of the torque are found where they are known, refused where nothing is to be found; rates held
 is what they must beat."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """A vehicle model from logged flights with a known truth, and from recorded ones of which something is published."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

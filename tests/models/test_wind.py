@@ -4,8 +4,6 @@ A flight in air that moves steadily is the flight in still air as a passing obse
 and everything else the same. So every model fitted to the two must be the same, and so must every prediction.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

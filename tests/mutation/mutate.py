@@ -11,8 +11,6 @@ what only compiled code contains. A survivor is a gap in the tests unless accept
 is none. Exit status 1 where an unexplained mutant survives.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -7,8 +7,6 @@
 Texts, annotations, what stands in a `raise`, and default values of names are left alone.
 """
 
-from __future__ import annotations
-
 import ast
 from collections import Counter
 from collections.abc import Iterator

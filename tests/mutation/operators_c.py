@@ -6,8 +6,6 @@ Operators are those with a space on either side, so that pointers and signs are 
 processor (#if ... #endif) are left alone.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 

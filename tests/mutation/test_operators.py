@@ -1,7 +1,5 @@
 """The mutation check itself: what it changes, what it leaves alone, and that every change is a program."""
 
-from __future__ import annotations
-
 import ast
 
 from tests.mutation.mutate import ROOT, accepted_reasons, mutants_of

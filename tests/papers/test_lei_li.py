@@ -1,7 +1,5 @@
 """The figures and tables of the experiments on Lei & Li's system."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

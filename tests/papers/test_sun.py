@@ -1,7 +1,5 @@
 """The comparison of Sun et al. 2022: its data, its experiments, how flights are counted, worlds and lost flights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

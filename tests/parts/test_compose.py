@@ -1,7 +1,5 @@
 """Configurations: the quick way composes what Hydra composes, and every mistake is one line that says the mend."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import textwrap

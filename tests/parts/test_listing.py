@@ -1,14 +1,16 @@
-"""What there is to choose is listed from the files and the classes, with what an option sets and what it inherits."""
+"""What there is to choose is listed and completed from files and classes, with what an option sets and inherits."""
 
-from __future__ import annotations
+from types import SimpleNamespace
 
 import pytest
 
+from quadexp.cli.fly import _controllers
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.listing import listed
-from quadexp.parts.options import OptionFiles
+from quadexp.parts.listing import candidates, key_words, listed
+from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.schema import PARTS, PRESETS
+from quadexp.parts.settings import plain
 
 
 def keys(option):
@@ -66,3 +68,52 @@ def test_a_part_of_ones_own_is_listed_like_the_others(tmp_path, monkeypatch):
     assert OptionFiles(tmp_path).part_of("wind", "steady").__name__ == "ConstantWind"
     assert {"option": "wind=steady", "meaning": "Mine"} in listed("wind", tmp_path)
     assert listed("wind=steady", tmp_path)[0]["value"] == "[1,0,0]"
+
+
+def typed(*words, conf=None):
+    *before, incomplete = words
+    return candidates(before, incomplete, conf)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected", "prefix"),
+    [
+        (("contr",), {"controller=gp_mpc", "controller=nominal_mpc"}, "controller="),
+        (("controller=n",), {"controller=nominal_mpc"}, "controller=n"),
+        (("trajectory=circle,le",), {"trajectory=circle,lemniscate"}, "trajectory=circle,le"),
+        (("trajectory.sp",), {"trajectory.speed="}, "trajectory.sp"),
+        (("controller.backe",), {"controller.backend=auto", "controller.backend=interpreted"}, "controller.backend="),
+        (("controller.feedf",), {"controller.feedforward=true", "controller.feedforward=false"}, "controller.feedf"),
+        (("seed=0", "experiment=q"), {"experiment=quick"}, "experiment=q"),
+        # bash splits words at "=" and wants the value alone back
+        (("controller", "=", "gp"), {"gp_mpc"}, "gp"),
+        (("controller", ""), {"gp_mpc", "linear_drag_mpc", "nominal_mpc", "perfect_mpc"}, ""),
+    ],
+)
+def test_candidates(words, expected, prefix):
+    offered = typed(*words)
+    assert expected <= set(offered)
+    assert all(word.startswith(prefix) for word in offered)
+
+
+def test_an_empty_word_offers_groups_and_plain_keys():
+    offered = typed("")
+    assert {"vehicle=", "controller=", "model=", "seed="} <= set(offered)
+    assert not [name for name in offered if "." in name]
+
+
+def test_a_folder_of_ones_own(tmp_path):
+    (tmp_path / "trajectory").mkdir()
+    (tmp_path / "trajectory" / "mine.yaml").touch()
+    assert typed("trajectory=m", conf=tmp_path) == ["trajectory=mine"]
+
+
+def test_every_key_offered_can_be_set_with_some_option():
+    files, root = OptionFiles(), key_words("")
+    keys = {f"{group}.{name}" for group in PARTS for part in files.parts(group).values() for name in plain(part)}
+    assert {key if key in root else ".".join(key.split(".")[:2]) for key in key_words()} <= keys | set(root)
+    assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "gp", "drag", "experiment"}
+
+
+def test_controllers_of_the_leaderboard_are_completed():
+    assert _controllers(SimpleNamespace(params={"conf": None}), "gp_") == ["gp_mpc", "gp_mpc_tuned"]

@@ -1,12 +1,19 @@
-"""Plain overrides are read without Hydra, and as Hydra reads them."""
+"""Overrides: what is plain is read without Hydra, as Hydra reads it; what is none is one line in plain words."""
 
-from __future__ import annotations
+import random
+import re
 
+import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadexp.errors import UsageError
+from quadexp.parts.compose import compose, session
+from quadexp.parts.former import FORMER
 from quadexp.parts.override import plain_override
+from quadexp.parts.schema import CHOSEN
+from tests.docs.commands import ROOT
 
 WORDS = [
     "circle", "gp_mpc", "models/gp", "a.b", "v1.2", "a-b", "TRUE", "False", "null", "None", "NaN", "Inf", "-inf", "e5",
@@ -38,3 +45,66 @@ def test_what_is_plain_means_the_same_to_hydra(text):
         assert not override.is_sweep_override()
         assert type(override.value()) is type(found.value) and override.value() == found.value
         assert found.text == f"{found.key}={override.get_value_element_as_str()}"
+
+
+KEYS = (
+    "trajectory.speed", "seed", "controller", "controller.nodes", "model", "vehicle.inertia", "gp.features.a_x",
+    "trajectory", "experiment", "plant.linear_drag", "x", "", "trajectory.", "a b", "é", "trajectory@x", "+seed",
+    "~seed", "++trajectory.speed", "hydra.run", "wind.path", "evaluate", "vehicle", "sweep", "world", "collect.mode",
+)  # fmt: skip
+PIECES = (
+    "'", '"', "[", "]", "{", "}", "(", ")", ",", "=", ":", "$", "${", "${seed}", "${oc.env:HOME}", "${nope}", "${.}",
+    "${..x}", "${a:b}", "é", "飛", "\u200b", "\\", "\n", "\t", " ", "", "null", "nan", "1e999", "-", "???", "range(1)",
+    "range(", "choice(1,2)", "glob(*)", "glob([", "interval(1,2)", "sort(1)", "shuffle(2)", "int(x)", "float(1)", "8",
+    "1_000", "0x1", "circle", "true", "@", "/", "../x", "!", "#", "%", "*", "~", "\0", "{a:1}", "[1,2", "'a", "a'",
+    "dict(a=1)", "9" * 400, "1" * 5000,
+)  # fmt: skip
+LIBRARIES = re.compile(
+    r"antlr|omegaconf|mismatched|extraneous|token recognition|no viable|Config(Key|Attribute)|interpolation|full_key"
+    r"|object_type|Traceback|\n",
+    re.IGNORECASE,
+)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_any_text_is_an_override_or_one_plain_line(seed):
+    rng, refused = random.Random(seed), 0
+    with session() as composer:
+        for _ in range(120):
+            value = "".join(rng.choice(PIECES) for _ in range(rng.randint(0, 4)))
+            text = f"{rng.choice(KEYS)}={value}" if rng.random() < 0.95 else value
+            for use in (composer.compose, composer.expand):
+                try:
+                    use([text])
+                except UsageError as error:
+                    own = str(error).replace(repr(text), "").replace(text, "").replace(value or text, "")
+                    assert not LIBRARIES.search(own), (text, str(error))
+                    refused += 1
+    assert refused > 75  # the texts are mostly wrong, and some are right
+    assert refused < 240
+
+
+def test_what_is_suggested_exists():
+    """Each key that is named for another option composes with that option."""
+    with session() as composer:
+        for key, options in composer.having("velocity").items():
+            for option in options:
+                assert composer.compose([option, f"{key}=[1,0,0]"])
+
+
+@pytest.mark.parametrize("text", FORMER)
+def test_each_is_refused_with_what_replaces_it(text):
+    group = text.partition(".")[0]
+    asked = [text] if "=" in text else [f"{group}={CHOSEN[group]}", f"{text}=1"]
+    with pytest.raises(UsageError) as error:
+        compose(asked)
+    assert str(error.value) == f"{text}: is no more: {FORMER[text]}"
+    assert text.replace("=", ".") in (ROOT / "docs" / "migrating.md").read_text().replace("=", ".")
+
+
+def test_in_a_file_of_the_users_own_too(tmp_path):
+    (tmp_path / "engine").mkdir()
+    content = "defaults: [/schema/engine/jobs@_here_, _self_]\nname: ours\nqueue: short\n"
+    (tmp_path / "engine" / "ours.yaml").write_text(content)
+    with pytest.raises(UsageError, match="engine.queue: is no more: engine=jobs 'engine.options={queue: NAME}'"):
+        compose(["engine=ours"], tmp_path)

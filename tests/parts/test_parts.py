@@ -1,7 +1,5 @@
 """A part is one class whose fields are its keys. The program's own parts and a user's are found in the same way."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.errors import QuadexpError, UsageError

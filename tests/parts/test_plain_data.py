@@ -1,7 +1,5 @@
 """Configuration of other people is data: it is read at once, is of bounded size, and refers to keys alone."""
 
-from __future__ import annotations
-
 import os
 import socket
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Parts from outside: options of installed packages, and names under `_target_` that are wrong."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

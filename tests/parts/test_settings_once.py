@@ -1,7 +1,5 @@
 """Each setting is declared once, completely, and its value is stated once."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, get_origin
 

@@ -1,7 +1,5 @@
 """Sheets: several options in one file, of the program and of a user, are options like any other."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.errors import UsageError

@@ -3,8 +3,6 @@
 Plants and controllers use the expressions of quadexp.physics.blade_element.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 

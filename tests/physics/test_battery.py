@@ -1,7 +1,5 @@
 """The battery's circuit: charge and energy in balance, its equations by SciPy, the sag of the thrust in closed form."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

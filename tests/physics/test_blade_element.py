@@ -1,7 +1,5 @@
 """The blade-element equations against the paper computed by hand in its own frame, and against what air must do."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from quadexp.physics.rotor import BladeCoefficients
 from tests import paper
 from tests.physics.aerodynamic_point import aerodynamic_point
 
-HOVER_SPEED = paper.HOVER / 0.00891390136552146  # V_I = nu w, rad/s
 FLIGHTS = {  # paper's FRD: velocity (m/s) and its spread, rotor speed and its spread (rad/s)
     "hover": ([0, 0, 0], 0.0, 527, 60),
     "axial": ([0, 0, 0], [0, 0, 4], 527, 60),
@@ -78,15 +75,6 @@ def test_coefficients_of_table_1(lei_li, blade):
     assert lei_li.rotor.reference_area == pytest.approx(0.1590431281, rel=1e-9)
 
 
-def test_hover(lei_li, blade):
-    w = np.sqrt(lei_li.hover_thrust / lei_li.thrust_coefficient)
-    point = aerodynamic_point(lei_li, blade, np.zeros(3), np.full(4, w))
-    assert point.induced_velocity == pytest.approx(np.full(4, 4.70714871732553), rel=1e-13)
-    assert pytest.approx(4.70714871732553, rel=1e-14) == paper.HOVER
-    assert point.force == pytest.approx([0, 0, paper.M * paper.G], abs=1e-12)
-    assert point.torque == pytest.approx(np.zeros(3), abs=1e-15)
-
-
 def test_printed_cross_terms_are_four_times_the_derived_ones(lei_li):
     """(14), (15): at w -> infinity they alone differ, A r th V_h^2 and -B r th u."""
     arguments = (lei_li.rotor, 0.22, 3.32, 500.0, 3.0, 25.0)
@@ -108,64 +96,6 @@ def test_dimensionless_form(lei_li, rng):
         Q = blades / 8 * rho * c * r**4 * C_d0 * w**2 * (1 + 3 * mu**2) + (T * lam + H * mu) * r
         found = blade_forces(rotor, C_d0, C_la, w, u, V_h**2)
         assert (found.thrust, found.hub * V_h, found.torque) == pytest.approx((T, H, Q), rel=1e-12)
-
-
-def test_the_air_takes_energy(lei_li, blade, rng):
-    """Hub force and body drag oppose the in-plane velocity, and dissipate, in flight near the hover speeds."""
-    for _ in range(50):
-        v, w = rng.normal(0, 5, 3) * [1, 1, 0.3], HOVER_SPEED * rng.uniform(0.8, 1.2, 4)
-        force = aerodynamic_point(lei_li, blade, v, w).force
-        assert force[:2] @ v[:2] < 0
-        assert force[0] * v[0] < 0 and force[1] * v[1] < 0
-        no_rotor_drag = aerodynamic_point(lei_li, BladeCoefficients(3.32, 0.22, (0, 0, 0)), v, w).force
-        assert (force - no_rotor_drag) @ v < 0
-
-
-def test_at_low_speed_it_is_linear_drag(lei_li, blade):
-    """F_x -> -sum h_i v_x with h at u = nu w: h = s (r^2 C_d0 / 2 - B r th C_la nu + C_la nu^2 / 2) w, s = rho c.
-
-    Vertically, with T = a - b (V_I - V_z) = K V_I (V_I - V_z): dT/dV_z = b K V_I / (K (2 V_I - V_z) + b) at V_z = 0
-    less ... solved below by the chain rule on both equations.
-    """
-    nu, w, s = 0.00891390137, HOVER_SPEED, paper.RHO * paper.C
-    h = s * w * (paper.R**2 * 0.22 / 2 - paper.R * paper.TH * 3.32 * nu / 6 + 3.32 * nu**2 / 2)
-    K, b, V_I = 2 * paper.RHO * np.pi * paper.R**2, s * 3.32 * paper.R**2 * w / 2, nu * w
-    # g = K V_I (V_I - V_z) - a + b (V_I - V_z) = 0: dV_I/dV_z = (K V_I + b) / (2 K V_I + b); T = K V_I (V_I - V_z)
-    rise = (K * V_I + b) / (2 * K * V_I + b)
-    vertical = K * (2 * V_I * rise - V_I)
-    for speed in (1e-4, 1e-3):
-        force = aerodynamic_point(lei_li, blade, [speed, 0, 0], np.full(4, w)).force
-        assert force[0] / speed == pytest.approx(-4 * h, rel=5 * speed)
-        force = aerodynamic_point(lei_li, blade, [0, 0, -speed], np.full(4, w)).force
-        assert (force[2] - paper.M * paper.G) / speed == pytest.approx(4 * vertical, rel=5 * speed)
-
-
-def test_turning_with_the_layout(lei_li, blade, rng):
-    """A quarter turn of velocity and rotors turns force and torque with them (C_Dx = C_Dy)."""
-    v, w = rng.normal(0, 5, 3), rng.uniform(400, 600, 4)
-    one = aerodynamic_point(lei_li, blade, v, w)
-    # turned by +90 deg about z: what front was is now left; the spins alternate, so the yaw torque changes its sign
-    two = aerodynamic_point(lei_li, blade, [-v[1], v[0], v[2]], np.roll(w, -1))
-    assert two.force == pytest.approx([-one.force[1], one.force[0], one.force[2]], rel=1e-12)
-    assert two.torque == pytest.approx([-one.torque[1], one.torque[0], -one.torque[2]], rel=1e-12)
-
-
-def test_rotor_local_velocity(lei_li, blade, rng):
-    """Without rates nothing but the hub forces' arms is added; a roll rate is damped; yawing is braked."""
-    w = np.full(4, HOVER_SPEED)
-    point = aerodynamic_point(lei_li, blade, np.zeros(3), w, rate=np.zeros(3))
-    assert point.force == pytest.approx([0, 0, paper.M * paper.G], abs=1e-12)
-    for axis in range(3):
-        rate = np.eye(3)[axis] * 2.0
-        assert aerodynamic_point(lei_li, blade, np.zeros(3), w, rate=rate).torque[axis] < -1e-3
-    v, w = rng.normal(0, 5, 3), rng.uniform(400, 600, 4)
-    plain, local = (aerodynamic_point(lei_li, blade, v, w, rate=rate) for rate in (None, np.zeros(3)))
-    assert local.force == pytest.approx(plain.force, rel=1e-13)
-    # hub forces at their rotors, in the paper's letters: sum r_i x H_i about z
-    hub = -plain.hub_force[:, None] * v[:2] / np.hypot(*v[:2])
-    places = np.array(lei_li.rotor_position)
-    arm = np.sum(places[:, 0] * hub[:, 1] - places[:, 1] * hub[:, 0])
-    assert local.torque == pytest.approx(plain.torque + [0, 0, arm], rel=1e-11, abs=1e-12)
 
 
 def test_rotors_of_their_own_lift(lei_li, blade, rng):

@@ -1,7 +1,5 @@
 """Newton's method for the induced velocity: the right root from anywhere, and how fast."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

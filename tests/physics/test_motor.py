@@ -1,7 +1,5 @@
 """Rotors that lag behind their commands: the closed form, and the body's step on them."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

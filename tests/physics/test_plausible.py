@@ -1,7 +1,5 @@
 """Vehicles of one set of units are taken, from 20 g to 40 kg; a number in another unit is named with it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

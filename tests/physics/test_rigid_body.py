@@ -1,14 +1,9 @@
 """The rigid body against what mechanics says of it."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
-import pytest
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadexp.physics.integrator import euler_step, rk4_step
 from quadexp.physics.rigid_body import body_features, rigid_body_function, state_derivative
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from tests.states import random_state
@@ -53,21 +48,6 @@ def test_newton_euler_in_matrix_form(odd_vehicle, rng):
         assert np.allclose(rotation(np.r_[0, 0, 0, q + turn * q_dot]), ahead.as_matrix(), atol=1e-10)
 
 
-def test_free_flight_conserves_energy_and_momentum(odd_vehicle, rng):
-    """No rotor thrust: mechanical energy and the world angular momentum are constant while it tumbles."""
-    function, J, m = rigid_body_function(odd_vehicle), odd_vehicle.inertia_matrix, odd_vehicle.mass
-    x0 = random_state(rng)
-    solution = solve_ivp(lambda t, x: call(function, x, np.zeros(6)), (0, 2), x0, rtol=1e-11, atol=1e-12)
-
-    def invariants(x):
-        v, w = x[VELOCITY], x[RATE]
-        energy = m * v @ v / 2 + w @ J @ w / 2 + m * 9.81 * x[2]
-        return np.r_[energy, rotation(x) @ J @ w, m * v[:2]]
-
-    assert np.allclose(invariants(solution.y[:, -1]), invariants(x0), rtol=1e-8, atol=1e-8)
-    assert np.linalg.norm(solution.y[ATTITUDE, -1]) == pytest.approx(1, abs=1e-9)
-
-
 def test_correction_enters_in_the_body_frame(vehicle, rng):
     x, u, y = random_state(rng), rng.uniform(1, 5, 4), rng.normal(size=6)
     plain = call(rigid_body_function(vehicle), x, u)
@@ -80,30 +60,3 @@ def test_features_are_body_velocity_rate_and_thrust(vehicle, rng):
     x, u = random_state(rng), rng.uniform(1, 5, 4)
     z = np.array(ca.evalf(body_features(ca.DM(x), ca.DM(u)))).reshape(-1)
     assert np.allclose(z, np.r_[rotation(x).T @ x[VELOCITY], x[RATE], u])
-
-
-def test_commuting_with_yaw(odd_vehicle, rng):
-    """Turning the whole experiment about the vertical turns the derivative with it."""
-    function = rigid_body_function(odd_vehicle)
-    x, u = random_state(rng), rng.uniform(0.5, 8, 6)
-    turn = Rotation.from_euler("z", 90, degrees=True)
-    q = turn * Rotation.from_quat(x[ATTITUDE], scalar_first=True)
-    turned = np.r_[turn.apply(x[POSITION]), q.as_quat(scalar_first=True), turn.apply(x[VELOCITY]), x[RATE]]
-    a, b = call(function, x, u), call(function, turned, u)
-    assert np.allclose(b[VELOCITY], turn.apply(a[VELOCITY]))
-    assert np.allclose(b[RATE], a[RATE])
-
-
-@pytest.mark.parametrize(("step", "order"), [(euler_step, 1), (rk4_step, 4)])
-def test_order_of_convergence(vehicle, rng, step, order):
-    function = rigid_body_function(vehicle)
-    x0, u = random_state(rng, rate=1.0), np.array([2.0, 2.5, 2.2, 2.4])
-    truth = solve_ivp(lambda t, x: call(function, x, u), (0, 0.4), x0, rtol=1e-13, atol=1e-13).y[:, -1]
-
-    def error(steps: int) -> float:
-        x = x0
-        for _ in range(steps):
-            x = step(lambda s: call(function, s, u), x, 0.4 / steps)
-        return np.abs(x - truth).max()
-
-    assert np.log2(error(20) / error(40)) == pytest.approx(order, abs=0.25)

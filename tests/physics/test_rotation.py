@@ -1,7 +1,5 @@
 """Rotation vectors: exponential, logarithm and right Jacobian against scipy's rotations and against a limit."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -4,8 +4,6 @@ A cell is a mapping from a group to the overrides of it. Of a pair the second is
 so that both have much in common that a process keeps.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator

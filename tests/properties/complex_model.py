@@ -4,8 +4,6 @@ Nothing of quadexp's equations is used. With a step of 1e-30 i the imaginary par
 the last digit (Squire and Trapp 1998), so values and Jacobians are checked by one independent computation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How many examples: `quick` by default, `slow` for a night, chosen by the environment variable HYPOTHESIS_PROFILE."""
 
-from __future__ import annotations
-
 import os
 
 from hypothesis import HealthCheck, Phase, settings

@@ -1,7 +1,5 @@
 """Smooth random flights as trajectories, and the same flights turned or mirrored."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from quadexp.reference.base import FlatOutput

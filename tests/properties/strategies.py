@@ -4,8 +4,6 @@ Vehicles have four to eight rotors at irregular places, a full inertia matrix of
 of random shape; states tumble. A seed drawn by hypothesis fills the numbers: they are then generic, never special.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Workers are processes that fly one cell after the other. 200 pairs: python -m pytest -m slow tests/properties
 """
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Compiled code and the virtual machine give the same numbers, for inputs of every size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What blade-element and momentum theory must become in the limits, for rotors of any shape in air of any density."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -6,8 +6,6 @@ frame, or with one weight on all four components of the plain difference of quat
 (0, .1, .1, .1) on the plain difference know a heading, because a turn mixes its components.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

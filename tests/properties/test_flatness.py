@@ -1,7 +1,5 @@
 """References of random paths for random vehicles in random air obey the equations of motion, and turn with the path."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -62,34 +60,22 @@ def test_references_in_blade_element_air_integrate_into_themselves(vehicle, head
     assert np.abs(flown - expected)[:, :10].max() < 1e-4
 
 
-@given(vehicles(), turns, generators)
-def test_references_turn_with_the_path(vehicle, angle, rng):
-    """Turned about the vertical, states turn and thrusts stay, in air that turns with the body."""
-    path, residual = Wander(rng), make_residual("linear_drag", vehicle, rng)
-    t = np.linspace(0.2, 0.8, 5)
-    one = flat_reference(path, t, vehicle, residual)
-    other = flat_reference(Transformed(path, z_turn(angle).as_matrix(), angle=angle), t, vehicle, residual)
-    assert np.allclose(other.input, one.input, rtol=1e-7, atol=1e-7)
-    for a, b in zip(one.state, other.state, strict=True):
-        a = turned_world(a, angle)
-        assert np.allclose(
-            a * np.r_[np.ones(3), np.ones(4) * np.sign(a[ATTITUDE] @ b[ATTITUDE]), np.ones(6)], b, atol=1e-7
-        )
-
-
-@given(vehicles(), st.booleans(), generators)
-def test_references_in_a_mirror(vehicle, heading, rng):
-    path = Wander(rng, yaw=heading)
+@pytest.mark.parametrize("mirror", [False, True], ids=["turned", "mirrored"])
+@given(vehicles(), turns, st.booleans(), generators)
+def test_references_turn_with_the_path_and_in_a_mirror(mirror, vehicle, angle, heading, rng):
+    """Turned about the vertical or mirrored, states are so too and thrusts stay, in air that goes with the body."""
+    path, t = Wander(rng, yaw=heading or not mirror), np.linspace(0.2, 0.8, 5)
     residual, image = mirrored_residual("linear_drag", vehicle, rng)
-    t = np.linspace(0.2, 0.8, 5)
     one = flat_reference(path, t, vehicle, residual)
-    other = flat_reference(Transformed(path, MIRROR, sign=-1.0), t, mirrored_vehicle(vehicle), image)
+    if mirror:
+        other = flat_reference(Transformed(path, MIRROR, sign=-1.0), t, mirrored_vehicle(vehicle), image)
+    else:
+        other = flat_reference(Transformed(path, z_turn(angle).as_matrix(), angle=angle), t, vehicle, residual)
     assert np.allclose(other.input, one.input, rtol=1e-7, atol=1e-7)
     for a, b in zip(one.state, other.state, strict=True):
-        a = mirrored(a)
-        assert np.allclose(
-            a * np.r_[np.ones(3), np.ones(4) * np.sign(a[ATTITUDE] @ b[ATTITUDE]), np.ones(6)], b, atol=1e-7
-        )
+        a = mirrored(a) if mirror else turned_world(a, angle)
+        sign = np.r_[np.ones(3), np.ones(4) * np.sign(a[ATTITUDE] @ b[ATTITUDE]), np.ones(6)]
+        assert np.allclose(a * sign, b, atol=1e-7)
 
 
 @given(vehicles(), generators)

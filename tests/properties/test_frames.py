@@ -1,7 +1,5 @@
 """Round trips between frames and between ways of writing an attitude."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 from hypothesis import given

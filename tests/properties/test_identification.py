@@ -1,7 +1,5 @@
 """Learned models against independent solvers: gpytorch for Gaussian processes, batch least squares for recursive."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Every integrator keeps its order on real dynamics: rigid bodies with drag, and both plants."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import replace
 

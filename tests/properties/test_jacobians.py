@@ -1,7 +1,5 @@
 """Values and derivatives of every model against an independent one differentiated by complex step."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

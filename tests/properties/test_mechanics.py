@@ -1,7 +1,5 @@
 """Balances of energy and momentum for any rigid body with rotors, under any wrench of the air."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

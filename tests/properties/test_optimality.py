@@ -1,7 +1,5 @@
 """The controller, iterated to stationarity, is at the optimum of its nonlinear programme, for random problems."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

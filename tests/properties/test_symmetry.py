@@ -4,8 +4,6 @@ Mirror: y -> -y. Vectors S = diag(1, -1, 1), axial vectors -S; the mirrored vehi
 Turning the body's own axes about z leaves the motion as it is, whatever the rotors are called.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An analytic trajectory for the trajectory tests."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -35,8 +33,3 @@ class Wave:
 @pytest.fixture
 def wave() -> Wave:
     return Wave()
-
-
-@pytest.fixture
-def free_wave() -> Wave:
-    return Wave(yaw=False)

@@ -18,8 +18,6 @@ angular accelerations
 Analytic to the last term: it needs no iteration, and holds the general fixed point to account.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A residual at many points at once: what the residual says at each; and the iteration on it, compiled and in numpy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The air of a reference: Newton's convergence, sharp corners, and an end soon where there is no agreement."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

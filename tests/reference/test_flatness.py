@@ -1,7 +1,5 @@
 """References by flatness: flown open loop by an independent rigid body they must follow the flat output."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Trajectories from files: what was written comes back; waypoints are flown as fast as can be; errors name the line."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

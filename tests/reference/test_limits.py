@@ -1,7 +1,5 @@
 """Thrusts and rates beyond the limits: the torque gives way, the collective does not; the worst violation is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

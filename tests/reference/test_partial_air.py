@@ -1,7 +1,5 @@
 """References that cannot contain a residual whole contain a share of it, and obey the equations of motion with that."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

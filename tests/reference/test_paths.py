@@ -1,7 +1,5 @@
 """Every path: the numbers of its specification, derivatives that are derivatives, and an end that is held."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Polynomial paths: random and reproducible, through their points; scaled in time, the limits are kept and reached."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A folder of results with errors that are known, without a simulation: what a report is made from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Folders of results with errors that are known: any keys swept, without a simulation."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from pathlib import Path

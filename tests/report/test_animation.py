@@ -1,7 +1,5 @@
 """`quadexp animate`: the pictures show the vehicles where the flights have them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image

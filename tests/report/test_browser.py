@@ -1,7 +1,5 @@
 """The pages in a headless Chromium; skipped where there is none (test_html.py checks the file itself)."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil
@@ -14,7 +12,6 @@ from quadexp.report.frame import SweepFrame
 from quadexp.report.page import make_report
 from quadexp.report.tables import page_of as table_page
 from quadexp.report.view import view
-from tests.report.results import make_results
 from tests.report.sweeps import swept
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -31,10 +28,10 @@ SHOWN = "return [...document.querySelectorAll('#{} [data-metric]')].filter(e => 
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory):
+def pages(results, tmp_path_factory):
     """Name -> page: a report, a table that sorts, a figure with its numbers."""
     folder = tmp_path_factory.mktemp("pages")
-    make_report(make_results(folder / "table1"), folder / "report.html")
+    make_report(results, folder / "report.html")
     asked = ["controller=nominal_mpc,perfect_mpc", "controller.nodes=5,10,20,40", "seed=0,1"]
 
     def error(config):

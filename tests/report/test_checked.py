@@ -1,7 +1,5 @@
 """Whoever shows the numbers of a sweep says whether its flights hold them: edited, lost, and of another sweep."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

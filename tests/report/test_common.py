@@ -1,7 +1,5 @@
 """Which flights are compared: the rule itself, and that tables, statistics, comparison, page and figures follow it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What differs between two flights, two results, two checkpoints: found, counted, and said."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """Figures with any axes: every panel, cell and line with its number, and marks where flights are missing."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -12,7 +10,7 @@ from matplotlib.colors import to_hex
 from quadexp.errors import UsageError
 from quadexp.report.draw import check_path, figure_of, page_of, save_view
 from quadexp.report.frame import SweepFrame
-from quadexp.report.style import LOOKS, looks
+from quadexp.report.style import LOOKS
 from quadexp.report.view import automatic, view
 from tests.report.sweeps import noise, swept
 
@@ -138,19 +136,3 @@ def test_nothing_that_was_completed_is_one_line_and_success_is_drawn(tmp_path):
     with pytest.raises(UsageError, match="none of the 2 flights was completed"):
         view(read, x="controller.nodes")
     assert figure_of(view(read, x="controller.nodes", y="success")).axes
-
-
-def test_a_controller_along_x_has_the_look_that_it_has_everywhere(tmp_path):
-    out = swept(tmp_path / "r", ["controller=nominal_mpc,perfect_mpc", "seed=0,1"], lambda config: 0.01)
-    drawn = figure_of(view(SweepFrame.read(out), x="controller")).axes[0].containers
-    assert [one.lines[0].get_color() for one in drawn] == [
-        looks([name])[name].colour for name in ("nominal_mpc", "perfect_mpc")
-    ]
-
-
-def test_one_line_says_who_flew_and_has_its_look(tmp_path):
-    out = swept(tmp_path / "r", ["controller=perfect_mpc", "controller.nodes=5,10,20"], lambda config: 0.01)
-    made = view(SweepFrame.read(out), x="controller.nodes")
-    figure = figure_of(made)
-    assert figure.get_suptitle().startswith("perfect_mpc, circle, 8 m/s; one flight each")
-    assert figure.axes[0].containers[0].lines[0].get_color() == looks(["perfect_mpc"])["perfect_mpc"].colour

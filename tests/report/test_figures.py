@@ -1,7 +1,5 @@
 """Figures are made, hold what they should, and are the same every time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Intervals, effects and tests against enumeration, hand-worked numbers, scipy, and coverage on synthetic data."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

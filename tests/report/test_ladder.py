@@ -1,7 +1,5 @@
 """The ladder of worlds: means by world and controller, drawn where every flight completed."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp import papers

@@ -1,7 +1,5 @@
 """Metrics against cases worked by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

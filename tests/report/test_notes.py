@@ -1,11 +1,8 @@
 """Notes on rows: what their columns say, where they are, and nothing where they are not."""
 
-from __future__ import annotations
-
 import math
 
 from quadexp.report.notes import notes
-from quadexp.report.tables import error_table
 from tests.report.test_tables import row
 
 
@@ -44,11 +41,3 @@ def test_several_versions_of_the_program():
     assert notes(rows) == [
         "flights of 2 programs stand side by side: 3 by quadexp 1.1, sources aa; 2 by quadexp 1.0, sources aa"
     ]
-
-
-def test_they_stand_under_every_table():
-    rows = [row("gp_mpc", seed=s) | {"outside_data": 0.25} for s in range(2)]
-    said = "gp_mpc: 25 % of samples outside the data its model was fitted to"
-    table = error_table(rows)
-    assert any(note.startswith(said) for note in table.notes)
-    assert said in table.markdown() and said in table.latex()

@@ -5,8 +5,6 @@ that differ only in the world do. Their errors have one distribution, so each si
 From two to twenty seeds; all flights are completed, some are lost by chance, or a condition keeps two common ones.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

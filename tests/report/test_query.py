@@ -1,7 +1,5 @@
 """Conditions on flights: each is compared with a Python expression; none is ever run as code."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.errors import UsageError

@@ -1,7 +1,5 @@
 """Statistics of result rows against numbers worked by hand: who is compared with whom, and what is left out."""
 
-from __future__ import annotations
-
 import csv
 import math
 

@@ -1,7 +1,5 @@
 """The error table and the comparison, with means worked by hand."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

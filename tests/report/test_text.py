@@ -1,7 +1,5 @@
 """Numbers as text: by hand, and read back."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Text and figures of a validation: every mode that `validate` computes is printed and drawn, with its own numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The numbers behind a figure, compared with pandas and with the tables of the same results."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

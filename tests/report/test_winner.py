@@ -1,7 +1,5 @@
 """Who is named best: hardly ever by chance, and where there is a difference. Error rates over many made-up sweeps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from quadexp.log.store import write_table
 from quadexp.report.inference import log_ratio
 from quadexp.report.metrics import to_columns
-from quadexp.report.page.answer import answer, odds
+from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import numbers
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics import compute_statistics
@@ -128,6 +126,7 @@ def test_the_page_names_a_real_best_and_gives_its_ratio_to_the_bound_an_interval
     value, low, high, _ = comparison.verdict.bound_ratio
     assert low < 1.25 < high and low < value < high
     assert f"{value:.3g} times [{low:.3g},\u00a0{high:.3g}] that of perfect_mpc." in said
+    assert comparison.overall["gp_mpc"].p_holm < 0.05 and "not sure" not in answer(comparison).sure
     means = numbers(comparison).blocks[0].tables["mean_error"]
     assert sum(text.startswith("**") for row in means.rows for text in row) == 4
     assert "the best of 4, significantly less than the next" in error_table(comparison.rows).markdown()
@@ -139,25 +138,3 @@ def test_the_same_flights_twice_are_not_distinguishable():
     (verdict,) = verdicts(rows)
     assert not verdict.best and verdict.alike and verdict.ratio[0] == 1.0
     assert "not distinguishable from" in error_table(rows).markdown() and "**" not in error_table(rows).markdown()
-
-
-def test_how_sure_is_said_in_words_that_follow_the_test(tmp_path):
-    """Equal controllers are "not sure" in most of many draws, a real difference is sure, two pairs say nothing."""
-    rng, doubted, who, factors = np.random.default_rng(3), 0, ["nominal_mpc", "gp_mpc"], {"gp_mpc": 0.1}
-    for i in range(4):
-        comparison = results(tmp_path / str(i), sweep(rng, who, conditions=2, seeds=6))
-        said, pooled = answer(comparison).sure, comparison.overall["gp_mpc"]
-        assert ("not sure" in said) == (pooled.p_holm >= 0.05)
-        doubted += "not sure" in said
-    assert doubted >= 3
-    real = sweep(np.random.default_rng(5), who, conditions=4, seeds=8, factors=factors)
-    said = answer(results(tmp_path / "real", real)).sure
-    assert said.startswith("How sure: fairly.") and "8 seeds" in said and "With other seeds" in said
-    few = sweep(np.random.default_rng(5), who, conditions=1, seeds=2, factors=factors)
-    assert "not at all yet. 2 seeds" in answer(results(tmp_path / "few", few)).sure
-
-
-def test_odds():
-    said = ["in 30 of 100 times", "once in 20 times", "once in 2 000 times", "once in 2 300 times"]
-    never = "less than once in a million times"
-    assert [odds(p) for p in (0.3, 0.05, 0.0005, 0.00042, 1e-9, 0.0)] == [*said, never, never]

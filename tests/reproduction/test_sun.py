@@ -3,8 +3,6 @@
 Limits are those of the published means, which are over 76 ellipses; these six are easier ones.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The promised figures of Torrente et al. 2021's Table I, through the command line, on fewer flights than the table."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -3,8 +3,6 @@
 python -m pytest -m slow -n auto tests/stress/test_an_hour.py
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

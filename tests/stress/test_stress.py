@@ -1,7 +1,5 @@
 """The control step keeps its promise in any situation: an input within its bounds, or a failure with a name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Cell functions for tests of the engine and of sweeps, importable by worker processes."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal
@@ -101,11 +99,6 @@ def poisoned_cell(config, model, path, key):
 def slow_cell(config, model, path, key):
     time.sleep(0.2)
     return quick_cell(config, model, path, key)
-
-
-def endless_cell(config, model, path, key):
-    while True:
-        time.sleep(0.01)
 
 
 def foreign_cell(config, model, path, key):

@@ -1,7 +1,5 @@
 """Results of a small sweep, for tests that edit or damage them."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

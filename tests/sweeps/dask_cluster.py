@@ -1,7 +1,5 @@
 """A real Dask cluster for tests: scheduler, nannies and workers as processes of their own, on the loopback."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,6 +1,9 @@
-"""A sweep of four quick cells, and the bytes of its files."""
+"""A sweep of four quick cells, the bytes of its files, and a sweep of slow cells by a process of its own."""
 
-from __future__ import annotations
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 from quadexp.parts.compose import expand
 from quadexp.sweeps.sweep import run_sweep
@@ -15,3 +18,49 @@ def fly(out, overrides=SWEEP, **options):
 
 def contents(folder):
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = """
+import sys
+from quadexp.errors import QuadexpError
+from quadexp.parts.compose import expand
+from quadexp.sweeps.sweep import run_sweep
+from tests.sweeps import cells
+
+if __name__ == "__main__":
+    out, address, *overrides = sys.argv[1:]
+    engine = None
+    if address:
+        from tests.sweeps.test_dask import at
+        engine = at(address)
+    say = lambda done, total: print(done, flush=True)
+    try:
+        run_sweep(expand(overrides), out, workers=2, function=cells.slow_cell, engine=engine, progress=say)
+    except QuadexpError as error:
+        print("error:", error, flush=True)
+        sys.exit(error.exit_code)
+"""
+
+
+def start(folder: Path, *overrides: str, address: str = "") -> subprocess.Popen:
+    """A sweep into folder/r; the process leads a group of its own. address: of a scheduler, "" for two processes."""
+    (folder / "driver.py").write_text(SCRIPT)
+    return subprocess.Popen(
+        [sys.executable, str(folder / "driver.py"), str(folder / "r"), address, *overrides],
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+
+
+def wait_for(process: subprocess.Popen, count: int) -> None:
+    """Until that many cells are done."""
+    for line in process.stdout:
+        if line.strip().isdigit() and int(line) >= count:
+            return
+
+
+def kill(process: subprocess.Popen) -> None:
+    """By kill -9, without what it has started."""
+    process.kill()
+    process.wait()
+    process.stdout.close()

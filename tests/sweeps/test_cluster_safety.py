@@ -1,7 +1,5 @@
 """Who may run code on a cluster: its owner, and nobody else on the machine or the network."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

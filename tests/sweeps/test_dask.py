@@ -1,7 +1,5 @@
 """Sweeps on a real Dask cluster: the same files and rows as at home, whatever is killed in between."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -21,7 +19,7 @@ from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
 from tests.sweeps.dask_cluster import Cluster
-from tests.sweeps.driver import kill, start, wait_for
+from tests.sweeps.quick import kill, start, wait_for
 from tests.sweeps.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
@@ -110,18 +108,23 @@ class TestKill:
         same_results(undisturbed, result)
         assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
 
-    def test_no_worker_left_is_said_and_the_same_command_goes_on(self, tmp_path, undisturbed):
+    @pytest.mark.parametrize(
+        ("who", "said"), [("worker", "no worker for 1 s "), ("scheduler", "scheduler is gone|no worker")]
+    )
+    def test_no_worker_or_scheduler_left_is_said_and_the_same_command_goes_on(
+        self, tmp_path, monkeypatch, undisturbed, who, said
+    ):
+        monkeypatch.setattr("quadexp.sweeps.cluster.CONNECT", 2.0)
         cluster = Cluster(tmp_path / "cluster", workers=1)
-
         engine = on(cluster)
 
         def upset(count, total):
             if count == 4:
                 engine.wait = 1.0  # not before: workers take their time to start
-                os.killpg(cluster.workers[0].pid, signal.SIGKILL)
+                os.killpg((cluster.workers[0] if who == "worker" else cluster.scheduler).pid, signal.SIGKILL)
 
         try:
-            with pytest.raises(QuadexpError, match="no worker for 1 s .*run the same command to continue"):
+            with pytest.raises(QuadexpError, match=said):
                 run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=upset)
         finally:
             cluster.stop()
@@ -130,23 +133,6 @@ class TestKill:
         result = run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.quick_cell, workers=2)
         assert result.flown == 30 - left
         same_results(undisturbed, result)
-
-    def test_the_scheduler_killed(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.sweeps.cluster.CONNECT", 2.0)
-        cluster = Cluster(tmp_path / "cluster", workers=1)
-        engine = on(cluster)
-
-        def upset(count, total):
-            if count == 3:
-                engine.wait = 2.0
-                os.killpg(cluster.scheduler.pid, signal.SIGKILL)
-
-        try:
-            with pytest.raises(QuadexpError, match="scheduler is gone|no worker for"):
-                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=upset)
-        finally:
-            cluster.stop()
-        assert len(CellStore(tmp_path / "r").done()) >= 3
 
     def test_the_driver_killed(self, cluster, tmp_path, undisturbed):
         process = start(tmp_path, self.GRID, address=cluster.address)

@@ -1,7 +1,5 @@
 """Figures of a sweep: drawn beside the tables, each whole or not at all."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

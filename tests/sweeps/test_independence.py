@@ -1,7 +1,5 @@
 """Results do not depend on workers, order, interruption or process: nobody who flew before or beside is noticed."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """Jobs of a queueing system, by programs that take the place of sbatch and qsub and run the script of a job here."""
 
-from __future__ import annotations
-
 import gc
 import os
 import stat

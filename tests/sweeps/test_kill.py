@@ -1,6 +1,4 @@
-"""kill -9 of a driver or of its workers: the same command again ends as if nothing had been, to the last bit."""
-
-from __future__ import annotations
+"""What dies costs itself alone: cells, workers, the pool, or the driver by kill -9; the same command goes on."""
 
 import os
 import signal
@@ -8,14 +6,16 @@ import time
 from pathlib import Path
 
 import pytest
+from pebble.pool.base_pool import PoolStatus
 
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
+from quadexp.sweeps.engine import CellFailed, Workers
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
 from tests.sweeps.dask_cluster import descendants
-from tests.sweeps.driver import kill, start, wait_for
+from tests.sweeps.quick import kill, start, wait_for
 from tests.sweeps.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
@@ -74,3 +74,35 @@ def test_a_worker_and_the_server_it_was_forked_from(tmp_path, undisturbed):
     assert killed == [4, 9] and [row["cause"] for row in result.not_flown] == []
     same_results(undisturbed, result)
     assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
+
+
+def run(function, jobs, **options):
+    return dict(cells.run_cells(function, jobs, **options))
+
+
+def test_poisoned_cells_cost_themselves_only(tmp_path):
+    kinds = ["fine", "raise", "kill", "exit", "loop", "kill_once", "also_fine", "still_fine"]
+    results = run(cells.misbehave, {kind: (kind, str(tmp_path)) for kind in kinds}, workers=2, timeout=5.0)
+    assert set(results) == set(kinds)
+    for kind in ("fine", "also_fine", "still_fine", "kill_once"):
+        assert results[kind] == kind
+    assert results["raise"] == CellFailed("ValueError: a bad")
+    assert "died (exit code -9)" in results["kill"].cause
+    assert "died (exit code 3)" in results["exit"].cause
+    assert results["loop"].cause == "took longer than 5 s"
+    tries = {kind: len((tmp_path / kind).read_text()) for kind in kinds}
+    assert tries["raise"] == 1, "an exception would come again"
+    assert tries["kill"] == tries["exit"] == tries["loop"] == 2
+    assert tries["kill_once"] == 2
+
+
+def test_a_pool_that_breaks_is_replaced():
+    """As where the server dies while it forks a process: a thread of the pool ends, and its calls never would."""
+    with Workers(2) as processes:
+        found = {}
+        for key, result in processes.run(cells.add, {str(i): (i, 1) for i in range(40)}):
+            found[key] = result
+            if len(found) in (3, 20):
+                processes._pool._context.status = PoolStatus.ERROR
+        assert found == {str(i): i + 1 for i in range(40)}
+        assert processes.call(cells.add, 2, 3).result(60) == 5

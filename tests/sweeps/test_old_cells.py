@@ -1,7 +1,5 @@
 """Cells that other sources have flown: said, asked about, never mixed in silence; and what is said of libraries."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Keys: whatever can change a flight changes its key, and nothing else does."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import fields, is_dataclass, replace
 

@@ -1,7 +1,5 @@
 """`quadexp results`: what lies in a folder, and what may go."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

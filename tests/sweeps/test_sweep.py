@@ -1,7 +1,5 @@
 """Sweeps: done cells stay done, whatever happened in between; one folder holds one sweep."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
@@ -22,7 +20,7 @@ from quadexp.sweeps.sweep import run_sweep
 from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
 from tests.sweeps import cells
-from tests.sweeps.driver import start, wait_for
+from tests.sweeps.quick import start, wait_for
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
 ROOT = Path(__file__).resolve().parents[2]

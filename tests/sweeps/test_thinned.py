@@ -1,8 +1,6 @@
 """Flights of which a sample every evaluate.log_period is stored: they say so, are refused where samples are
 differentiated, and show the errors of the table."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`quadexp results --verify`, and what the next run of a sweep does about what was edited or damaged."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

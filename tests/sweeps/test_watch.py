@@ -1,7 +1,5 @@
 """A sweep that is watched: the page grows, loads itself anew while the sweep runs, and stays when it ends."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import time

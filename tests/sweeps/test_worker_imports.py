@@ -1,7 +1,5 @@
 """Workers import what the driver imports: nothing that lies where the user stands, no other quadexp."""
 
-from __future__ import annotations
-
 import csv
 import os
 import shutil

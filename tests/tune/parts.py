@@ -1,7 +1,5 @@
 """A cell whose error is a known function of the weights, and a controller whose best setting is known."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

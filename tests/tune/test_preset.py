@@ -1,7 +1,5 @@
 """What was found, as options: they fly what was found, and say where it comes from."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

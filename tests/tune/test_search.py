@@ -1,7 +1,5 @@
 """A search finds what is known to be best, is the same again, and goes on where it was interrupted."""
 
-from __future__ import annotations
-
 import pytest
 
 from quadexp.errors import UsageError

@@ -1,7 +1,5 @@
 """Three airframes without a world, and open-loop flights of any plant."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -9,8 +9,6 @@ In: drone (name), pos, quat (x y z w), vel, ang_vel, cmd, rotor_vel (rpm), a row
 of a flight, with its control period. Out: derivatives (rows, 17), and the flight (k + 1, 17), integrated to 1e-12.
 """
 
-from __future__ import annotations
-
 import sys
 
 import drone_models  # isort: skip

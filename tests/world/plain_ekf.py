@@ -1,8 +1,6 @@
 """An error-state EKF once more, in plain numpy: rotations by scipy, every derivative by differences, joint updates in
 Joseph's form. It shares no line with quadexp/world/eskf.py."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

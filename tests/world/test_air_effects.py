@@ -3,8 +3,6 @@
 What a controller settles at in each world is a balance of forces and torques, which holds on every plant.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A battery around three airframes: charge, energy and sag of a flight, compensation, and how a flight ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import simpson

@@ -1,7 +1,5 @@
 """The blade-element plant: the motion of the paper in its frame, integrators, options, limits, and flights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -65,18 +63,6 @@ def test_one_euler_step_of_the_paper(plant, rng):
         assert plant.induced_velocity == pytest.approx(paper.point(V_next, w).V_I, rel=1e-9)
 
 
-@pytest.mark.parametrize(("method", "order", "step"), [("euler", 1, 1e-3), ("rk4", 4, 0.02)])
-def test_order_of_convergence(lei_li, blade, rng, method, order, step):
-    x, u = cruise(rng)
-
-    def fly(step, method=method):
-        return BladeElementPlant(lei_li, blade, step=step, method=method, backend="interpreted").advance(x, u, 0.4)[0]
-
-    truth = fly(5e-4, "rk4")
-    errors = [np.abs(fly(h) - truth).max() for h in (step, step / 2)]
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
-
-
 def test_back_ends_and_the_safe_solver_agree(lei_li, blade, rng):
     plants = [BladeElementPlant(lei_li, blade, backend=backend) for backend in ("interpreted", "auto")]
     for _ in range(5):
@@ -110,19 +96,6 @@ def test_residual_is_what_the_plant_does(lei_li, blade, rng, local, printed):
         derivative = np.array(corrected(x, u, residual.theta)).reshape(-1)
         found = (plant.advance(x, u, h)[0] - x) / h
         assert found == pytest.approx(derivative, rel=1e-6, abs=1e-5)
-
-
-def test_drag_brings_it_to_rest(plant, lei_li):
-    """Level flight without tilt: the hub forces and the body drag take the speed away, in the direction of flight."""
-    x = LEVEL.copy()
-    x[VELOCITY] = [6, -3, 0]
-    speeds = []
-    for _ in range(20):
-        x, _ = plant.advance(x, np.full(4, lei_li.hover_thrust), 0.01)
-        x[ATTITUDE], x[RATE] = LEVEL[ATTITUDE], 0  # held level by hand
-        speeds.append(np.hypot(*x[7:9]))
-    assert np.all(np.diff(speeds) < 0)
-    assert x[8] / x[7] == pytest.approx(-0.5, rel=1e-9)
 
 
 class TestOptions:

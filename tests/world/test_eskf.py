@@ -1,7 +1,5 @@
 """The error-state Kalman filter: against another one, against analytic covariances, against its own statistics."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

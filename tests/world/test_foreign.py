@@ -3,8 +3,6 @@
 What needs no package: motors, limits, the controllers' view of the equations, refusals.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess
@@ -84,10 +82,6 @@ def some_flight(name: str):
     commands = np.stack([flight[f"u_{i}"][rows] for i in range(4)], axis=1)[:-1]
     assert np.linalg.norm(states[:, VELOCITY], axis=1).min() > 2.5 and np.ptp(commands) > 0
     return states, commands, float(flight.t[1])
-
-
-def unsigned(q: np.ndarray) -> np.ndarray:
-    return q / np.sign(q[:, :1])
 
 
 # ------------------------------------------------------------------------------------------------------------ RotorPy

@@ -1,7 +1,5 @@
 """The plant made of an identified model: its motion is the model's, its reading the specific force, noise as asked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Ground effect: Cheeseman and Bennett's factor, its limits, forces and torques where rotors differ in height."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

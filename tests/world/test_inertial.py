@@ -1,7 +1,5 @@
 """Inertial sensors and their aids: readings of known motions, their noise, when a fix comes, what is compared."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import groupby
 

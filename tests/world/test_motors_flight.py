@@ -1,7 +1,5 @@
 """Hover under the MPC with motors, battery and a weakened rotor, on three airframes: held, logged, and how it ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

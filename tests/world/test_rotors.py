@@ -1,7 +1,5 @@
 """Motors, their angular momentum, and rotors that lose thrust, around three airframes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,13 +1,10 @@
 """The simplified plant: noise as a density, drag's sign, motor loss, accelerometer, both back ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from quadexp.physics.state import RATE, VELOCITY
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.states import random_state
 
 HOVER = np.r_[np.zeros(3), 1, np.zeros(9)]
 QUIET = {"motor_noise_density": 0.0, "force_noise_density": 0.0, "torque_noise_density": 0.0}
@@ -71,24 +68,3 @@ def test_published_noise_amplitudes(vehicle):
     speed = np.array([plant.advance(HOVER, np.full(4, u), 5e-4, rng)[0][9] for _ in range(3000)])
     amplitude = np.sqrt(4) * 20 * 0.02 * np.sqrt(u / 20)  # N, four independent rotors
     assert speed.std() / 5e-4 == pytest.approx(amplitude, rel=0.05)
-
-
-def test_same_seed_same_flight_and_back_ends_agree(vehicle, rng):
-    x, u = random_state(rng), rng.uniform(1, 9, 4)
-    one, two = (SimplifiedPlant(vehicle, backend="interpreted") for _ in range(2))
-    a = one.advance(x, u, 0.02, np.random.default_rng(3))[0]
-    assert np.array_equal(a, two.advance(x, u, 0.02, np.random.default_rng(3))[0])
-    compiled = SimplifiedPlant(vehicle, backend="auto")
-    assert np.allclose(a, compiled.advance(x, u, 0.02, np.random.default_rng(3))[0], rtol=1e-12, atol=1e-12)
-
-
-def test_accelerometer_is_the_derivative_of_velocity_less_gravity(vehicle, rng):
-    from scipy.spatial.transform import Rotation
-
-    plant = SimplifiedPlant(vehicle, PlantEffects(**QUIET), backend="interpreted")
-    x, u, h = random_state(rng), rng.uniform(1, 9, 4), 1e-5
-    before, reading = plant.advance(x, u, h, rng)
-    after, _ = plant.advance(before, u, h, rng)
-    acceleration = (after[VELOCITY] - x[VELOCITY]) / (2 * h)
-    attitude = Rotation.from_quat(before[3:7], scalar_first=True)
-    assert reading == pytest.approx(attitude.inv().apply(acceleration + [0, 0, 9.81]), abs=1e-4)

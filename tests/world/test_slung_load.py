@@ -1,7 +1,5 @@
 """The slung load: pendulum, energy, momentum, tension at rest, slack cable."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The true vehicle against sums over its point masses, and Newton and Euler for a payload at a point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Winds: gusts, Dryden's turbulence and recorded ones, as asked for; bad files in one line."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import casadi as ca

@@ -4,8 +4,6 @@ A wind is a moving frame; a latency is a shift of the commands; a delay is a shi
 each part its own numbers, whatever else is switched on.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

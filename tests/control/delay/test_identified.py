@@ -1,7 +1,5 @@
 """Delays that are found in flight: what is found, a controller that is soft until then, flights that begin anew."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -46,18 +44,6 @@ def test_delays_are_found_and_made_good_in_flight():
         {name: column[:100] for name, column in flight.columns.items()}
     )
     assert late["growth"] < 0 and late["delay"] > 0.03  # the loop that takes off is the soft one
-
-
-def test_nothing_is_left_of_a_flight():
-    """The same object flies twice: the second flight begins soft and is the first to the last bit."""
-    config = compose([*INTERPRETED, *WORLD, "trajectory.speed=3", "delay=identified", "delay.after=2.5"])
-    flights = [fly_one(config) for _ in range(2)]
-    for name in ("p_x", "u_0", "delay_time", "delay_lag"):
-        assert np.array_equal(flights[0][name], flights[1][name])
-    vehicle = build_vehicle(config.vehicle)
-    controller = build_controller(config, vehicle, build_world(config, vehicle), None)
-    controller.forget()
-    assert innermost(controller).settings.position_weight == (10.0, 10.0, 10.0)
 
 
 def test_the_soft_controller_has_the_published_grid():

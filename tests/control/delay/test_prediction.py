@@ -1,7 +1,5 @@
 """Prediction of a late state by the model: against SciPy's integration with thrusts that follow their commands."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Strapdown propagation against SciPy's integration of the same motion, and what a bias leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -127,16 +125,3 @@ def test_before_the_delay_has_passed_the_start_is_what_is_measured(vehicle):
 def test_a_delay_of_none_is_the_measurement_itself(vehicle):
     told, true = flown(vehicle, Motion(1, 1.0, 4.0), 0.0)
     assert np.array_equal(told, true)
-
-
-def test_a_flight_begins_anew(vehicle):
-    motion, told = Motion(2, 1.0, 4.0), Held(vehicle, np.zeros(4), PERIOD)
-    wrapped = Strapdown(told, 0.03)
-    flights = []
-    for _ in range(2):
-        wrapped.reset(motion.state(0.0), WINDOW)
-        for k in range(6):
-            t = k * PERIOD
-            wrapped.step(Measurement(t, motion.late(t, 0.03), motion.force(t) if k else None, None), WINDOW)
-        flights.append(told.states)
-    assert np.array_equal(*flights)

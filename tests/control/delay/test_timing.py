@@ -1,7 +1,5 @@
 """The search for delays: its sums against the samples, its work a control step, and what it finds in flight."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Nothing is imported from the program; the rotors are those of tests/paper.py.
 """
 
-from __future__ import annotations
-
 from math import pi, sqrt
 
 import numpy as np

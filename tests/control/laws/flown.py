@@ -1,7 +1,5 @@
 """A rigid body under a control law, and what a hand-made reference shows it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

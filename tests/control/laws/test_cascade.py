@@ -1,7 +1,5 @@
 """A flight stack's cascade: its pieces as printed, steps within limits, integrals that do not wind up, no offset."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.control.laws.cascade import CascadeController, CascadeKeys, wanted_rate, wanted_thrust, wanted_velocity
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.physics.state import POSITION, RATE, VELOCITY
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 
 FORCE, TORQUE = np.array([1.5, -1.0, 0.8]), np.array([0.05, -0.03, 0.01])
@@ -213,13 +211,3 @@ def test_a_small_circle_is_followed_as_its_transfer_function_says(name, frequenc
     assert np.abs(found - wanted).max() < 0.03 * abs(1 - wanted)
     for wrong in (transfer(1j * frequency, keys, (0, 1)), transfer(1j * frequency, keys, (1, 0))):
         assert abs(wrong - wanted) > 0.2 * abs(1 - wanted)  # a feed-forward that were not there would show
-
-
-def test_derivatives_are_those_of_the_last_flight_s_start_only():
-    vehicle = vehicle_of("torrente")
-    controller, window = cascade(vehicle), hovering(vehicle)
-    start = at_rest((0.3, 0.0, 0.2), Rotation.from_rotvec([0.2, 0.1, 0.0]))
-    start[VELOCITY], start[RATE] = (1.0, -1.0, 0.5), (2.0, 1.0, -1.0)
-    first, _ = fly(Body(vehicle), controller, start, 0.5, lambda t: window)
-    second, _ = fly(Body(vehicle), controller, start, 0.5, lambda t: window)
-    assert (first == second).all() and np.abs(np.linalg.norm(first[:, ATTITUDE], axis=1) - 1).max() < 1e-12

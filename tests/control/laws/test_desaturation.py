@@ -1,7 +1,5 @@
 """Rotor thrusts by priority are what a linear program says: most tilt, then the nearest thrust, then most yaw."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -65,35 +63,27 @@ def test_against_three_linear_programs(vehicle):
     assert 20 < saturated < 60
 
 
-def test_a_yaw_torque_that_is_too_large_does_not_tilt_the_vehicle():
-    vehicle, G = vehicle_of("torrente"), vehicle_of("torrente").allocation
-    wrench = np.array([70.0, 0.5, -0.3, 2.0])  # 80 N at most
+def given_by(vehicle, wrench, law=prioritised, **settings):
+    """The wrench that the rotors then give, (4,)."""
     w = ca.SX.sym("w", 4)
-    by_priority, plain = (ca.Function("f", [w], [f(vehicle, w)])(wrench).full().ravel() for f in (prioritised, clipped))
-    assert (G @ by_priority)[:3] == pytest.approx(wrench[:3]) and 0 < (G @ by_priority)[3] < 2.0
-    assert np.abs((G @ plain)[1:3] - wrench[1:3]).max() > 0.1
+    return vehicle.allocation @ ca.Function("f", [w], [law(vehicle, w, **settings)])(wrench).full().ravel()
+
+
+def test_a_yaw_torque_that_is_too_large_does_not_tilt_the_vehicle():
+    wrench = np.array([70.0, 0.5, -0.3, 2.0])  # 80 N at most
+    by_priority, plain = (given_by(vehicle_of("torrente"), wrench, law) for law in (prioritised, clipped))
+    assert by_priority[:3] == pytest.approx(wrench[:3]) and 0 < by_priority[3] < 2.0
+    assert np.abs(plain[1:3] - wrench[1:3]).max() > 0.1
 
 
 def test_without_airmode_tilt_never_raises_the_thrust():
-    vehicle = vehicle_of("torrente")
-    w = ca.SX.sym("w", 4)
-    wrench = np.array([2.0, 1.5, 0.0, 0.0])
-    with_it, without = (
-        vehicle.allocation @ ca.Function("f", [w], [prioritised(vehicle, w, airmode=on)])(wrench).full().ravel()
-        for on in (True, False)
-    )
+    with_it, without = (given_by(vehicle_of("torrente"), [2.0, 1.5, 0, 0], airmode=on) for on in (True, False))
     assert with_it[1] == pytest.approx(1.5) and with_it[0] > 4
     assert without[0] == pytest.approx(2.0) and 0 < without[1] < 0.5
 
 
 def test_yaw_may_take_away_a_share_of_the_thrust():
-    vehicle = vehicle_of("torrente")
-    w = ca.SX.sym("w", 4)
-    wrench = np.array([80.0, 0.0, 0.0, 0.1])
-    kept, given = (
-        vehicle.allocation @ ca.Function("f", [w], [prioritised(vehicle, w, yaw_margin=m)])(wrench).full().ravel()
-        for m in (0.0, 0.15)
-    )
+    kept, given = (given_by(vehicle_of("torrente"), [80.0, 0, 0, 0.1], yaw_margin=m) for m in (0.0, 0.15))
     assert kept == pytest.approx([80, 0, 0, 0]) and given[3] == pytest.approx(0.1) and 60 < given[0] < 80
 
 

@@ -1,7 +1,5 @@
 """Controllers of other programs: their own code gives the same commands, whatever the layout, and they fly."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

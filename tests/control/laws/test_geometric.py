@@ -1,7 +1,5 @@
 """Geometric tracking has the error dynamics that Lee, Leok and McClamroch prove, and follows references exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """The control problem as one nonlinear programme for IPOPT: nothing shared with the step but the dynamics."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

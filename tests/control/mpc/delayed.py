@@ -1,7 +1,5 @@
 """A world whose commands arrive late and whose rotors lag: any plant behind a latency and a first-order lag."""
 
-from __future__ import annotations
-
 import numpy as np
 
 SUBSTEP = 1e-3  # s, over which the lagging thrust is held at its mean

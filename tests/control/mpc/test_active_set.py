@@ -1,7 +1,5 @@
 """The subproblem's solution against an independent QP solver, with and without active bounds, on both back ends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca
@@ -372,19 +370,13 @@ def hostile(model: str, nodes: int, backend: str, trials: int, seed: int) -> tup
     return compared, worst
 
 
-@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+MANY = [pytest.param("compiled", model, 400, marks=pytest.mark.slow) for model in ("none", "gp20")]
+
+
+@pytest.mark.parametrize(("backend", "model", "trials"), [("compiled", "none", 12), ("interpreted", "none", 12), *MANY])
 @pytest.mark.parametrize("nodes", [10, 20])
-def test_hostile_subproblems(backend, nodes):
+def test_hostile_subproblems(backend, model, trials, nodes):
     if backend == "compiled" and compiler() is None:
         pytest.skip("no C compiler")
-    compared, worst = hostile("none", nodes, backend, trials=12, seed=nodes)
-    assert compared > 20 and worst < EXACT
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(compiler() is None, reason="no C compiler")
-@pytest.mark.parametrize("model", ["none", "gp20"])
-@pytest.mark.parametrize("nodes", [10, 20])
-def test_thousands_of_hostile_subproblems(model, nodes):
-    compared, worst = hostile(model, nodes, "compiled", trials=400, seed=1)
-    assert compared > 1000 and worst < EXACT
+    compared, worst = hostile(model, nodes, backend, trials=trials, seed=nodes if trials < 100 else 1)
+    assert compared > (20 if trials < 100 else 1000) and worst < EXACT

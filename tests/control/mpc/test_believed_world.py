@@ -1,7 +1,5 @@
 """A disturbance, a wind and a thrust scale that are believed: against simulations of a world that has them."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

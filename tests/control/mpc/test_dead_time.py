@@ -1,7 +1,5 @@
 """The dead time: the model integrated over the commands sent, and a delayed loop that is the undelayed one, later."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The first step from kicked starts: at a stationary point of the whole problem, by IPOPT, or flagged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

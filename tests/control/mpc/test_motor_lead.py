@@ -1,7 +1,5 @@
 """The inverted motor lag: rotors are where the plan wants them when the next command comes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

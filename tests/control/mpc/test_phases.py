@@ -1,7 +1,5 @@
 """Preparation and feedback: the answer of the whole step, whatever the measurement turns out to be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """input_hold=deviation: the reference's thrust within a node, and loops that follow it on any grid."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The hand-written backward pass against the recursion as the textbook writes it, in numpy."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,15 +1,15 @@
 """The control step by itself: it predicts what its own linearisation says, in whatever coordinates it solves."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
+from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import Step, step_functions
+from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE
 from tests.models.residuals import make_residual
 from tests.states import random_state
@@ -70,3 +70,24 @@ def test_the_error_in_world_axes_is_that_of_the_rotation_from_the_reference():
     assert np.abs(found["world"]) == pytest.approx(np.abs((q * ref.inv()).as_quat(scalar_first=True)), abs=1e-12)
     assert np.abs(found["body"]) == pytest.approx(np.abs((ref.inv() * q).as_quat(scalar_first=True)), abs=1e-12)
     assert np.abs(found["world"] - found["body"]).max() > 0.1
+
+
+def test_lengths_between_a_half_and_two_are_left_alone(vehicle, rng):
+    """The linearisation point of a step from a guess with quaternions of any length: others get the nearest of both,
+    the measured state and everything besides the attitude stays what it is."""
+    controller = ModelPredictiveController(vehicle, no_residual(vehicle), backend="interpreted")
+    nodes = controller.settings.nodes
+    measured = np.r_[rng.normal(size=3), 1, np.zeros(9)]
+    guess, hover = rng.normal(size=(nodes + 1, 13)), np.full((nodes, 4), vehicle.hover_thrust)
+    lengths = np.array([1, 0.1, 0.3, 0.49, 0.51, 0.7, 0.99, 1.01, 1.9, 2.1, 9.0])
+    directions = guess[:, ATTITUDE] / np.linalg.norm(guess[:, ATTITUDE], axis=1)[:, None]
+    guess[:, ATTITUDE] = lengths[:, None] * directions
+    arguments = controller._step.arguments
+    arguments["X"][...], arguments["U"][...], arguments["shift"][...] = guess, hover, 0.0
+    arguments["x0"][...], arguments["X_ref"][...], arguments["U_ref"][...] = measured, measured, hover
+    controller._step()
+    point = controller._step.results["X_lin"]
+    assert point[0] == pytest.approx(measured)
+    expected = guess[1:].copy()
+    expected[:, ATTITUDE] = np.clip(lengths[1:], 0.5, 2.0)[:, None] * directions[1:]
+    assert point[1:] == pytest.approx(expected, rel=1e-14)

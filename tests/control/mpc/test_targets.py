@@ -1,7 +1,5 @@
 """Targets under a believed disturbance hold the path: their thrust is what it asks for less the disturbance."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Faults as a logger or an importer makes them, each put into a clean flight, and clean flights to put them into."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

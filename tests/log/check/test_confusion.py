@@ -3,8 +3,6 @@
 pytest tests/log/check/test_confusion.py -m slow -s -n 0      prints the table
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from functools import partial

@@ -4,8 +4,6 @@ The fault of a candidate is the inverse of its correction, found numerically: ev
 of a stream. The correction takes the way of a user back: through the printed text, the YAML reader and the importer.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

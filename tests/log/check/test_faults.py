@@ -1,7 +1,5 @@
 """Every fault is reported by its name on a simulated and on a real flight; clean flights are not complained about."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A turned accelerometer is offered its correction, which mends the import; real faults keep their names."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

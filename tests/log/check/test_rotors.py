@@ -1,7 +1,5 @@
 """A wrong order of the rotors, or spin, contradicts the angular acceleration; a right one is left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import permutations
 

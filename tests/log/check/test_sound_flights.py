@@ -1,7 +1,5 @@
 """Sound flights of the kinds that real logs hold are not blocked: slow, hovering, in a plane, with a glitch or two."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

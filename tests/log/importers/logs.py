@@ -4,8 +4,6 @@ The path is a Lissajous figure with a turning nose; attitude, rates, specific fo
 rigid-body dynamics with linear drag, so that every column is consistent with every other.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from dataclasses import dataclass
@@ -182,10 +180,6 @@ def imported(folder: Path, flight: Flight, mapping: str = MAPPING, *, vehicle=No
     options = Options(mapping=folder / "mapping.yaml", **options)
     (outcome,) = import_files([log], folder / "out", options, vehicle=vehicle, force=True, keep=keep)
     return outcome, Flight(*read_table(outcome.path, "flight")) if outcome.path else None
-
-
-# ------------------------------------------------------------------------------------------------------------- ULog
-_C = {"uint64_t": "Q", "float": "f", "uint8_t": "B", "uint16_t": "H", "int32_t": "i", "uint32_t": "I", "bool": "?"}
 
 
 class ULogWriter:

@@ -1,7 +1,5 @@
 """Repeated rows, outliers and a dead logger's line: refused with what mends it, left out or cut on request."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Mappings proposed from the data: what is proposed has to give the flight back that was logged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """A file that is no log, or a damaged one: one line that says what was found, and no more."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 

@@ -1,8 +1,6 @@
 """What PX4 logs of real vehicles are like: an estimator without a position, set-points for a part of the flight, low
 rates, outputs that drive more than rotors. They import with what they have, and nothing sound is blocked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

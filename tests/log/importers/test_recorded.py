@@ -1,7 +1,5 @@
 """Real flights: units, frames and signs are right where the drag that plain least squares finds is the known one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """What is logged comes back: of an export of this program, PX4's logs, ROS bags, and a reader of one's own."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Ground phases and derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Time offsets that are known come back to a millisecond, with an error bar that covers them, or not as certain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

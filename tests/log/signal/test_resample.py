@@ -1,7 +1,5 @@
 """Resampling: frequency response, no aliasing, gaps kept, quaternions on the sphere, held signals, samples kept."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,0 +1,11 @@
+"""Results that many tests here read."""
+
+import pytest
+
+from tests.report.results import make_results
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory):
+    """As `make_results` makes them: not to be changed."""
+    return make_results(tmp_path_factory.mktemp("made") / "table1")
