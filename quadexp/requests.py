@@ -47,6 +47,7 @@ ANSWERED = {
     "import_logs": "experiment.import_flights.import_files",
     "ImportOptions": "log.importers.Options",
     "describe_log": "log.importers.describe.describe_log",
+    "export": "log.exporters.export_flight",
     "select": "sweeps.results.select",
     "prune": "sweeps.results.prune",
     "verify": "sweeps.verify.verify_results",
@@ -327,7 +328,7 @@ def identify(
     choice = choose_method(flights, method, named)
     chosen(choice.method, choice.reason)
     if choice.method == "delays":
-        from quadexp.experiment.identify import identify_delays
+        from quadexp.experiment.delays import identify_delays
 
         return {"method": "delays", **identify_delays(flights, named, conf, figure)}
     if choice.method == "rls":
@@ -403,13 +404,3 @@ def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
             texts = {key: record.get(key, "") for key in ("measured", "allowed", "advice")}
             earlier.append(Finding(record["name"], severity, f"the log, {record['where']}", **texts))
     return worst_first(findings + earlier)
-
-
-# --------------------------------------------------------------------------------------------------------------- look
-def export(source: Path, to: str, out: Path | None = None, *, force: bool = False) -> dict[str, Path]:
-    """Write a flight for other programs; name -> file."""
-    from quadexp.log.exporters import export_flight
-    from quadexp.log.store import read_metadata
-
-    read_metadata(source, "flight")  # it is one, before a name is made of its own
-    return dict(export_flight(source, to, out, force=force))

@@ -39,9 +39,9 @@ def results(
 ) -> Answer:
     """List, filter, sort and prune the flights of a sweep.
 
-    A column is one of the table or any key of the configuration (controller.nodes). --where knows == != < <= > >=, and,
-    or, not, in [A, B], like 'gp_*', is null, and brackets; a number has the unit of the table's column, or its own:
-    mean_error < 5mm.
+    A column is one of the table or any key of the configuration (controller.nodes). KEY=VALUE takes patterns (gp_*)
+    and null. --where knows == != < <= > >=, and, or, not, in [A, B], and brackets; a number has the unit of the table's
+    column, or its own: mean_error < 5mm.
 
     --verify compares every flight and table with its hashes, rows with their flights, and texts with their rows; exit
     code 1 if something is wrong. The next run of the sweep flies such cells again and writes such tables again.
@@ -158,7 +158,7 @@ def plot(
     quadexp plot results/x --x controller.horizon --y mean_error --by controller.nodes --out a.png
     quadexp plot results/x --x controller.horizon --by controller.nodes --kind heat --out map.pdf
     quadexp plot results/x --width column --label gp_mpc="GP (ours)" --title "Circle" --out figure.pdf
-    quadexp plot results/x --x vehicle.mass --facet trajectory --where "controller like '*_mpc'" --out b.html
+    quadexp plot results/x --x vehicle.mass --facet trajectory --where "seed in [0, 1]" --out b.html
     """
     from dataclasses import replace
 

@@ -188,16 +188,16 @@ class BufferedFunction:
         self.arguments = {}
         self.results = {}
         for i, name in enumerate(function.name_in()):
-            own = self._array(function.sparsity_in(i))
-            self.arguments[name] = given = (shared or {}).get(name, own)
-            if given.shape != own.shape or given.dtype != own.dtype or not given.flags.c_contiguous:
-                raise ValueError(f"{function.name()}: the array shared as {name} must be like {own.shape} floats")
-            if self.arguments[name].size:
-                self._buffer.set_arg(i, self.arguments[name].reshape(-1).data)
+            fresh = self._array(function.sparsity_in(i))
+            self.arguments[name] = given = (shared or {}).get(name, fresh)
+            if given.shape != fresh.shape or given.dtype != fresh.dtype or not given.flags.c_contiguous:
+                raise ValueError(f"{function.name()}: the array shared as {name} must be like {fresh.shape} floats")
+            if given.size:
+                self._buffer.set_arg(i, given.reshape(-1).data)
         for i, name in enumerate(function.name_out()):
-            self.results[name] = own = self._array(function.sparsity_out(i))
+            self.results[name] = fresh = self._array(function.sparsity_out(i))
             if into is not None and name in into:
-                self.results[name] = into[name].reshape(own.shape)
+                self.results[name] = into[name].reshape(fresh.shape)
                 if not np.shares_memory(self.results[name], into[name]):
                     raise ValueError(f"{function.name()}: the array for {name} must be contiguous")
             if self.results[name].size:

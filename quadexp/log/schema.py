@@ -25,6 +25,7 @@ class Column(NamedTuple):
 
 
 Columns = dict[str, Column]
+SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]  # m, unless recorded
 _AXES = "xyz"
 
 
@@ -289,6 +290,12 @@ class Flight:
 
         attitude, velocity = (tuple(f"{name}_{axis}" for axis in axes) for name, axes in (("q", "wxyz"), ("v", _AXES)))
         return np.asarray(air_velocity(self.stack(attitude), self.stack(velocity), self.wind))
+
+    @property
+    def rotor_position(self) -> np.ndarray:
+        """Of the rotors in the body, (n, 3) (m), as the vehicle's record has them; else of any small vehicle."""
+        vehicle = self.metadata.get("config", {}).get("vehicle") or {}
+        return np.array(vehicle.get("rotor_position") or SOME_ROTORS, float)
 
     @property
     def reference_state(self) -> np.ndarray:

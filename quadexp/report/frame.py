@@ -7,9 +7,8 @@ the overrides that asked for it are in the record of the results.
 Conditions, such as `controller == gp_mpc and speed > 6`, are evaluated by pandas as `DataFrame.query` does. A word that
 is a column of the results or a key of the configuration stands for its values, any other one for a text. A number may
 have a unit (5 mm); without one it has that of the tables beside a metric (`mean_error < 5` is in mm) and that of the
-configuration beside a key. Beside the signs of Python there are `like 'gp_*'` and `is null`. What pandas reads is put
-together from known columns, signs and literals: no name, call or attribute of the condition gets there. As in pandas, a
-missing value fulfils no comparison but `!=` and `not in`.
+configuration beside a key. What pandas reads is put together from known columns, signs and literals: no name, call or
+attribute of the condition gets there. As in pandas, a missing value fulfils no comparison but `!=` and `not in`.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -50,8 +48,6 @@ SIGNS = {"=": "==", "<>": "!=", "&&": "and", "||": "or"}
 LITERALS = {"true": "True", "false": "False"}
 _TOKEN = re.compile(
     r"""\s*(?:(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s?(?P<unit>mm|cm|us|ms|deg|m|s|%)?(?![\w.])
-    |is\s+(?P<there>not\s+)?(?P<null>null\b)
-    |(?P<unlike>not\s+)?like\s+(?P<like>'[^']*'|"[^"]*"|[^\s()]+)
     |(?P<joint>(?:and|or|not|in)\b)
     |(?P<word>[^\W\d][\w.+/:*?-]*)|(?P<text>'[^']*'|"[^"]*")
     |(?P<sign>==|!=|<>|<=|>=|&&|\|\||[=<>()\[\],]))""",
@@ -247,28 +243,14 @@ def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]]
         tokens.append(token)
     parts: list[str] = []
 
-    def column(values: list[Any]) -> str:
-        name = f"c{len(columns)}"
-        columns[name] = values
-        return name
-
     for i, token in enumerate(tokens):
         if token["number"]:
             number = float(token["number"])
             parts.append(repr(number * UNITS[token["unit"].lower()] if token["unit"] else number / _factor(tokens, i)))
-        elif token["null"] or token["like"]:
-            values = columns.get(parts[-1] if parts else "")
-            if values is None:
-                raise UsageError(f"--where {condition!r}: `{token[0].strip()}` needs a key before it")
-            if token["null"]:
-                holds = [(value is None) is not bool(token["there"]) for value in values]
-            else:
-                pattern, unlike = token["like"].strip("'\""), bool(token["unlike"])
-                holds = [value is not None and fnmatchcase(str(value), pattern) is not unlike for value in values]
-            parts[-1] = f"{column(holds)} == True"
         elif (word := token["word"]) and word.lower() not in LITERALS:
             if frame.has(word):
-                parts.append(column(frame.column(word)))
+                parts.append(f"c{len(columns)}")
+                columns[parts[-1]] = frame.column(word)
             else:
                 texts.append(word)
                 parts.append(repr(word))

@@ -14,7 +14,6 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
-from quadexp.models.base import REPORTED_SHARE
 from quadexp.report.checked import programs_text
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, grouped, is_bound, is_invalid
 from quadexp.report.text import count, speed_text, too_few
@@ -24,6 +23,7 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
     from quadexp.report.winner import Verdict
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
+REPORTED_SHARE = 0.01  # least share of samples outside the data that is reported for a flight
 MOST_CONTESTANTS = 10  # that a kind of note has a line on
 MOST_CAUSES = 3  # of invalid combinations that are named
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name

@@ -62,6 +62,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/models/adapt_block.c": ("tests/models/test_online.py",),
     "quadexp/models/neural_*.c": ("tests/models/test_residuals.py", "tests/models/test_neural.py"),
     "quadexp/models/residual.py": RESIDUAL,
+    "quadexp/models/inflow.py": RESIDUAL,
     "quadexp/models/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
     "quadexp/models/gaussian_process.py": (*RESIDUAL, "tests/models/test_gp_fit.py"),

@@ -18,7 +18,6 @@ import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
-from quadexp.report.animation import rotors_of
 from quadexp.report.page.source import Comparison
 from quadexp.report.pairing import Condition, condition_of, grouped
 from quadexp.report.text import speed_text
@@ -109,7 +108,7 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
         "title": case_title(comparison, case),
         "step": step,
         "samples": len(t),
-        "rotors": rotors_of(longest).tolist(),
+        "rotors": longest.rotor_position.tolist(),
         "centre": centre.tolist(),
         **_integers("reference", reference - centre),
         "left_out": ordered[MAX_TRACKS:],
