@@ -13,8 +13,9 @@ The accelerometer's specific force gets R^T F / m besides. m is the mass that th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 from typing import Any
 
@@ -23,7 +24,7 @@ from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Readings, Sizes, Told
-from quadexp.world.integrator import INPUTS, OUTPUTS, Equations
+from quadexp.world.integrator import INPUTS, OUTPUTS, Equations, period
 
 WORLD_INPUTS = (*INPUTS, "draws", "time")
 WORLD_OUTPUTS = (*OUTPUTS, "measured")
@@ -51,9 +52,17 @@ class Layout:
 
 
 def compose(
-    equations: Equations, effects: Sequence[Effect], layout: Layout, clock: Clock, vehicle: Vehicle
+    equations: Equations,
+    effects: Sequence[Effect],
+    layout: Layout,
+    clock: Clock,
+    vehicle: Vehicle,
+    columns: Mapping[str, int],
 ) -> ca.Function:
-    """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps."""
+    """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps.
+
+    columns: which inner states are columns of a flight, see World.columns.
+    """
     last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
     stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
     parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
@@ -80,26 +89,34 @@ def compose(
     still = parts.chosen(own, parts.still)[used["still"]]
     states, *kept = _repeated(one, steps, state, times, noise, (still, u, known[used["parameters"]], step))
 
-    sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
-    x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
-    own = parts.ending()(time + clock.period, x_next, parts.assembled(moved, own), known, step)
+    begun, last_t = own, time + clock.period
+    x_next, own, inner_a, wind, reading, doubt = parts.settled(states[:, -1], begun, known, theta, last_t, step)
     own = ca.vertcat(own, measuring)
-    if equations.end:
-        held = equations.command(thrusts, theta) if equations.command else thrusts
-        s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
-        _, inner_a, reading, doubt = equations.end(s, held, theta)
-        names = equations.step.name_out()[1:]
-    else:
-        inner_a, reading, doubt = rest, kept[0][:, -1], ca.MX(1, 1)
-        kept, names = kept[1:], []
-    reading += pushed
-    parts = _Parts(equations, tuple(effects), layout, vehicle)
-    doubt = parts.ended(own, parameters, doubt)
+    names, forces_kept = equations.step.name_out()[1:] if equations.end else [], None
+    if not equations.end:
+        forces_kept, *kept = kept
+        reading, doubt = forces_kept[:, -1], ca.MX(1, 1)
+    reading += states[-3:, -1]
+    if not last and not any(effect.names_world for effect in effects):  # the airframe's own flight, to the last bit
+        alone = period(equations, steps)(x, inner[: airframe.inner], u, noise, theta, step)
+        x_next, inner_a, reading, doubt, *kept = alone
+    everything = _Parts(equations, tuple(effects), layout, vehicle)
+    doubt = everything.ended(own, parameters, doubt)
+
+    each_step = partial(parts.each_step, states, begun, known, theta, times, step)
+
+    def columns_of(wanted: Sequence[str]) -> ca.MX:
+        places = [columns[name] for name in wanted]
+        inner_now = each_step(lambda x, own, inner, *_: ca.vertcat(inner, own)[places])
+        return ca.horzcat(ca.vertcat(inner[: airframe.inner], begun)[places], inner_now)
+
+    def forces() -> ca.MX:
+        return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else forces_kept)
 
     told: Told = {"state": x_next, "specific_force": reading}
-    own, told = parts.measured(
-        ca.horzcat(x, states[:N_STATE, :]), own, parameters, draws, time + clock.period, step, clock, told
-    )
+    known_now = (own, parameters, draws, step, clock, vehicle)
+    seen = Readings(last_t, ca.horzcat(x, states[:N_STATE, :]), *known_now, columns_of, forces)
+    own, told = everything.measured(seen, told)
     inner_next = ca.vertcat(inner_a, own, wind)
     results = [x_next, inner_next, told["specific_force"], doubt, told["state"]]
     arguments = [x, inner, u, noise, parameters, step, draws, time]
@@ -267,6 +284,30 @@ class _Parts:
         ]
         return self._function("after", [*symbols, *entering], [ca.vertcat(*inner)])
 
+    def settled(self, S: Any, own: Any, known: Any, theta: Any, t: Any, step: Any) -> tuple[Any, ...]:
+        """State, inner states of effects and airframe, wind, specific force without effects' forces, and doubt, of a
+        control period that would end after a step with S, see `step`. own: as the period began."""
+        equations, n = self._equations, self._vehicle.n_rotors
+        further = equations.step.size1_in(0) - N_STATE
+        sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
+        x, rest, moved, wind, thrusts, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
+        own = self.ending()(t, x, self.assembled(moved, own), known, step)
+        if not equations.end:
+            return x, own, rest, wind, None, None
+        held = equations.command(thrusts, theta) if equations.command else thrusts
+        _, inner, reading, doubt = equations.end(ca.vertcat(_seen_from_the_air(x, wind), rest), held, theta)
+        return x, own, inner, wind, reading, doubt
+
+    def each_step(self, states: Any, own: Any, known: Any, theta: Any, times: Any, step: Any, select: Any) -> ca.MX:
+        """What `select` makes of `settled`, (k, steps). times: when the steps began."""
+        given = [states[:, 0], own, known, theta, times[0], step]
+        S, before, of_effects, of_airframe, began, h = (ca.MX.sym(f"s{i}", one.numel()) for i, one in enumerate(given))
+        after = self.settled(S, before, of_effects, of_airframe, began + h, h)
+        one = ca.Function("settled", [S, before, of_effects, of_airframe, began, h], [select(*after)])
+        steps = states.size2()
+        held = [ca.repmat(value, 1, steps) for value in (own, known, theta)]
+        return one.map(steps)(states, *held, times, ca.repmat(step, 1, steps))
+
     def step(self) -> ca.Function:
         """(S, t, still, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s,
         moving inner states, wind, thrusts, force over mass in the body frame (3,)]; still: those that stay."""
@@ -324,15 +365,13 @@ class _Parts:
                 doubt = ca.fmax(doubt, effect.ended(inner, theta))
         return doubt
 
-    def measured(
-        self, states: Any, own: Any, parameters: Any, draws: Any, t: Any, step: Any, clock: Clock, told: Told
-    ) -> tuple[Any, Told]:
-        """`own` after the period, and what the controller is told."""
+    def measured(self, seen: Readings, told: Told) -> tuple[Any, Told]:
+        """The inner states of all effects after the period, and what the controller is told. seen: with those before,
+        and all parameters and draws."""
         found = []
-        cut = [self._cut(value, kind) for value, kind in ((own, "inner"), (parameters, "parameters"), (draws, "draws"))]
+        cut = [self._cut(getattr(seen, name), name) for name in ("inner", "parameters", "draws")]
         for effect, inner, theta, drawn in zip(self._effects, *cut, strict=True):
             if effect.has("measure"):
-                at = Readings(t, states, inner, theta, drawn, step, clock)
-                inner, told = effect.measure(at, told)
+                inner, told = effect.measure(seen._replace(inner=inner, parameters=theta, draws=drawn), told)
             found.append(inner)
         return ca.vertcat(*found), told

@@ -69,6 +69,7 @@ class Ticking:
     numbers: int
     tick: float
     period: float  # s, of control
+    closing: bool = False  # whether a tick at the end of a period belongs to it, and not to the next one
 
     @property
     def slots(self) -> int:
@@ -85,7 +86,8 @@ class Ticking:
         """See Sampled.begin."""
 
         def take(begins: np.ndarray, end: float) -> np.ndarray:
-            first = np.ceil(np.append(begins, end) / self.tick - EARLY).clip(1)
+            edges = np.append(begins, end) / self.tick
+            first = np.floor(edges + EARLY) + 1 if self.closing else np.ceil(edges - EARLY).clip(1)
             ticks = first[:-1, None] + np.arange(self.slots)
             there = ticks < first[1:, None]
             numbers_at = np.zeros((*ticks.shape, 1 + self.numbers))

@@ -17,6 +17,7 @@ from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.models.residual import Residual
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
@@ -45,7 +46,10 @@ class World(SimulatedPlant):
     def __init__(
         self, airframe: SimulatedPlant, effects: Sequence[Effect], believed: SimulatedPlant | None = None
     ) -> None:
-        self.airframe, self.effects = airframe, ordered([effect.among(effects) for effect in effects])
+        self.airframe, clock = airframe, Clock(airframe.step, 1)
+        joined = ordered([effect.among(effects) for effect in effects])
+        columns = {*airframe.inner_columns}.union(*(effect.columns(clock, airframe.vehicle) for effect in joined))
+        self.effects, self._turning = tuple(effect.beside(columns) for effect in joined), "rotor_speed_0" in columns
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._winds: dict[Clock, ca.Function] = {}
@@ -88,7 +92,8 @@ class World(SimulatedPlant):
             begun[effect.part] = begins[0]
             inner.append(begins[0])
             parameters.append(begins[1])
-            parts += [(part_stream(rng, f"{effect.part} {i}"), drawn) for i, drawn in enumerate(sizes.drawn)]
+            streams = sizes.streams or [f"{effect.part} {i}" for i in range(len(sizes.drawn))]
+            parts += [(part_stream(rng, name), drawn) for name, drawn in zip(streams, sizes.drawn, strict=True)]
         ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
         slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
         first = layout.airframe.parameters
@@ -97,7 +102,8 @@ class World(SimulatedPlant):
             for effect, own, theta in zip(self.effects, *slices, strict=True)
         ]
         columns = self.columns(period)
-        self._rotors = [i for name, i in columns.items() if name.startswith("rotor_speed_")]
+        of = range(self.vehicle.n_rotors) if self.sheet.rotor_speed else ()
+        self._rotors = [columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)) for i in of]
         self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
         for effect, own in zip(self.effects, inner[1:], strict=True):
             self.measured = effect.first(own, self.measured)
@@ -177,7 +183,8 @@ class World(SimulatedPlant):
                 raise ModelDomainError(f"{reason} at t={self.time:.2f} s")
 
     def _period(self, equations: Equations, clock: Clock) -> ca.Function:
-        return compose(equations, self.effects, self._layout(clock), clock, self.vehicle)
+        columns = self.columns(clock.period)
+        return compose(equations, self.effects, self._layout(clock), clock, self.vehicle, columns)
 
     def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:
         assert isinstance(function, _Prepared)
@@ -213,7 +220,15 @@ class World(SimulatedPlant):
     @property
     def estimates(self) -> bool:
         """Whether `measured` may differ from the truth."""
-        return any(effect.has("measure") for effect in self.effects)
+        return any(effect.tells_state for effect in self.effects)
+
+    @property
+    def sheet(self) -> SensorSheet:
+        """What the data sheets of its sensors say."""
+        sheet = SensorSheet(rotor_speed=Stated() if self._turning else None)
+        for effect in self.effects:
+            sheet = effect.stated(sheet, self.vehicle)
+        return sheet
 
     @property
     def loop_delay(self) -> float:
@@ -228,8 +243,8 @@ class World(SimulatedPlant):
     def residual(self) -> Residual:
         """The airframe's own; it names what it does not know of the world."""
         found: Residual = self._believed.residual()
-        unknown = ", ".join(effect.part for effect in self.effects)
-        return replace(found, source=f"{found.source}; does not know: {unknown}")
+        unknown = ", ".join(effect.part for effect in self.effects if effect.names_world)
+        return replace(found, source=f"{found.source}; does not know: {unknown}") if unknown else found
 
     @property
     def rotor_speed(self) -> np.ndarray:

@@ -1,0 +1,175 @@
+"""A channel: one measured quantity on its way from the vehicle to the controller.
+
+    y_i = x(s_i) + b(s_i) + sigma n_i              what is read at the time s_i;  n_i white, standard normal
+    b' = a b + g n                                 every 10 ms; the drift, held in between
+    arrival s_i + delay + jitter U_i, or never, with the probability `drop`;  U_i uniform in [0, 1)
+
+The controller is told the newest reading that has arrived, until a newer one has; one that was overtaken is ignored.
+With a rate, s_i = i / rate; without, every control instant t has a reading of its own, taken at t - delay. The drift is
+
+    a = 1, g = walk sqrt(10 ms)                    random walk
+    a = exp(-10 ms / T), g = S sqrt(1 - a^2)       first-order Gauss-Markov process of deviation S: S^2 exp(-|tau| / T)
+
+White noise, drift, and jitter with losses have a random stream each, by time (streams.py): they are the same at every
+control rate. Until the first reading arrives, the exact one of the start holds.
+
+Inner states: the drift; when what is told was taken (s), and what is told; of a channel whose readings wait the reading
+that everything older has come to, likewise, and every reading on its way, the oldest first: when it arrives (s), when
+it was taken, and itself. Parameters: deviations of the white noise, bias, then a, g, delay, jitter, drop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from quadexp.compile.symbolic import ca
+from quadexp.errors import UsageError
+from quadexp.world.effect import Clock, Readings, Sizes
+from quadexp.world.streams import NEVER, Drawn, Sampled, Ticking
+
+DRIFT = 0.01  # s, for which a drift is held
+ROUNDING = 1e-9  # s, by which a reading may arrive later and count as there
+WHOLE = 1e-6  # of a control period or an integration step
+MOST = 200  # readings in a control period
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """size: numbers of a reading; errors: of its error, which an attitude has fewer of.
+
+    noise, bias: deviation of the white noise, and constant error, (errors,). first: deviation of the drift as a flight
+    begins. decay, gain: a and g. rate: Hz, 0 for none. delay, jitter: s. message: that it comes in, whose jitter and
+    losses it shares. add: the reading of an exact value, a slow and a random error, as symbols.
+    """
+
+    name: str
+    size: int
+    noise: np.ndarray
+    bias: np.ndarray
+    first: float
+    decay: float
+    gain: float
+    rate: float
+    delay: float
+    jitter: float
+    drop: float
+    message: str
+    add: Callable[[Any, Any, Any], Any]
+
+    @property
+    def errors(self) -> int:
+        return len(self.noise)
+
+    @property
+    def drifts(self) -> bool:
+        return bool(self.first or self.gain)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a reading may not be told at the instant at which it is taken, or not be taken at every one."""
+        return bool(self.rate or self.delay or self.jitter or self.drop)
+
+    @property
+    def taken(self) -> int:
+        """Which inner state says when the told reading was taken; what is told stands behind it."""
+        return self.errors * self.drifts
+
+    def _offset(self, clock: Clock) -> float:
+        """Time (s) in a control period at which the reading for this control instant, or a later one, is taken."""
+        return clock.period - math.fmod(self.delay + WHOLE * clock.step, clock.period) + WHOLE * clock.step
+
+    def drawn(self, clock: Clock) -> dict[str, Drawn]:
+        """What it draws in a control period, by the name of the stream."""
+
+        def numbers(count: int) -> Drawn:
+            """For every reading that is taken."""
+            if self.rate:
+                return Ticking(count, 1 / self.rate, clock.period, closing=True)
+            return Sampled(count, (self._offset(clock),))
+
+        drawn: dict[str, Drawn] = {}
+        if self.noise.any() or self.rate:
+            drawn[self.name] = numbers(self.errors)
+        if self.jitter or self.drop:
+            drawn[f"{self.message} way"] = numbers(2)
+        if self.drifts:
+            drawn[f"{self.name} drift"] = Ticking(self.errors, DRIFT, clock.period, closing=True)
+        return drawn
+
+    def _waiting(self, clock: Clock) -> int:
+        """Most readings that are on their way when a control period begins. Raises UsageError for too many."""
+        slots = Ticking(0, 1 / self.rate, clock.period).slots if self.rate else 1
+        if slots > MOST:
+            raise UsageError(
+                f"sensor.{self.message}_rate={self.rate:g}: {slots} readings in a control period of"
+                f" {1e3 * clock.period:g} ms; at most {MOST} are simulated"
+            )
+        return slots * math.ceil((self.delay + self.jitter) / clock.period - WHOLE)
+
+    def sizes(self, clock: Clock) -> Sizes:
+        """See Effect.sizes."""
+        waiting = (1 + self.size + (2 + self.size) * self._waiting(clock)) * self.waits
+        drawn = self.drawn(clock)
+        return Sizes(self.taken + 1 + self.size + waiting, 2 * self.errors + 5, (*drawn.values(),), (*drawn,))
+
+    def start(self, rng: np.random.Generator, clock: Clock, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See Effect.start. value: what an exact sensor reads then, (size,)."""
+        drift = self.first * rng.standard_normal(self.taken)
+        waiting = np.tile([NEVER, 0.0, *np.zeros(self.size)], self._waiting(clock))
+        told = np.concatenate([[0.0], value])
+        inner = [drift, told] + [told, waiting] * self.waits
+        numbers = [self.decay, self.gain, self.delay, self.jitter, self.drop]
+        return np.concatenate(inner), np.concatenate([self.noise, self.bias, numbers])
+
+    def measure(self, at: Readings, value_at: Callable[[Any], ca.MX]) -> tuple[ca.MX, ca.MX]:
+        """Inner states after the period and what is told (size,). at: with its own inner states, parameters and draws.
+
+        value_at: what an exact sensor reads, (size,), at a time (s) since the period began, a number or a symbol.
+        """
+        m, begins, drawn = self.errors, at.t - at.clock.period, self.drawn(at.clock)
+        noise, bias, (decay, gain, delay, jitter, drop) = (
+            at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
+        )  # fmt: skip
+        ends = np.cumsum([0, *(one.size for one in drawn.values())]).tolist()
+        draws = dict(zip(drawn, ca.vertsplit(at.draws, ends), strict=True))
+        drifts = [(-NEVER, at.inner[: self.taken])]  # each with the time from which on it holds
+        for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + m) if self.drifts else []:
+            before = drifts[-1][1]
+            drifts.append((tick[0], ca.if_else(tick[0] < NEVER, decay * before + gain * tick[1:], before)))
+
+        def slow_at(time: Any) -> Any:
+            drift = drifts[0][1]
+            for tick, after in drifts[1:]:
+                drift = ca.if_else(tick <= time + ROUNDING, after, drift)
+            return bias + drift if self.drifts else bias
+
+        readings = []  # when it arrives, when it was taken, and itself
+        white = ca.vertsplit(draws[self.name], m + bool(self.rate)) if self.name in draws else [ca.MX.zeros(m)]
+        way = f"{self.message} way"
+        ways = ca.vertsplit(draws[way], 2 + bool(self.rate)) if way in draws else [None] * len(white)
+        for numbers, on_way in zip(white, ways, strict=True):
+            offset = numbers[0] - begins if self.rate else self._offset(at.clock)
+            time = begins + offset
+            arrives, lost = time + delay, numbers[0] >= NEVER if self.rate else ca.MX(0)
+            if on_way is not None:
+                uniform = (1 + ca.erf(on_way[-2:] / math.sqrt(2))) / 2
+                arrives, lost = arrives + jitter * uniform[0], ca.logic_or(lost, uniform[1] < drop)
+            reading = self.add(value_at(offset), slow_at(time), noise * numbers[-m:])
+            readings.append(ca.vertcat(ca.if_else(lost, NEVER, arrives), time, reading))
+        drift, told = drifts[-1][1], readings[-1][1:]
+        if not self.waits:
+            return ca.vertcat(drift, told), told[1:]
+        first, count = self.taken + 1 + self.size, len(readings)
+        base = at.inner[first : first + 1 + self.size]
+        readings = [*ca.vertsplit(at.inner[first + 1 + self.size :], 2 + self.size), *readings]
+        for reading in readings[:count]:  # which have arrived, if ever
+            base = ca.if_else(reading[0] < NEVER, reading[1:], base)
+        told, waiting = base, readings[count:]
+        for reading in waiting:
+            told = ca.if_else(reading[0] <= at.t + ROUNDING, reading[1:], told)
+        return ca.vertcat(drift, told, base, *waiting), told[1:]
