@@ -101,12 +101,6 @@ def programs_text(rows: Iterable[Row]) -> str:
     return "; ".join(f"{cells} by {name}" for name, cells in Counter(map(program_name, rows)).most_common())
 
 
-def mixed_programs(rows: Sequence[Row]) -> list[str]:
-    """The line below a table with flights of several programs; else empty."""
-    programs = len(set(map(program_name, rows)))
-    return [f"flights of {programs} programs stand side by side: {programs_text(rows)}"] if programs > 1 else []
-
-
 def flown_by_lines(rows: Iterable[Row]) -> list[str]:
     """The lines of `show` on the programs of a table of results."""
     lines = []

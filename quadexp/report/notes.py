@@ -14,7 +14,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
-from quadexp.report.checked import mixed_programs
+from quadexp.report.checked import programs_text
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, grouped, is_bound, is_invalid
 from quadexp.report.text import count, speed_text, too_few
 
@@ -84,7 +84,9 @@ def notes(rows: Sequence[Row]) -> list[str]:
     lines = []
     for note in OF_A_CONTESTANT:
         lines += _first([f"{labels[who]}: {text}" for who, flown in flights.items() if (text := note(flown))])
-    return invalid + lines + mixed_programs(rows)
+    programs = len({(row.get("program"), row["sources"]) if row.get("sources") else None for row in rows})
+    mixed = [f"flights of {programs} programs stand side by side: {programs_text(rows)}"] if programs > 1 else []
+    return invalid + lines + mixed
 
 
 def invalid_text(rows: Sequence[Row]) -> str:
