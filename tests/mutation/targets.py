@@ -115,6 +115,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
     "quadexp/reference/traced.py": ("tests/reference/test_air_model.py",),
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
+    "quadexp/control/*loop.*": ("tests/control/test_compiled_loop.py", "tests/experiment/test_compiled_flight.py"),
     "quadexp/models/rls.py": ("tests/models/test_rls.py", "tests/properties/test_identification.py"),
 }
 COMPILED = ("*.c", "quadexp/models/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
