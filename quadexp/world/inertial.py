@@ -39,7 +39,6 @@ from itertools import accumulate
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
@@ -106,6 +105,8 @@ class Aid:
 
     def sampling(self, *, outages: bool = True) -> np.ndarray:
         """Parameters of `sample`, (3,)."""
+        from scipy.special import ndtri
+
         share = self.dropout if outages else 0.0
         ends = 1 / max(self.outage * self.rate, 1 / (1 - share))
         begins = ends * share / (1 - share)
