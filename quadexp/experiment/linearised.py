@@ -2,7 +2,7 @@
 
 z: the body's state in its tangent space (rotation vector about body axes), the plant's inner states, the readings, and
 what the operations of the controller remember: the numbers that they read before they write them. Derivatives are
-central differences of the functions that fly.
+central differences of the functions that fly: of motors that lag more down than up the mean of both.
 
 Before that, the vehicle flies along the reference without noise, so that its error, filters and covariances settle; one
 that does not settle is carried along. Frozen as they are then: what a controller learns from readings in Python; the
