@@ -127,6 +127,7 @@ class CompiledFlight:
                 "lean": self._lean,
                 "bounded": bounded.for_c,
                 "nodes": len(step.arguments["U"]),
+                "plan_rows": len(step.arguments["X_ref"]),
             }
             arrays |= {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U")}
             arrays |= {name: step.results[name] for name in ("checks", "X_new", "U_new", "X_lin", "U_lin")}

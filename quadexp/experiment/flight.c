@@ -45,7 +45,7 @@ typedef struct {
        path and yaw */
     const double *states, *thrusts, *along, *paths, *yaws;
     const integer *where;
-    integer reference_rows; /* of a horizon: N + 1, or more where the reference is sampled within the nodes too */
+    integer reference_rows, plan_rows; /* of a horizon, and of those the plan's: N + 1, or more, see MPCSettings */
     /* step: what it reads and leaves */
     double *x0, *X_ref, *X, *U;
     const double *checks, *X_new, *U_new, *X_lin, *U_lin;
@@ -132,7 +132,7 @@ static int plan(flight *f) {
     const integer X_size = STATES * (f->nodes + 1), U_size = f->inputs * f->nodes;
     const double *X_new = f->X_new, *U_new = f->U_new;
     double status = 0, sweeps = 0, active = 0;
-    if (!to_side(f->X_ref, f->reference_rows, f->x0) || !to_side(f->X, f->nodes + 1, f->x0)) return 0;
+    if (!to_side(f->X_ref, f->plan_rows, f->x0) || !to_side(f->X, f->nodes + 1, f->x0)) return 0;
     if (run(f->met ? &f->step : &f->lean)) return 0;
     const int all = f->met || f->checks[0] > f->tolerance || f->checks[1] > f->max_turn;
     if (all && !f->met && run(&f->step)) return 0;
@@ -156,10 +156,13 @@ static int plan(flight *f) {
     return 1;
 }
 
-static void look_ahead(const flight *f, integer k, double *states, double *thrusts) {
-    const integer *rows = f->where + k * f->reference_rows, n = f->inputs;
-    for (integer i = 0; i < f->reference_rows; i++) copy(states + STATES * i, f->states + STATES * rows[i], STATES);
-    for (integer i = 0; i < f->reference_rows - 1; i++) copy(thrusts + n * i, f->thrusts + n * rows[i], n);
+static void look_ahead(const flight *f, integer k, double *states, double *thrusts, integer size, const double *which) {
+    const integer *rows = f->where + k * f->reference_rows, n = f->inputs, count = size / STATES;
+    for (integer i = 0; i < count; i++) {
+        const integer row = rows[which ? (integer)which[i] : i];
+        copy(states + STATES * i, f->states + STATES * row, STATES);
+        if (i < count - 1) copy(thrusts + n * i, f->thrusts + n * row, n);
+    }
 }
 
 static int operate(flight *f, const operation *o, integer k) {
@@ -168,7 +171,7 @@ static int operate(flight *f, const operation *o, integer k) {
     case CALL: return !run(o->function);
     case MOVE: copy(o->kept, o->to, n); /* fall through */
     case COPY: copy(o->to, o->source, n); return 1;
-    case WINDOW: look_ahead(f, k, o->to, o->other); return 1;
+    case WINDOW: look_ahead(f, k, o->to, o->other, n, o->source); return 1;
     case SQUARE: for (integer i = 0; i < n; i++) o->to[i] = o->factor * (o->source[i] * o->source[i]); return 1;
     case DIVIDE: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] / o->other[0]; return 1;
     case ADD: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] + o->other[i]; return 1;

@@ -98,9 +98,10 @@ class HoverLoop:
 
     def _gains(self, controller: PredictiveController) -> None:
         """K_x (n, 12), K_T (n, n) and K_j (K, n, n), of u_{k-1} first."""
-        mpc, lead, n, samples = controller.mpc, controller.lead, self._n, len(controller.node_times)
+        mpc, n, samples, lagging = controller.mpc, self._n, len(controller.node_times), self._settings.known_lag > 0
+        lead = controller.lead if lagging else None
         states, inputs = np.tile(self._x, (samples, 1)), np.tile(self._u, (samples - 1, 1))
-        lagging = np.full(n, self._u[0]) if self._settings.known_lag else np.zeros(0)
+        thrusts = np.full(n, self._u[0]) if lagging else np.zeros(0)
 
         def answer(x: np.ndarray) -> np.ndarray:
             s = x if lead is None else x[:N_STATE]
@@ -112,9 +113,9 @@ class HoverLoop:
             run(operations)
             return command.copy()
 
-        by_state = _jacobian(answer, np.concatenate([self._x, lagging]))
+        by_state = _jacobian(answer, np.concatenate([self._x, thrusts]))
         predictor = controller.predictor
-        if predictor is None:
+        if predictor is None or not (lagging or self._settings.dead_time):
             self._K_x, self._K_T, self._K = by_state[:, MOVING], np.zeros((n, n)), np.zeros((0, n, n))
             return
         shape = predictor.commands.shape

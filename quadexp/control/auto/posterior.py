@@ -1,0 +1,205 @@
+"""What the sums of a bank say of the age, the dead time and the lag: a posterior over a grid that closes in.
+
+    log p(a, d, l) = sum over filters of  -tau n/2 log(sum nu^2)  -  (a + d + l) / TYPICAL
+
+n: innovations; their size is profiled out, and so are the scale of the thrust and the bias of the accelerometer. tau:
+what an innovation is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order
+process. The grid is over the age, the total d + l, which is known much better than either, and the lag.
+
+The told rates are as old as the rest of the state, or of now (`fresh`), whichever the gyro says.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from quadexp.control.auto.bank import AGE, DEAD_TIME, FADING, LAG, SPEEDS, Bank
+from quadexp.control.delivered import INSTANT, NO_LAG
+
+TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
+STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
+FINER, CLOSER, BESIDE = 4.0, 3, 6  # by which a grid closes in, how often, and its steps to either side then
+SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
+WORTH = 0.02, 0.5  # least and largest tau: no model is exact
+FRESHER = 1.0  # log odds for rates of now
+
+
+class Evidence(NamedTuple):
+    """What is known of the delays.
+
+    mean, deviation: of age, total and lag (s). late, slow: log odds of the likeliest age, and of the likeliest total,
+    against 0. fresh: whether the told rates are of now. scale: of the thrust, bias: of the accelerometer (3,) (m/s^2),
+    both with deviations. spin: which of SPINS.
+    """
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    late: float
+    slow: float
+    fresh: bool
+    scale: tuple[float, float]
+    bias: tuple[np.ndarray, np.ndarray]
+    spin: int
+
+
+class Posterior:
+    """Over the hypotheses of a bank; `reset` begins a flight."""
+
+    def __init__(self, bank: Bank) -> None:
+        self._bank = bank
+        largest = AGE, DEAD_TIME + LAG, LAG
+        self._grids = [np.arange(0, most + step / 2, step) for most, step in zip(largest, STEPS, strict=True)]
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known."""
+        self.best: tuple[float, ...] = (0.0, TYPICAL, 0.0)
+        self._fresh, self._spin, self._speed = False, 0, 0
+        self._scale, self._bias = (1.0, SCALE), (np.zeros(3), np.full(3, BIAS))
+
+    def evidence(self) -> Evidence:
+        """Of the bank's sums as they are; there must be some."""
+        grids, steps, whole = list(self._grids), np.array(STEPS), [grid[-1] for grid in self._grids]
+        late = slow = 0.0
+        for closer in range(CLOSER):
+            J = self._joint(*grids, choose=not closer)
+            p = np.exp(J - J.max())
+            p /= p.sum()
+            if not closer:
+                late, slow = float(J.max() - J[0].max()), float(J.max() - J[:, 0].max())
+            at = np.unravel_index(int(J.argmax()), J.shape)
+            self.best = tuple(float(grid[i]) for grid, i in zip(grids, at, strict=True))
+            shares = p.sum((1, 2)), p.sum((0, 2)), p.sum((0, 1))
+            mean = np.array([share @ grid for share, grid in zip(shares, grids, strict=True)])
+            about = [(grid - centre) ** 2 for grid, centre in zip(grids, mean, strict=True)]
+            spread = np.sqrt([share @ square for share, square in zip(shares, about, strict=True)])
+            for i in np.flatnonzero(spread < steps) if closer < CLOSER - 1 else ():
+                steps[i] /= FINER
+                near = self.best[i] + steps[i] * np.arange(-BESIDE, BESIDE + 1)
+                grids[i] = near[(near > -INSTANT) & (near < whole[i] + INSTANT)]
+        deviation = np.hypot(spread, steps / np.sqrt(12))
+        return Evidence(mean, deviation, late, slow, self._fresh, self._scale, self._bias, self._spin)
+
+    def weights(self, age: float, total: float, lag: float) -> np.ndarray:
+        """For Bank.weights: of the thrust now, and of its mean over a period that ended `age` ago, (2, m)."""
+        now = self._of_commands(np.array([total]), np.array([lag]), mean=False)[0, 0]
+        before = self._of_commands(np.array([total + age]), np.array([lag]), mean=True)[0, 0]
+        return np.stack([now[::-1], before[::-1]])
+
+    def _joint(self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool) -> np.ndarray:
+        """Log posterior, but for a constant; choose: also the likeliest noise, and whether rates are of now."""
+        bank, m = self._bank, self._bank.layout.commands
+        count = bank.count
+        faded = (1 - np.exp(-count * bank.period / FADING)) * FADING / bank.period
+        slots = slice(2, 2 + m)
+
+        G = bank.sums[-1]
+        W = self._of_commands(totals, lags, mean=False)
+        by, square = W @ G[0, slots], ((W @ G[slots, slots]) * W).sum(-1)
+        known = (G[0, 0] - 2 * by + square).min() / faded / SCALE**2
+        scales = (by + known) / (square + known)
+        thrust = G[0, 0] - 2 * scales * by + scales**2 * square
+        at = np.unravel_index(int(thrust.argmin()), thrust.shape)
+        worth = self._worth(G, scales[at] * W[at])
+        variance = thrust[at] / faded / worth
+        self._scale = float(scales[at]), float(np.sqrt(variance / (square[at] + variance / SCALE**2)))
+        scale = self._scale[0]
+
+        if choose:
+            few = np.unique(np.round((ages[:, None] + totals)[::2, ::2], 9))
+            W = scale * self._of_commands(few, lags[::3], mean=True).reshape(-1, m)
+            self._spin = int(np.argmin([_squares(G, W).min() for G in bank.sums[:-1]]))
+        G = bank.sums[self._spin]
+        sums, places = np.unique(np.round(ages[:, None] + totals, 9), return_inverse=True)
+        places = places.reshape(len(ages), len(totals))
+        J_young, worth_young = self._gyro(G, totals, lags, scale)
+        J_late, worth_late = self._gyro(G, sums, lags, scale)
+        velocity = self._velocity(ages, count)
+        rest = velocity[:, None, None] - worth * faded / 2 * np.log(thrust / faded + 1e-12)
+        rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL
+        rest = np.where(totals[:, None] < lags - INSTANT, -np.inf, rest)
+        rest = np.where(totals[:, None] - lags > DEAD_TIME + INSTANT, -np.inf, rest)
+        young, late_rates = worth_young * J_young[None] + rest, worth_late * J_late[places] + rest
+        if choose:
+            self._fresh = bool(young.max() > late_rates.max() + FRESHER)
+        return young if self._fresh else late_rates
+
+    def _gyro(self, G: np.ndarray, totals: np.ndarray, lags: np.ndarray, scale: float) -> tuple[np.ndarray, float]:
+        """Log likelihood of totals with the age of the rates in them, (t, l), and what an innovation is worth."""
+        n = 2 * self._bank.count
+        W = scale * self._of_commands(totals, lags, mean=True)
+        squares = _squares(G, W)
+        at = np.unravel_index(int(squares.argmin()), squares.shape)
+        return -n / 2 * np.log(squares / n + 1e-14), self._worth(G, W[at])
+
+    def _velocity(self, ages: np.ndarray, count: int) -> np.ndarray:
+        """Log likelihood of ages, tempered; the likeliest noise, and the bias."""
+        bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
+        W = np.stack([_of_readings(age, bank.period, readings) for age in ages])
+        n, best = 2 * count, (-np.inf, np.zeros(len(ages)))
+        turned = slice(1 + readings, columns)
+        for i, G in enumerate(bank.speed_sums):
+            share = (bank.period * bank.noise) ** 2
+            share /= share + SPEEDS[i] ** 2
+            even = 1 + share * ((W**2).sum(1) / 0.5 - 1)  # of the accelerometer's noise, in its mean over a period
+            a = np.hstack([np.ones((len(ages), 1)), -W])
+            first = a @ G[: 1 + readings, : 1 + readings]
+            plain = np.einsum("ai,ai->a", first, a)
+            against = a @ G[: 1 + readings, turned]
+            variance = plain.min() / n
+            known = G[turned, turned] + variance / BIAS**2 * np.eye(3)
+            bias = -np.linalg.solve(known, against.T).T
+            squares = plain + np.einsum("ai,ai->a", against, bias)
+            likelihood = -n / 2 * np.log(np.maximum(squares, 0) / even / n + 1e-16)
+            if likelihood.max() > best[0]:
+                k = int(likelihood.argmax())
+                whole = np.concatenate([a[k], bias[k]])
+                successive = whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30)
+                worth = _worth(successive)
+                deviation = np.sqrt(np.diag(np.linalg.inv(known)) * squares[k] / n / worth)
+                best = float(likelihood.max()), worth * likelihood
+                self._speed, self._bias = i, (bias[k], deviation)
+        return best[1]
+
+    def _worth(self, G: np.ndarray, likely: np.ndarray) -> float:
+        """Of an innovation, for the likeliest weights (m,)."""
+        now = np.concatenate([[1, 0], -likely, [0]])
+        before = np.concatenate([[0, 1], [0], -likely])
+        return _worth(now @ G @ before / max(now @ G @ now, 1e-30))
+
+    def _of_commands(self, totals: np.ndarray, lags: np.ndarray, *, mean: bool) -> np.ndarray:
+        """Weights (t, l, m) on the commands, the newest first: as control.delivered, of the thrust now, or its mean over
+        the last period. A total is dead time and lag."""
+        period, m = self._bank.period, self._bank.layout.commands
+        begin, lag = -period if mean else -INSTANT, np.maximum(lags, NO_LAG)[:, None]
+        acts = np.maximum(totals[:, None] - lags, 0.0)[..., None] - period * np.arange(1, m + 1)
+
+        def response(x: np.ndarray) -> np.ndarray:
+            x = np.maximum(x, 0)
+            return x + lag * np.expm1(-x / lag)
+
+        passed = (response(-acts) - response(begin - acts)) / -begin
+        passed[..., -1] = 1.0
+        return np.diff(passed, axis=-1, prepend=0.0)
+
+
+def _worth(rho: float) -> float:
+    """Of an innovation of a first-order process whose successive ones are correlated by rho."""
+    return float(np.clip((1 - rho) / (1 + rho), *WORTH))
+
+
+def _squares(G: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Sums of squared innovations for weights W (.., m)."""
+    slots = slice(2, 2 + W.shape[-1])
+    squares: np.ndarray = G[0, 0] - 2 * W @ G[0, slots] + ((W @ G[slots, slots]) * W).sum(-1)
+    return np.maximum(squares, 0.0)
+
+
+def _of_readings(age: float, period: float, count: int) -> np.ndarray:
+    """Weights on readings, the newest first, of their mean over a period that ended `age` ago, linear between them."""
+    weights, k = np.zeros(count), int(age / period + 1e-9)
+    r = age / period - k
+    weights[k : k + 3] = (1 - r) ** 2 / 2, 0.5 + r - r * r, r * r / 2
+    return weights
