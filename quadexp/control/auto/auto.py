@@ -122,9 +122,11 @@ class Auto(WrappedController):
         """Look at the evidence so far, and act on it from this instant on."""
         bank = self._bank
         self._time += DECIDES * bank.period
+        senses, before = self._senses(), self._decision.acting
         if bank.count < DECIDES:
+            self._observe(self._decision.begin(senses), before, senses)
             return
-        evidence, senses, before = self._posterior.evidence(), self._senses(), self._decision.acting
+        evidence = self._posterior.evidence()
         acting = self._decision.take(evidence, senses, self._time)
         late = 0.0 if evidence.fresh else evidence.mean[0]
         bank.weights[...] = self._posterior.weights(late, *evidence.mean[1:])

@@ -19,7 +19,7 @@ import numpy as np
 from quadexp.control.auto.posterior import Evidence
 from quadexp.control.mpc.settings import MPCSettings
 
-SURE, CERTAIN, LEAST_AGE = 6.0, 3, 0.001  # log odds, decisions, s
+SURE, CERTAIN, LEAST_AGE = 4.0, 3, 0.001  # log odds, decisions, s
 LIKELY = 2.0  # log odds
 GATE = 5.0  # deviations
 SURELY_TIMED = 0.005  # s
@@ -90,6 +90,11 @@ class Decision:
     def reset(self) -> None:
         """Nothing is acted on."""
         self.acting, self._certain = Acting(), 0
+
+    def begin(self, senses: Senses) -> Acting:
+        """What to act on where nothing is known of the delays yet."""
+        self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
+        return self.acting
 
     def take(self, evidence: Evidence, senses: Senses, time: float) -> Acting:
         """What to act on with this evidence. time: of the flight (s)."""
