@@ -35,6 +35,7 @@ from quadexp.parts.settings import key
 from quadexp.physics.state import N_STATE
 
 DECIDES = 10  # periods of the bank
+LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 SPACING = 4  # samples of the reference in a control period, so that it may be asked for later ones
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "scale", "scale_sd", "rates_fresh", "acts_age",
@@ -95,7 +96,7 @@ class Auto(WrappedController):
         self._decision.reset()
         self._bank.weights[...] = self._posterior.weights(*self._posterior.best)
         self._beliefs[...], self._minus_bias[...] = NOTHING_KNOWN, 0.0
-        self._time = 0.0
+        self._time = self._again = 0.0
         self._observe(Acting(), Acting(), Senses())
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
@@ -123,9 +124,11 @@ class Auto(WrappedController):
         bank = self._bank
         self._time += DECIDES * bank.period
         senses, before = self._senses(), self._decision.acting
-        if bank.count < DECIDES:
-            self._observe(self._decision.begin(senses), before, senses)
+        if bank.count < DECIDES or self._time < self._again:
+            acting = before if bank.count >= DECIDES else self._decision.begin(senses)
+            self._observe(acting, before, senses)
             return
+        self._again = self._time * LATER
         evidence = self._posterior.evidence()
         acting = self._decision.take(evidence, senses, self._time)
         late = 0.0 if evidence.fresh else evidence.mean[0]

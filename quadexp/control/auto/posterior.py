@@ -11,6 +11,7 @@ The told rates are as old as the rest of the state, or of now (`fresh`), whichev
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from quadexp.control.delivered import INSTANT, NO_LAG
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
-FINER, CLOSER, BESIDE = 4.0, 3, 6  # by which a grid closes in, how often, and its steps to either side then
+FINER, CLOSER, BESIDE = 8.0, 2, 8  # by which a grid closes in, how often, and its steps to either side then
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
 FRESHER = 1.0  # log odds for rates of now
@@ -112,56 +113,54 @@ class Posterior:
             W = scale * self._of_commands(few, lags[::3], mean=True).reshape(-1, m)
             self._spin = int(np.argmin([_squares(G, W).min() for G in bank.sums[:-1]]))
         G = bank.sums[self._spin]
-        sums, places = np.unique(np.round(ages[:, None] + totals, 9), return_inverse=True)
-        places = places.reshape(len(ages), len(totals))
-        J_young, worth_young = self._gyro(G, totals, lags, scale)
-        J_late, worth_late = self._gyro(G, sums, lags, scale)
-        velocity = self._velocity(ages, count)
+        velocity = self._velocity(ages, choose=choose)
         rest = velocity[:, None, None] - worth * faded / 2 * np.log(thrust / faded + 1e-12)
         rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL
-        rest = np.where(totals[:, None] < lags - INSTANT, -np.inf, rest)
-        rest = np.where(totals[:, None] - lags > DEAD_TIME + INSTANT, -np.inf, rest)
-        young, late_rates = worth_young * J_young[None] + rest, worth_late * J_late[places] + rest
+        waits = totals[:, None] - lags
+        rest = np.where((waits < -INSTANT) | (waits > DEAD_TIME + INSTANT), -np.inf, rest)
+        fresh = self._gyro(G, totals, lags, scale) + rest if choose or self._fresh else rest
+        if self._fresh and not choose:
+            return fresh
+        sums, places = np.unique(np.round(ages[:, None] + totals, 9), return_inverse=True)
+        late = self._gyro(G, sums, lags, scale)[places.reshape(len(ages), len(totals))] + rest
         if choose:
-            self._fresh = bool(young.max() > late_rates.max() + FRESHER)
-        return young if self._fresh else late_rates
+            self._fresh = bool(fresh.max() > late.max() + FRESHER)
+        return fresh if self._fresh else late
 
-    def _gyro(self, G: np.ndarray, totals: np.ndarray, lags: np.ndarray, scale: float) -> tuple[np.ndarray, float]:
-        """Log likelihood of totals with the age of the rates in them, (t, l), and what an innovation is worth."""
+    def _gyro(self, G: np.ndarray, totals: np.ndarray, lags: np.ndarray, scale: float) -> np.ndarray:
+        """Log likelihood of totals with the age of the rates in them, (t, l)."""
         n = 2 * self._bank.count
         W = scale * self._of_commands(totals, lags, mean=True)
         squares = _squares(G, W)
         at = np.unravel_index(int(squares.argmin()), squares.shape)
-        return -n / 2 * np.log(squares / n + 1e-14), self._worth(G, W[at])
+        likelihood: np.ndarray = -self._worth(G, W[at]) * n / 2 * np.log(squares / n + 1e-14)
+        return likelihood
 
-    def _velocity(self, ages: np.ndarray, count: int) -> np.ndarray:
-        """Log likelihood of ages, tempered; the likeliest noise, and the bias."""
+    def _velocity(self, ages: np.ndarray, *, choose: bool) -> np.ndarray:
+        """Log likelihood of ages; the bias, and with `choose` the likeliest noise."""
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
         W = np.stack([_of_readings(age, bank.period, readings) for age in ages])
-        n, best = 2 * count, (-np.inf, np.zeros(len(ages)))
-        turned = slice(1 + readings, columns)
-        for i, G in enumerate(bank.speed_sums):
+        a, n = np.hstack([np.ones((len(ages), 1)), -W]), 2 * bank.count
+        plain, turned = slice(0, 1 + readings), slice(1 + readings, columns)
+        likelihoods = {}
+        for i in range(len(SPEEDS)) if choose else [self._speed]:
+            G = bank.speed_sums[i]
             share = (bank.period * bank.noise) ** 2
             share /= share + SPEEDS[i] ** 2
             even = 1 + share * ((W**2).sum(1) / 0.5 - 1)  # of the accelerometer's noise, in its mean over a period
-            a = np.hstack([np.ones((len(ages), 1)), -W])
-            first = a @ G[: 1 + readings, : 1 + readings]
-            plain = np.einsum("ai,ai->a", first, a)
-            against = a @ G[: 1 + readings, turned]
-            variance = plain.min() / n
-            known = G[turned, turned] + variance / BIAS**2 * np.eye(3)
-            bias = -np.linalg.solve(known, against.T).T
-            squares = plain + np.einsum("ai,ai->a", against, bias)
-            likelihood = -n / 2 * np.log(np.maximum(squares, 0) / even / n + 1e-16)
-            if likelihood.max() > best[0]:
-                k = int(likelihood.argmax())
-                whole = np.concatenate([a[k], bias[k]])
-                successive = whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30)
-                worth = _worth(successive)
-                deviation = np.sqrt(np.diag(np.linalg.inv(known)) * squares[k] / n / worth)
-                best = float(likelihood.max()), worth * likelihood
-                self._speed, self._bias = i, (bias[k], deviation)
-        return best[1]
+            by_a, against = ((a @ G[plain, plain]) * a).sum(1), a @ G[plain, turned]
+            known = np.linalg.inv(G[turned, turned] + by_a.min() / n / BIAS**2 * np.eye(3))
+            bias = -against @ known
+            squares = np.maximum(by_a + (against * bias).sum(1), 0)
+            likelihoods[i] = -n / 2 * np.log(squares / even / n + 1e-16), squares, bias, known
+        self._speed = max(likelihoods, key=lambda i: float(likelihoods[i][0].max()))
+        likelihood, squares, bias, known = likelihoods[self._speed]
+        k = int(likelihood.argmax())
+        G, whole = bank.speed_sums[self._speed], np.concatenate([a[k], bias[k]])
+        worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
+        self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
+        tempered: np.ndarray = worth * likelihood
+        return tempered
 
     def _worth(self, G: np.ndarray, likely: np.ndarray) -> float:
         """Of an innovation, for the likeliest weights (m,)."""
@@ -170,19 +169,27 @@ class Posterior:
         return _worth(now @ G @ before / max(now @ G @ now, 1e-30))
 
     def _of_commands(self, totals: np.ndarray, lags: np.ndarray, *, mean: bool) -> np.ndarray:
-        """Weights (t, l, m) on the commands, the newest first: as control.delivered, of the thrust now, or its mean over
-        the last period. A total is dead time and lag."""
-        period, m = self._bank.period, self._bank.layout.commands
-        begin, lag = -period if mean else -INSTANT, np.maximum(lags, NO_LAG)[:, None]
-        acts = np.maximum(totals[:, None] - lags, 0.0)[..., None] - period * np.arange(1, m + 1)
+        """See command_weights."""
+        given = self._bank.period, self._bank.layout.commands, totals.tobytes(), lags.tobytes()
+        return command_weights(*given, mean=mean)
 
-        def response(x: np.ndarray) -> np.ndarray:
-            x = np.maximum(x, 0)
-            return x + lag * np.expm1(-x / lag)
 
-        passed = (response(-acts) - response(begin - acts)) / -begin
-        passed[..., -1] = 1.0
-        return np.diff(passed, axis=-1, prepend=0.0)
+@lru_cache(maxsize=64)
+def command_weights(period: float, count: int, totals: bytes, lags: bytes, *, mean: bool) -> np.ndarray:
+    """Weights (t, l, m) on m = count commands, the newest first, as of control.delivered: of the thrust now, or of its
+    mean over the last period. totals, lags: bytes of arrays (t,), (l,) (s); a total is a dead time and the lag."""
+    total, lag = np.frombuffer(totals)[:, None, None], np.frombuffer(lags)[:, None]
+    begin = -period if mean else -INSTANT
+    acts = np.maximum(total - lag, 0.0) - period * np.arange(1, count + 1)
+    constant = np.maximum(lag, NO_LAG)
+
+    def response(x: np.ndarray) -> np.ndarray:
+        x = np.maximum(x, 0)
+        return x + constant * np.expm1(-x / constant)
+
+    passed = (response(-acts) - response(begin - acts)) / -begin
+    passed[..., -1] = 1.0
+    return np.diff(passed, axis=-1, prepend=0.0)
 
 
 def _worth(rho: float) -> float:
