@@ -18,7 +18,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.delay.prediction import STEP, prediction
 from quadexp.control.delivered import SETTLED, SentCommands
-from quadexp.control.instant import Operation, call, copy, run
+from quadexp.control.instant import Operation, Told, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
@@ -54,10 +54,6 @@ class Ahead:
         if "theta" not in shared:
             self._given["theta"][...] = residual.theta
 
-    def believe(self, belief: np.ndarray) -> list[Operation]:
-        """Predicts in the world of the belief that is found there, (11,): wind and thrust scale."""
-        return [copy(self._given["wind"], belief[6:9]), copy(self._given["scale"], belief[9:10])]
-
     def tune(self, begin: float, end: float, dead_time: float, lag: float) -> None:
         """Another span, from now (s), and what commands wait and lag (s)."""
         starts = np.minimum(begin + np.arange(self._parts) * STEP, end)
@@ -73,20 +69,44 @@ class Ahead:
 
 
 class Delivered:
-    """The thrusts of the rotors at an instant, (n,) (N), by the commands. thrust: where they are then."""
+    """The thrusts of the rotors over a span, (n,) (N), by the commands. thrust: where they are then."""
 
     def __init__(self, commands: SentCommands, backend: str) -> None:
         self._commands, shape = commands, commands.values.shape
         self._weigh = BufferedFunction(built(backend, weighted, *shape), {"commands": commands.values})
         self.thrust = self._weigh.results["thrust"]
 
-    def tune(self, at: float, dead_time: float, lag: float) -> None:
-        """The instant, from now (s), and what commands wait and lag (s)."""
-        self._weigh.arguments["weights"][...] = self._commands.weights(np.array([[at, at]]), dead_time, lag)[0]
+    def tune(self, begin: float, end: float, dead_time: float, lag: float) -> None:
+        """The span, from now (s), an instant where it has no length, and what commands wait and lag (s)."""
+        self._weigh.arguments["weights"][...] = self._commands.weights(np.array([[begin, end]]), dead_time, lag)[0]
 
     def before(self) -> list[Operation]:
         """Leaves `thrust`."""
         return [call(self._weigh)]
+
+
+class CommandedThrust:
+    """A DeliveredThrust by the commands alone, whose delays may change in flight."""
+
+    def __init__(self, commands: SentCommands, period: float, backend: str) -> None:
+        self._now, self._mean, self._period = Delivered(commands, backend), Delivered(commands, backend), period
+        self.thrust, self.mean = self._now.thrust, self._mean.thrust
+
+    def tune(self, dead_time: float, lag: float) -> None:
+        """What commands wait and lag from now on (s)."""
+        self._now.tune(0.0, 0.0, dead_time, lag)
+        self._mean.tune(-self._period, 0.0, dead_time, lag)
+
+    def reset(self, thrust: np.ndarray) -> None:
+        """See DeliveredThrust; the commands are reset by whoever has them."""
+
+    def before(self, told: Told) -> list[Operation]:
+        """See DeliveredThrust."""
+        return [*self._now.before(), *self._mean.before()]
+
+    def after(self, command: np.ndarray) -> list[Operation]:
+        """See DeliveredThrust."""
+        return []
 
 
 def weighted(count: int, rotors: int) -> ca.Function:
@@ -111,7 +131,7 @@ class CommandsAhead:
         first."""
         self._sent.values[...] = commands[-len(self._sent.values) :]
         self._ahead.tune(0.0, dead_time, dead_time, lag)
-        self._delivered.tune(dead_time, dead_time, lag)
+        self._delivered.tune(dead_time, dead_time, dead_time, lag)
 
     def reset(self, thrust: np.ndarray) -> None:
         """See DeadTimePredictor.reset."""

@@ -1,4 +1,4 @@
-"""One setting for a vehicle that nobody measured: what is late, off, or blown, made good as far as the evidence goes.
+"""One setting for a vehicle that nobody measured: what is late, off or blown, made good as far as the evidence goes.
 
     told state, readings -> as of now, by what is known of the age -> observer -> MPC or law -> command
                         bank (bank.py) -> posterior (posterior.py), every DECIDES periods -> what acts (decide.py)
@@ -10,72 +10,65 @@ battery or wind. A flight begins as if nothing were known. Columns: COLUMNS, del
 from __future__ import annotations
 
 import copy as copying
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from quadexp.control.auto.ahead import LARGEST, Ahead, CommandsAhead, Delivered, sent_commands
+from quadexp.control.auto.ahead import LARGEST, Ahead
 from quadexp.control.auto.bank import SPINS, Bank
-from quadexp.control.auto.decide import GATE, LEAST_LAG, Acting, Decision, Senses, grids
-from quadexp.control.auto.following import following
+from quadexp.control.auto.decide import GATE, Acting, Decision, Senses
+from quadexp.control.auto.following import ForceFollowing, WindFollowing
 from quadexp.control.auto.posterior import Posterior
 from quadexp.control.auto.senses import WALKS
-from quadexp.control.base import Window
+from quadexp.control.base import Controller, Window
 from quadexp.control.delay.strapdown import Strapdown
-from quadexp.control.instant import Instant, Operation, Told, copy, instant_of, python
-from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.dead_time import MotorLead
+from quadexp.control.delivered import SentCommands
+from quadexp.control.instant import Operation, Told, copy, python
 from quadexp.control.observers.observer import air_of, parameters_of
-from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
-from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
 
 DECIDES = 10  # periods of the bank
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
-SPACING = 4  # samples of the reference in a control period, so that it may be asked for later ones
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "scale", "scale_sd", "rates_fresh", "acts_age",
     "acts_dead_time", "acts_lag", "grid", "acts_lateral", "acts_vertical", "acts_torque",
 )  # fmt: skip
 COLUMNS = tuple(f"auto_{name}" for name in KNOWN)
-NOTHING_KNOWN = np.array([0.0, math.nan, 0.0, math.nan, 0.0, math.nan, 1.0, math.nan, *np.zeros(8)])
+NOTHING_KNOWN = np.array([0.0, np.nan, 0.0, np.nan, 0.0, np.nan, 1.0, np.nan, *np.zeros(8)])
 
 
 class Auto(WrappedController):
-    """An MPC that finds out in flight what makes its model wrong; inner: it, inside its observer."""
+    """A controller that finds out in flight what makes its model wrong.
+
+    inner: what is told, the Observer first. core: the controller itself. noise: of the accelerometer, by its data sheet (m/s^2). believed:
+    arrays of the believed world, for Ahead. commands: for all that needs them. observer: what follows the world; None where the core takes no belief.
+    A subclass says how it plans (`_plan`), and what its instant is.
+    """
 
     in_margins = True
     delay = 0.0  # of a flight that begins
 
-    def __init__(self, core: PredictiveController, config: AutoPart) -> None:
-        self._observer = following(core)
-        super().__init__(self._observer.around(core))
-        inner, world = self.inner, core.believed
-        assert world is not None
-        self._core, self._world = core, world
-        self._grids = grids(core.settings)
-        self._commands = sent_commands(inner.vehicle, self.control_period)
-        theta, numbers = parameters_of(core), self._world.numbers
-        shared = {"theta": theta, "push": core.mpc.disturbance, "wind": numbers[6:9], "scale": numbers[9:10]}
-        self._to_now = Ahead(inner.vehicle, core.mpc.residual, inner.backend, self._commands, shared)
+    def __init__(
+        self, inner: Controller, core: Any, noise: float, residual: Residual, believed: dict[str, np.ndarray],
+        observer: WindFollowing | ForceFollowing | None, commands: SentCommands,
+    ) -> None:  # fmt: skip
+        super().__init__(inner)
+        self._core, self._observer, vehicle, period = core, observer, inner.vehicle, self.control_period
+        self._commands = commands
+        self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
-        self._delivered = Delivered(self._commands, inner.backend)
-        self._ahead, self._lead = CommandsAhead(core.mpc), MotorLead(inner.vehicle, core.settings, inner.backend)
-        self._world.thrust = self._delivered.thrust
-        self._bank = Bank(inner.vehicle, air_of(core), theta, self.control_period, config.noise, inner.backend)
+        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
         self._posterior, self._decision = Posterior(self._bank), Decision()
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
-        self._spacing = self.control_period / SPACING
-        longest = LARGEST + max(one.horizon for one in self._grids)
-        self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
         self._rows = np.zeros(len(core.node_times))
-        self._world.rows = self._rows
-        self._use(Acting())
+
+    def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
+        """Plan with these delays, and with what else is acted on, from now on; sets `_rows`, of the reference."""
+        raise NotImplementedError
 
     def forget(self) -> None:
         """See Controller.forget: nothing is known."""
@@ -99,21 +92,21 @@ class Auto(WrappedController):
         self._time = self._again = 0.0
         self._observe(Acting(), Acting(), Senses())
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
+    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], Told, np.ndarray]:
+        """What stands before the controller: decisions, and what it is told, its state in an array of its own."""
         inside = copying.copy(told)
         inside.force = self._unbiased
         decide = python(self._decide, told.read)._replace(every=DECIDES * self._bank.every)
-        operations = [decide, Operation("add", self._unbiased, told.force, self._minus_bias)]
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)
         now = np.zeros(N_STATE)
-        operations += [*predicted, *propagated, copy(now, by_model), copy(now, by_readings, self._fresh)]
-        operations += self._delivered.before()
-        inner = instant_of(self.inner, inside, now)
-        operations += [*inner.operations, *self._bank.after(told, state, inner.command)]
-        operations += self._commands.after(inner.command)
-        return inner._replace(operations=operations, logged=(*inner.logged, self._beliefs))
+        operations = [decide, Operation("add", self._unbiased, told.force, self._minus_bias), *predicted, *propagated]
+        operations += [copy(now, by_model), copy(now, by_readings, self._fresh)]
+        return operations, inside, now
+
+    def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
+        """What stands behind it."""
+        return [*self._bank.after(told, state, command), *self._commands.after(command)]
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
@@ -165,50 +158,16 @@ class Auto(WrappedController):
         )
 
     def _use(self, acting: Acting) -> None:
-        """Plan with these delays and this grid from now on."""
-        age, dead_time, lag = (min(getattr(acting, n), LARGEST) for n in ("age", "dead_time", "lag"))
+        """Act on these delays from now on."""
+        age, dead_time, lag = (min(getattr(acting, name), LARGEST) for name in ("age", "dead_time", "lag"))
         by_readings = age if acting.fresh else 0.0
         self._to_now.tune(by_readings - age, 0.0, dead_time, lag)
         self._strapdown.tune(by_readings)
         self._fresh[0] = by_readings > 0
-        self._delivered.tune(0.0, dead_time, lag)
-        waits = round(dead_time / self._spacing) * self._spacing  # what is left counts as lag
-        lags = lag + dead_time - waits
-        lags = lags if lags > LEAST_LAG else 0.0
-        settings = replace(self._grids[acting.grid], dead_time=waits, motor_lead=lags)
-        self._ahead.tune(waits, lags, self._world.numbers[9] * self._commands.values)
-        self._lead.tune(settings)
-        self._core.use(settings, self._ahead, self._lead)
-        self._rows[...] = np.round(self._core.node_times / self._spacing)
+        self._plan(acting, dead_time, lag)
 
     def _observe(self, acting: Acting, before: Acting, senses: Senses) -> None:
         """Gains of the observer: by the noise of what it compares; nothing of what has not shown itself."""
-        self._world.settings[...] = self._observer.follow(self._world.estimate, acting, before, senses)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AutoPart(Remedy):
-    """What is late, off or blown, found in flight; alone around a controller."""
-
-    prefix = "delay."
-    believes = True
-    finds_delays = True
-
-    noise: float = key(
-        0.06, "standard deviation of a reading of the accelerometer by its data sheet", "(0, 100]", "m/s^2"
-    )
-
-    def suited(self, settings: Any) -> Any:
-        """See Remedy. UsageError where it is told of what it finds itself."""
-        if settings.dead_time or settings.known_lag:
-            raise UsageError(
-                f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
-                " controller.motor_lead must be 0"
-            )
-        return grids(replace(settings, input_hold="deviation"))[0]
-
-    def around(self, controller: Any) -> Auto:
-        """See Remedy."""
-        if type(controller) is not PredictiveController:
-            raise UsageError(f"delay={self.name}: not around this controller")
-        return Auto(controller, self)
+        if self._observer is not None:
+            inner: Any = self.inner
+            inner.settings[...] = self._observer.follow(inner.estimate, acting, before, senses)
