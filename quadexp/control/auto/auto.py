@@ -1,7 +1,7 @@
 """One setting for a vehicle that nobody measured: what is late, off or blown, made good as far as the evidence goes.
 
     told state, readings -> as of now, by what is known of the age -> observer -> MPC or law -> command
-                        bank (bank.py) -> posterior (posterior.py), every DECIDES periods -> what acts (decide.py)
+                        bank (bank.py) -> posterior (posterior.py), every DECIDES -> what acts (decide.py)
 
 It is told the vehicle, which sensors there are and the noise of the accelerometer; nothing of delays, lags, air, load,
 battery or wind. A flight begins as if nothing were known. Columns: COLUMNS, delays in s.
@@ -30,7 +30,7 @@ from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
 
-DECIDES = 10  # periods of the bank
+DECIDES = 0.2  # s, between decisions
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "scale", "scale_sd", "rates_fresh", "acts_age",
@@ -61,6 +61,7 @@ class Auto(WrappedController):
         self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
+        self._decides = round(DECIDES / self._bank.period)
         self._posterior, self._decision = Posterior(self._bank), Decision()
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
@@ -96,7 +97,7 @@ class Auto(WrappedController):
         """What stands before the controller: decisions, and what it is told, its state in an array of its own."""
         inside = copying.copy(told)
         inside.force = self._unbiased
-        decide = python(self._decide, told.read)._replace(every=DECIDES * self._bank.every)
+        decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)
         now = np.zeros(N_STATE)
@@ -115,10 +116,10 @@ class Auto(WrappedController):
     def _decide(self) -> None:
         """Look at the evidence so far, and act on it from this instant on."""
         bank = self._bank
-        self._time += DECIDES * bank.period
+        self._time += self._decides * bank.period
         senses, before = self._senses(), self._decision.acting
-        if bank.count < DECIDES or self._time < self._again:
-            acting = before if bank.count >= DECIDES else self._decision.begin(senses)
+        if bank.count < self._decides or self._time < self._again:
+            acting = before if bank.count >= self._decides else self._decision.begin(senses)
             self._observe(acting, before, senses)
             return
         self._again = self._time * LATER

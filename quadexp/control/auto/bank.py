@@ -38,14 +38,14 @@ from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-PERIOD = 0.02  # s, about: of the bank, a whole multiple of the control period
+PERIOD = 0.01  # s, about: of the bank, a whole multiple of the control period
 AGE, DEAD_TIME, LAG = 0.06, 0.06, 0.064  # s, the largest hypotheses
 SPINS = tuple(
     product((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0))
 )  # rad/s of a reading, rad/s^2 of b in a root of a second
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
-SKIPPED = 15  # periods until the filters are stationary
+SKIPPED = 0.3  # s, until the filters are stationary
 FADING = 20.0  # s, of the sums of the thrust, whose scale moves with the battery
 
 
@@ -104,7 +104,7 @@ class Bank:
     @property
     def count(self) -> int:
         """Innovations of an axis in the sums."""
-        return max(int(self.part("count")[0]) - SKIPPED, 0)
+        return max(int(self.part("count")[0] - SKIPPED / self.period), 0)
 
     def follow(self, spin: int) -> None:
         """Estimate the torque by the filter of one of SPINS."""
@@ -116,13 +116,13 @@ class Bank:
     def reading_noise(self) -> np.ndarray:
         """Standard deviation of readings from the model, (3,) (m/s^2)."""
         least = np.array([self.noise, self.noise, math.hypot(self.noise, UNSURE)]) ** 2
-        warm = self.part("count")[0] > WARM
+        warm = self.part("count")[0] > WARM / self.period
         return np.sqrt(np.maximum(self.part("noise"), least) if warm else least)
 
     @property
     def pose_noise(self) -> np.ndarray:
         """Standard deviations of the told position (m) and attitude (rad)."""
-        return np.sqrt(np.maximum(self.part("pose_noise"), 0.0)) * (self.part("count")[0] > WARM)
+        return np.sqrt(np.maximum(self.part("pose_noise"), 0.0)) * (self.part("count")[0] > WARM / self.period)
 
     def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
         """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
@@ -188,7 +188,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
     kept = {name: a["memory"][place] for name, place in layout.slices.items()}
     x, f, count = a["x"], a["f"], kept["count"] + 1
-    counts = count > SKIPPED
+    counts = count > SKIPPED / period
     w, R = x[RATE], rotation_matrix(x[ATTITUDE])
 
     # what was sent, the newest last: angular accelerations about x and y, and the thrust, over the mass

@@ -19,9 +19,9 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 WALKS = (0.02, 0.1, 0.5, 1.5)  # m/s^2 in a root of a second
 FORGETTING = 4.0  # s
-TEMPER = 0.3  # of a likelihood: readings are correlated
-AVERAGED = 250.0  # periods, at most
-WARM = 25  # periods from which on a measured noise counts
+TEMPER = 15.0  # 1/s: of likelihoods, whose readings are correlated
+AVERAGED = 5.0  # s, at most
+WARM = 0.5  # s, from which on a measured noise counts
 UNSURE = 0.28  # m/s^2: of the model on z, where the thrust is
 
 
@@ -46,15 +46,17 @@ def sensed(
     e = ca.vertcat(f[:2] - y[:2], lifted)
     change = e - kept["reading"]
     least = ca.vertcat(noise, noise, ca.sqrt(noise**2 + UNSURE**2)) ** 2
-    measured = kept["noise"] + (count > 2) * (-change * kept["change"] - kept["noise"]) / ca.fmin(count + 5, AVERAGED)
-    variance = ca.if_else(count > WARM, ca.fmax(measured, least), least)
+    measured = kept["noise"] + (count > 2) * (-change * kept["change"] - kept["noise"]) / ca.fmin(
+        count + 5, AVERAGED / period
+    )
+    variance = ca.if_else(count > WARM / period, ca.fmax(measured, least), least)
 
     walk, P, likelihood = (ca.reshape(kept[name], 3, -1) for name in ("walk", "walk_variance", "walk_likelihood"))
     P = P + ca.DM(np.tile(np.square(WALKS) * period, (3, 1)))
     S = P + ca.repmat(variance, 1, len(WALKS))
     nu = ca.repmat(e, 1, len(WALKS)) - walk
     walk = walk + P / S * nu
-    likelihood = math.exp(-period / FORGETTING) * likelihood - TEMPER / 2 * (nu**2 / S + ca.log(S))
+    likelihood = math.exp(-period / FORGETTING) * likelihood - TEMPER * period / 2 * (nu**2 / S + ca.log(S))
 
     predicted = kept["torque"][:2] + period * (kept["torque"][2:] + turning + likely[:2, 1])
     off = x[RATE][:2] - predicted
@@ -66,7 +68,7 @@ def sensed(
     drift = ca.vertcat(moved, 2 * product(back, q)[1:] - period * (x[RATE] + last[RATE]) / 2)
     both = -drift * kept["drift"]
     pose = ca.vertcat(ca.sum1(both[:3]), ca.sum1(both[3:])) / 3
-    pose = kept["pose_noise"] + (count > 2) * (pose - kept["pose_noise"]) / ca.fmin(count + 1, AVERAGED)
+    pose = kept["pose_noise"] + (count > 2) * (pose - kept["pose_noise"]) / ca.fmin(count + 1, AVERAGED / period)
     left = {"walk": ca.vec(walk), "walk_variance": ca.vec((1 - P / S) * P), "walk_likelihood": ca.vec(likelihood)}
     return left | {
         "torque": torque,
