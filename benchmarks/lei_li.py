@@ -32,7 +32,7 @@ from benchmarks.step import Acados, acados, fly_circle, make_plant, make_residua
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
+from quadexp.experiment.build import build_controller, build_plant, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.parts.compose import compose
 
@@ -84,16 +84,14 @@ def closed_loop(backend: str) -> Callable[[], None]:
     overrides = (f"plant.backend={backend}", f"controller.backend={backend}")
     config = compose([*BENCH, "trajectory=rectangle", "controller=rls_feedback", *overrides])
     vehicle = build_vehicle(config.vehicle)
-    plant = build_plant(vehicle, config.plant)
+    plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, None)
-    trajectory, sensor = build_trajectory(config.trajectory), build_sensor(config.sensor)
+    trajectory = build_trajectory(config.trajectory)
 
     def flight() -> None:
         reference = SampledReference(trajectory, controller)
         start = trajectory.start_state
-        flown = fly(
-            plant, controller, reference, np.random.default_rng(0), start=start, sensor=sensor, lost_distance=100.0
-        )
+        flown = fly(plant, controller, reference, np.random.default_rng(0), start=start, lost_distance=100.0)
         assert flown.outcome == "ok"
 
     return flight
@@ -103,19 +101,19 @@ def asked_along_a_circle() -> Asked:
     """What `rls_mpc` is asked in the first steps of a circle at 8 m/s."""
     config = compose([*BENCH, "trajectory=circle", "trajectory.speed=8", "controller=rls_mpc"])
     vehicle = build_vehicle(config.vehicle)
-    plant, sensor = build_plant(vehicle, config.plant), build_sensor(config.sensor)
+    plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, None)
     reference = SampledReference(build_trajectory(config.trajectory), controller)
-    rng, x, asked = np.random.default_rng(0), reference.at(0)[0].copy(), []
-    plant.reset()
+    x, asked = reference.at(0)[0].copy(), []
+    noise = plant.begin(x, controller.control_period, float(reference.t[-1]), np.random.default_rng(0))
     controller.reset(x, reference.window(0))
     reading, speed = None, None
     for k in range(min(STEPS, len(reference))):
         measurement = Measurement(reference.t[k], x, reading, speed)
         asked.append((measurement, reference.window(k)))
         u, _ = controller.step(*asked[-1])
-        x, force = plant.advance(x, u, controller.control_period, rng)
-        reading, speed = sensor.read(force, rng.standard_normal(3)), plant.rotor_speed
+        x, reading = plant.advance(x, u, controller.control_period, noise)
+        speed = plant.rotor_speed
     return asked
 
 

@@ -19,11 +19,11 @@ def built(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) 
     """
     key = (make, backend, *map(_structure, arguments), *form.items())
     if key not in _built:
-        made = make(*arguments, **form)
-        together = isinstance(made, (list, tuple))
+        functions = make(*arguments, **form)
+        together = isinstance(functions, (list, tuple))
         if len(_built) >= MOST:
             del _built[next(iter(_built))]
-        _built[key] = (realise_together if together else realise)(made, resolve(backend))
+        _built[key] = (realise_together if together else realise)(functions, resolve(backend))
     return _built[key]
 
 

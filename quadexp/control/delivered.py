@@ -200,9 +200,9 @@ def _weights(count: int, period: float) -> Callable[..., np.ndarray]:
     """Of many spans at once, (m, k): begin, end (k,), dead time, lag."""
     begin, end, dead_time, lag = (ca.SX.sym(name) for name in ("begin", "end", "dead_time", "lag"))
     weights = command_weights(count, period, (begin, end), dead_time, lag)
-    one = ca.Function("weights", [begin, end, dead_time, lag], [weights])
+    function = ca.Function("weights", [begin, end, dead_time, lag], [weights])
 
     def each(begins: np.ndarray, ends: np.ndarray, dead: float, tau: float) -> np.ndarray:
-        return np.array(one(begins[None], ends[None], dead, tau))
+        return np.array(function(begins[None], ends[None], dead, tau))
 
     return each

@@ -120,13 +120,13 @@ def _without_spin_up(
 
     gain: torque per change of a root (n,). root: measured (n,).
     """
-    G, found = ca.DM(vehicle.allocation), ca.fmax(start, 0.05 * np.sqrt(vehicle.hover_thrust))
+    G, roots = ca.DM(vehicle.allocation), ca.fmax(start, 0.05 * np.sqrt(vehicle.hover_thrust))
     last = ca.DM([[0.0]] * 3 + [[1.0]])
     for _ in range(NEWTON_STEPS):
-        left = ca.mtimes(G, found**2) + last * ca.dot(gain, found - root) - wrench
-        slope = 2 * ca.mtimes(G, ca.diag(found)) + ca.mtimes(last, gain.T)
-        found = ca.fmax(found - ca.solve(slope, left), 0.0)
-    return wrench - last * ca.dot(gain, found - root)
+        residual = ca.mtimes(G, roots**2) + last * ca.dot(gain, roots - root) - wrench
+        slope = 2 * ca.mtimes(G, ca.diag(roots)) + ca.mtimes(last, gain.T)
+        roots = ca.fmax(roots - ca.solve(slope, residual), 0.0)
+    return wrench - last * ca.dot(gain, roots - root)
 
 
 def _low_pass(keys: INDIKeys) -> tuple[np.ndarray, np.ndarray]:
@@ -159,8 +159,8 @@ class INDI(WrappedController):
         self.control_period = inner.control_period / self._every
         self._keys, vehicle = keys, inner.vehicle
         self._law = BufferedFunction(built(backend, indi_function, vehicle, keys))
-        told = keys.dead_time, keys.motor_lag
-        self._delivered = DeliveredThrust(vehicle, self.control_period, *told, backend=resolve(backend))
+        delays = keys.dead_time, keys.motor_lag
+        self._delivered = DeliveredThrust(vehicle, self.control_period, *delays, backend=resolve(backend))
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""

@@ -99,8 +99,8 @@ class L1Controller(WrappedController):
         super().reset(x, window)
         start = thrust_at_start(window, self.vehicle)
         self._sent[...] = start
-        own = [array for name, array in self._estimate.arguments.items() if name != "theta"]
-        for array in (*own, *self._estimate.results.values()):
+        arguments = [array for name, array in self._estimate.arguments.items() if name != "theta"]
+        for array in (*arguments, *self._estimate.results.values()):
             array[...] = 0.0
         self._estimate.results["rotors_next"][...] = start
         self._begun[0] = 0.0
@@ -183,14 +183,14 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
 
     moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
     poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
-    left = np.exp(-poles * period)
-    reach, gain = (1 - left) / poles, poles * left / (1 - left)
+    decay = np.exp(-poles * period)
+    reach, gain = (1 - decay) / poles, poles * decay / (1 - decay)
     s_F, s_tau = ca.vertsplit(memory[DISTURBANCE], 3)
     believed = ca.vertcat(s_F / m, ca.mtimes(ca.inv(J), s_tau))
-    error = ca.DM(left) * memory[ERROR] + period / 2 * (known(x, air) + known(x_last, air_last))
+    error = ca.DM(decay) * memory[ERROR] + period / 2 * (known(x, air) + known(x_last, air_last))
     error += ca.DM(reach) * believed - moved
-    found = -ca.DM(gain) * error
-    s_F, s_tau = m * found[:3], ca.mtimes(J, found[3:])
+    estimate = -ca.DM(gain) * error
+    s_F, s_tau = m * estimate[:3], ca.mtimes(J, estimate[3:])
     R = rotation_matrix(x[ATTITUDE])
     body = ca.vertcat(ca.mtimes(R.T, s_F), s_tau)
     stays = math.exp(-keys.bandwidth * period)

@@ -65,5 +65,9 @@ class Remedy(Part):
         """The controller inside the remedy. Raises UsageError where it cannot be put around this controller."""
         raise NotImplementedError
 
+    def put_around(self, controller: Any, given: Given) -> Any:
+        """`around`, for a remedy that has to know more than the controller, such as given.sheet."""
+        return self.around(controller)
+
     def check(self, vehicle: Any, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
         """Raise UsageError where it needs what neither vehicle nor world measure, nor the other parts know."""

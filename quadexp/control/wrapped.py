@@ -62,11 +62,11 @@ def thrust_at_start(window: Window, vehicle: Vehicle) -> np.ndarray:
 
 def layers(controller: Any) -> list[WrappedController]:
     """The remedies around a controller, the outermost first."""
-    found = []
+    remedies = []
     while isinstance(controller, WrappedController):
-        found.append(controller)
+        remedies.append(controller)
         controller = controller.inner
-    return found
+    return remedies
 
 
 def innermost(controller: Any) -> Any:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,6 +21,7 @@ from quadexp.models.base import model_class
 from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given, Part
 from quadexp.parts.schema import Config, remedies, world_parts
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.physics.vehicle import Vehicle, plausible
 
 T = TypeVar("T")
@@ -114,8 +115,9 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
         same = true_vehicle is vehicle and flown is config.plant
         airframe = believed if same else build_plant(true_vehicle, flown, vehicle)
         if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
+            said = ",".join(f"{group}={part.name}" for group, part in parts.items())
             raise UsageError(
-                f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
+                f"{said}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
                 f" plant={config.plant.name} has an `advance` of its own, and flies without"
             )
         return World(airframe, effects, believed)
@@ -133,12 +135,6 @@ def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     for effect in effects:
         vehicle = effect.true_vehicle(vehicle)
     return effects, vehicle
-
-
-def build_sensor(config: Any) -> Any:
-    """What the controller measures specific force with; None for a perfect accelerometer, and for sensors that are
-    effects."""
-    return config.build() if hasattr(config, "build") else None
 
 
 def _with_file(part: Any) -> Any:
@@ -199,7 +195,8 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     told = [config.plant.recorded(), [*world_parts(config)]]
     believed = told if controller.knows_plant else model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, controller.recorded(), believed]
-    record += [{group: one.recorded() for group, one in around.items()}]
+    sheet = sensor_sheet(plant)
+    record += [{group: one.recorded() for group, one in around.items()}, asdict(sheet)]
 
     def residual(*kinds: str) -> Any:
         return build_residual(kinds, vehicle, plant, model)
@@ -207,6 +204,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     given = Given(
         vehicle=vehicle,
         plant=plant,
+        sheet=sheet,
         remedies=tuple(around.values()),
         residual=residual,
         residuals=lambda kinds: residuals(kinds, vehicle, model),
@@ -217,12 +215,19 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         built = checked("controller", controller, controller.build(given))
         for one in around.values():
             try:
-                built = one.around(built)
+                built = one.put_around(built, given)
             except UsageError as error:
                 raise UsageError(f"controller={controller.name}: {error}") from None
         return built
 
     return keep(record, make)
+
+
+def sensor_sheet(plant: Any) -> SensorSheet:
+    """What is stated of the sensors of what is flown; without a world they are exact."""
+    exact = SensorSheet(rotor_speed=Stated() if hasattr(plant, "rotor_speed") else None)
+    sheet: SensorSheet = getattr(plant, "sheet", exact)
+    return sheet
 
 
 def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:

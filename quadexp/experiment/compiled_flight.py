@@ -23,7 +23,6 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import MAX_TURN, ModelPredictiveController, StepRecord
 from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.physics.state import N_STATE
-from quadexp.world.accelerometer import Accelerometer
 from quadexp.world.base import Plant
 from quadexp.world.integrator import SimulatedPlant
 from quadexp.world.streams import Streams
@@ -57,8 +56,8 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0, sensor: Any = None) -> bool:
-    """Whether plant, sensor and noise are of this program, compiled, so that C can fly a controller of operations.
+def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> bool:
+    """Whether plant and noise are of this program, compiled, so that C can fly a controller of operations.
 
     logged: how many numbers of the plant's inner states are columns of the flight; a plant from outside may have others
     under the same names.
@@ -73,7 +72,6 @@ def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0, sens
     return (
         plant.prepared(controller.control_period).for_c is not None
         and isinstance(rng, np.random.Generator)
-        and (sensor is None or type(sensor) is Accelerometer)
         and controller.backend == "compiled"
         and controller.reference_period == 0
         and in_operations(controller)
@@ -87,8 +85,7 @@ class CompiledFlight:
     reference: states (g, 13) and inputs (g, n) on a grid, and which of its rows make each horizon, (k, N + 1).
     path: of the reference, see SampledReference.path. log: arrays to fill, (k, ..) each, by name: state, input,
     reading, inner, record, estimate, extra. logged: which of the plant's inner states are logged; None: all, or none.
-    noise: what `plant.begin` returned. lost_distance: m. sensor, sensed: an Accelerometer, None for an exact one, and
-    the noise of its readings, (k + 1, 3).
+    noise: what `plant.begin` returned. lost_distance: m.
     """
 
     def __init__(
@@ -102,8 +99,6 @@ class CompiledFlight:
         logged: np.ndarray | None,
         noise: Streams,
         lost_distance: float,
-        sensor: Any = None,
-        sensed: np.ndarray | None = None,
     ) -> None:
         period, self._plant = plant.prepared(controller.control_period), plant
         self._drawn, self._world = noise, isinstance(plant, World)
@@ -138,9 +133,6 @@ class CompiledFlight:
         arrays |= {name: period.results[name] for name in ("x_next", "inner_next", "specific_force", "doubt")}
         if self._world:
             arrays |= {"plant_time": period.arguments["time"], "measured": period.results["measured"]}
-        if sensor is not None:
-            assert sensed is not None
-            arrays |= {"bias": np.array(sensor.bias, float), "sensed": np.array(sensor.noise_std) * sensed}
         if rotors is not None:
             arrays |= {"rotors": rotors}
         arrays |= {"paths": np.ascontiguousarray(path[0]), "yaws": np.ascontiguousarray(path[1])}

@@ -12,14 +12,7 @@ import numpy as np
 
 import quadexp
 from quadexp.errors import UsageError
-from quadexp.experiment.build import (
-    build_controller,
-    build_sensor,
-    build_trajectory,
-    build_vehicle,
-    build_world,
-    check_remedies,
-)
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, check_remedies
 from quadexp.experiment.identity import ModelFile, digest, find_model, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.experiment.outside import outside_data
@@ -147,12 +140,10 @@ def below_ground(config: Config, trajectory: Any) -> str:
 
 @dataclass(frozen=True)
 class Loop:
-    """Everything that flies under one configuration. sensor: None for an exact accelerometer. margins: see
-    loop_margins."""
+    """Everything that flies under one configuration. margins: see loop_margins."""
 
     vehicle: Vehicle
     plant: Any
-    sensor: Any
     controller: Any
     margins: dict[str, Any] | None
 
@@ -162,7 +153,7 @@ class Loop:
         from quadexp.experiment.rollout import fly
 
         reference, start = _reference(trajectory, self.controller, digest), getattr(trajectory, "start_state", None)
-        return fly(self.plant, self.controller, reference, rng, start=start, sensor=self.sensor, **options)
+        return fly(self.plant, self.controller, reference, rng, start=start, **options)
 
 
 _references: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()  # of a controller, by trajectory
@@ -195,7 +186,7 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     margins = loop_margins(controller, config.plant, plant)
     if unstable := instability(config, margins, vehicle, plant, model):
         raise InfeasibleError(unstable)
-    return Loop(vehicle, plant, build_sensor(config.sensor), controller, margins)
+    return Loop(vehicle, plant, controller, margins)
 
 
 def fly_one(config: Config, model: ModelFile | None = None) -> Flight:

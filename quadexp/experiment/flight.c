@@ -57,8 +57,6 @@ typedef struct {
     const double *x_next, *inner_next, *specific_force, *doubt, *measured;
     const double *noise; /* of the periods first_drawn .. end_drawn - 1, each its noise and then its draws */
     integer first_drawn, end_drawn;
-    /* accelerometer, all null where it is exact: its bias, and the noise of its readings at the instants */
-    const double *bias, *sensed;
     /* now; command, held: what the operations leave; held: null with a plan */
     double *x, *told, *reading, *inner, *speed, *path, *yaw; /* all but x and inner as the controller is told */
     const integer *rotors;                      /* inner states that are rotor speeds; null where there are none */
@@ -237,8 +235,6 @@ static int advance(flight *f, integer k) {
     copy(f->told, f->measured ? f->measured : f->x, STATES);
     copy(f->inner, f->inner_next, f->inner_size);
     copy(f->reading, f->specific_force, 3);
-    if (f->bias)
-        for (int i = 0; i < 3; i++) f->reading[i] = (f->reading[i] + f->bias[i]) + f->sensed[3 * (k + 1) + i];
     if (f->rotors)
         for (integer i = 0; i < f->inputs; i++) f->speed[i] = f->inner[f->rotors[i]];
     f->time += f->period;

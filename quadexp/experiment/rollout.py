@@ -1,11 +1,11 @@
-"""One closed-loop flight: plant, sensor, controller and reference, sample by sample."""
+"""One closed-loop flight: plant, controller and reference, sample by sample."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import time
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,19 +25,12 @@ from quadexp.reference.base import Trajectory
 from quadexp.reference.flatness import Reference, clipped, flat_reference
 from quadexp.world.base import Plant
 from quadexp.world.integrator import SimulatedPlant
-from quadexp.world.streams import part_stream, sampled
 from quadexp.world.world import World
 
 LOST_DISTANCE = 10.0  # m from the reference; beyond it a flight counts as lost
 TIME_RESOLUTION = 1e-9  # s; closer sampling times count as equal
 BLOCK = 4096  # control instants whose horizons are looked up at once
 INNER_STATES = ("rotor_speed", "induced_velocity")  # (n,) attributes of some plants, logged as columns
-
-
-class Sensor(Protocol):
-    """Accelerometer between the plant's specific force and the controller; see quadexp.world."""
-
-    def read(self, specific_force: np.ndarray, noise: np.ndarray) -> np.ndarray: ...
 
 
 class SampledReference:
@@ -159,14 +152,12 @@ def fly(
     rng: np.random.Generator,
     *,
     start: np.ndarray | None = None,
-    sensor: Sensor | None = None,
     lost_distance: float = LOST_DISTANCE,
     lost_box: float | None = None,
     metadata: dict[str, Any] | None = None,
 ) -> Flight:
     """Fly the reference from its start (or from `start`, (13,)) and return the log, one row per control instant.
 
-    sensor: the controller's accelerometer; None: an exact one.
     plant: a World tells the controller what its sensors and estimator make of the state; the log has both then, and
     the flight ends by the true one.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
@@ -187,9 +178,6 @@ def fly(
         noise = plant.begin(x, period, float(reference.t[-1]) + period, rng, thrust)
     else:
         plant.reset()
-    sensed = np.empty((0, 3))  # noise of the readings
-    if sensor is not None:
-        sensed = sampled(part_stream(rng, "accelerometer"), period * np.arange(len(reference) + 1), 3)
     inner = _Inner(plant, period)
     log = _Log(len(reference), plant.vehicle.n_rotors, len(inner.names), world is not None and world.estimates)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
@@ -200,7 +188,7 @@ def fly(
     compiled: CompiledFlight | None = None
     box = None if lost_box is None else reference.box(lost_box)
     inside = lost_distance if lost_box is None else min(lost_distance, lost_box)  # surely not lost
-    in_c = covers(plant, controller, rng, len(inner.names), sensor)
+    in_c = covers(plant, controller, rng, len(inner.names))
     outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
     k, commanded = 0, False
     while k < len(reference):
@@ -231,7 +219,7 @@ def fly(
             if in_c and compiled is None:  # when all that logs has said what
                 log.state_reference[:], log.input_reference[:] = along = reference.along()
                 arrays = (reference.horizons(), along[0], reference.path(), log.arrays())
-                compiled = CompiledFlight(plant, controller, *arrays, inner.places, noise, inside, sensor, sensed)
+                compiled = CompiledFlight(plant, controller, *arrays, inner.places, noise, inside)
                 in_c = compiled.flies
             if record.status == Status.FAILED:
                 outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
@@ -243,8 +231,6 @@ def fly(
             break
         k += 1
         commanded = False
-        if sensor is not None:
-            reading = sensor.read(reading, sensed[k])
         if compiled is not None and in_c:
             k, commanded, x, reading = compiled.go_on(k, x, reading)
             if log.rows < k + commanded:

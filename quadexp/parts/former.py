@@ -50,7 +50,7 @@ FORMER_CLASSES = {
     "link/none": "parts.part.Nothing",
     "actuator/motors": "world.actuator.Actuator",
     "battery/circuit": "world.battery.Battery",
-    "sensor/accelerometer": "world.accelerometer.AccelerometerPart",
+    "sensor/accelerometer": "world.sensors.Sensors",
     "trajectory/custom": "experiment.former_parts.FormerTrajectory",
     "trajectory/lei_li_circle": "reference.lei_li.LeiLiCircle",
     "trajectory/rectangle": "reference.lei_li.Rectangle",

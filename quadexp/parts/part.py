@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
+from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.parts.settings import Name, Settings, record
 
 if TYPE_CHECKING:
@@ -60,6 +61,11 @@ class Part(Settings):
     def idle(self) -> bool:
         """Whether it does nothing: a flight is what it would be without this part."""
         return False
+
+    @property
+    def names_world(self) -> bool:
+        """Whether a world of it alone has a name in tables; of parts of a world."""
+        return not self.idle
 
     @property
     def shipped(self) -> bool:
@@ -129,7 +135,8 @@ class Given:
     """What a part that is built is handed, as far as it is made before.
 
     vehicle: that the part is for: the flown one for a plant, the believed one for a controller. believed: that which
-    controllers believe in. plant: that is flown. remedies: parts around a controller, the nearest first.
+    controllers believe in. plant: that is flown. sheet: what is stated of its sensors, see sensor_sheet.py.
+    remedies: parts around a controller, the nearest first.
     residual(kind): the model of the air of that kind, or the sum of several kinds. residuals(kinds): each by itself, of
     kinds with checkpoints. checkpoint(i): the i-th fitted model. plant_model(path, kind): a checkpoint that is taken as
     the truth.
@@ -138,6 +145,7 @@ class Given:
     vehicle: Any
     believed: Any = None
     plant: Any = None
+    sheet: SensorSheet = SensorSheet()
     remedies: tuple[Any, ...] = ()
     residual: Any = None
     residuals: Any = None

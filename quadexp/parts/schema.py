@@ -110,7 +110,7 @@ def controller_name(config: Config) -> str:
 
 
 def world_parts(config: Config) -> dict[str, Part]:
-    """The parts of the world that do something, by group; a sensor that is only an accelerometer is none."""
+    """The parts of the world that do something, by group."""
     parts = {group: getattr(config, group) for group in WORLD}
     return {group: part for group, part in parts.items() if not part.idle}
 
@@ -121,7 +121,7 @@ def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
 
     bundle: option of the group `world`. bundled: the parts that it chooses, by group.
     """
-    if not world_parts(config):
+    if not any(part.names_world for part in world_parts(config).values()):
         return "clean"
     differing = [
         f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]

@@ -119,8 +119,8 @@ class Actuator(Effect):
                 f"actuator: rotors between {low:.3g} and {high:.3g} N by their speeds, hovering takes"
                 f" {vehicle.hover_thrust:.3g} N"
             )
-        constants = [max(one, NO_LAG) for one in (self.time_constant_up, self.time_constant_down)]
-        decays = [math.exp(-start.clock.step / 2 / one) for one in constants]
+        constants = [max(constant, NO_LAG) for constant in (self.time_constant_up, self.time_constant_down)]
+        decays = [math.exp(-start.clock.step / 2 / constant) for constant in constants]
         thrust = np.clip(start.thrust, low, high)
         inner = np.concatenate([np.array(self._lagging(thrust)).ravel(), first_rotor_column(vehicle, thrust)])
         return inner, np.array([*decays, low, high, rotor_column_factor(vehicle)])

@@ -109,8 +109,8 @@ class Battery(Effect):
         return inner, [values[name] for name in PARAMETERS]
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
-        own = {"battery_voltage": VOLTAGE, "battery_current": CURRENT, "state_of_charge": CHARGE}
-        return {**own, **rotor_column_names(vehicle, STATES)}
+        readings = {"battery_voltage": VOLTAGE, "battery_current": CURRENT, "state_of_charge": CHARGE}
+        return {**readings, **rotor_column_names(vehicle, STATES)}
 
     def begin(self, at: Moment) -> Expression:
         """The tangent."""

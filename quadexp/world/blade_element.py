@@ -123,8 +123,8 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
         for change in self.schedule:
             unknown = sorted({*change} - {*_CHANGES}) if isinstance(change, Mapping) else [str(change)]
             if unknown or "t" not in change:
-                found = f"unknown {unknown[0]!r}" if unknown else "no t"
-                raise UsageError(f"plant.schedule: {found}; each change is {{t: s, {', '.join(_CHANGES[1:])}}}")
+                fault = f"unknown {unknown[0]!r}" if unknown else "no t"
+                raise UsageError(f"plant.schedule: {fault}; each change is {{t: s, {', '.join(_CHANGES[1:])}}}")
 
     def build(self, given: Given) -> BladeElementPlant:
         """UsageError where the vehicle has no rotors of known shape."""

@@ -13,17 +13,17 @@ The accelerometer's specific force gets R^T F / m besides. m is the mass that th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 from quadexp.compile.symbolic import ca
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Readings, Sizes, Told
-from quadexp.world.integrator import INPUTS, OUTPUTS, Equations
+from quadexp.world.integrator import INPUTS, OUTPUTS, Equations, period
 
 WORLD_INPUTS = (*INPUTS, "draws", "time")
 WORLD_OUTPUTS = (*OUTPUTS, "measured")
@@ -40,10 +40,10 @@ class Layout:
 
     def ends(self, kind: str) -> list[int]:
         """Where each begins, and the end of all: offsets for vertsplit."""
-        found = [0]
+        offsets = [0]
         for sizes in (self.airframe, *self.effects):
-            found.append(found[-1] + getattr(sizes, kind))
-        return found
+            offsets.append(offsets[-1] + getattr(sizes, kind))
+        return offsets
 
     def size(self, kind: str) -> int:
         """How many numbers there are; of the inner states without the wind."""
@@ -51,9 +51,17 @@ class Layout:
 
 
 def compose(
-    equations: Equations, effects: Sequence[Effect], layout: Layout, clock: Clock, vehicle: Vehicle
+    equations: Equations,
+    effects: Sequence[Effect],
+    layout: Layout,
+    clock: Clock,
+    vehicle: Vehicle,
+    columns: Mapping[str, int],
 ) -> ca.Function:
-    """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps."""
+    """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps.
+
+    columns: which inner states are columns of a flight, see World.columns.
+    """
     last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
     stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
     parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
@@ -64,6 +72,8 @@ def compose(
     parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
     time = ca.MX.sym("time")
 
+    if not any(effect.names_world for effect in effects) and not last:  # the airframe's own period, to the last bit
+        pass
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
     inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
     theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
@@ -80,26 +90,34 @@ def compose(
     still = parts.chosen(own, parts.still)[used["still"]]
     states, *kept = _repeated(one, steps, state, times, noise, (still, u, known[used["parameters"]], step))
 
-    sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
-    x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
-    own = parts.ending()(time + clock.period, x_next, parts.assembled(moved, own), known, step)
-    own = ca.vertcat(own, measuring)
+    begun, last_t = own, time + clock.period
+    after = parts.settled(states[:, -1], begun, known, theta, last_t, step)
+    x_next, inner_a, wind = after.x, after.inner, after.wind
+    own = ca.vertcat(after.own, measuring)
     if equations.end:
-        held = equations.command(thrusts, theta) if equations.command else thrusts
-        s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
-        _, inner_a, reading, doubt = equations.end(s, held, theta)
+        reading, doubt = after.reading, after.doubt
         names = equations.step.name_out()[1:]
     else:
-        inner_a, reading, doubt = rest, kept[0][:, -1], ca.MX(1, 1)
+        reading, doubt = kept[0][:, -1], ca.MX(1, 1)
         kept, names = kept[1:], []
-    reading += pushed
-    parts = _Parts(equations, tuple(effects), layout, vehicle)
-    doubt = parts.ended(own, parameters, doubt)
+    reading += after.pushed
+    if not last and not any(effect.names_world for effect in effects):  # the airframe's own flight, to the last bit
+        alone = period(equations, steps)(x, inner[: airframe.inner], u, noise, theta, step)
+        x_next, inner_a, reading, doubt, *kept = alone
+    before = ca.vertcat(inner[: airframe.inner], begun)
+
+    def columns_of(wanted: Sequence[str]) -> ca.MX:
+        places = [columns[name] for name in wanted]
+        return ca.horzcat(before[places], parts.columns(places, states, begun, known, theta, times, step))
+
+    everything = _Parts(equations, tuple(effects), layout, vehicle)
+    doubt = everything.ended(own, parameters, doubt)
 
     told: Told = {"state": x_next, "specific_force": reading}
-    own, told = parts.measured(
-        ca.horzcat(x, states[:N_STATE, :]), own, parameters, draws, time + clock.period, step, clock, told
+    seen = Readings(
+        last_t, ca.horzcat(x, states[:N_STATE, :]), own, parameters, draws, step, clock, vehicle, columns_of
     )
+    own, told = everything.measured(seen, told)
     inner_next = ca.vertcat(inner_a, own, wind)
     results = [x_next, inner_next, told["specific_force"], doubt, told["state"]]
     arguments = [x, inner, u, noise, parameters, step, draws, time]
@@ -114,12 +132,12 @@ def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: c
     """
     if steps > WRITTEN_OUT:
         again = [ca.repmat(value, 1, steps) for value in held]
-        found = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
-        return list(found) if isinstance(found, tuple) else [found]
+        results = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
+        return list(results) if isinstance(results, tuple) else [results]
     columns = list[list[ca.MX]]()
     for i in range(steps):
-        found = one(state, times[i], *held[:2], noise[:, i], *held[2:])
-        columns.append(list(found) if isinstance(found, tuple) else [found])
+        results = one(state, times[i], *held[:2], noise[:, i], *held[2:])
+        columns.append(list(results) if isinstance(results, tuple) else [results])
         state = columns[-1][0]
     return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
 
@@ -151,6 +169,19 @@ def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layou
 def _seen_from_the_air(x: Any, wind: Any) -> Any:
     """A state in the frame that moves with the wind."""
     return ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[RATE])
+
+
+class _After(NamedTuple):
+    """x: state. own, inner: inner states of effects and airframe. wind: (3,). pushed: force over mass, body. reading:
+    specific force, and doubt, where the airframe's equations say so at the end."""
+
+    x: Any
+    own: Any
+    wind: Any
+    pushed: Any
+    inner: Any
+    reading: Any = None
+    doubt: Any = None
 
 
 class _Parts:
@@ -209,7 +240,7 @@ class _Parts:
         ]
 
     def _function(self, name: str, symbols: list[Any], results: list[Any]) -> ca.Function:
-        results = [ca.densify(one) for one in results]
+        results = [ca.densify(result) for result in results]
         return ca.Function(name, symbols, ca.cse(results) if self._kind is ca.SX else results)
 
     def begun(self) -> ca.Function:
@@ -217,21 +248,21 @@ class _Parts:
         symbols = self._symbols("t", "x", "own", "u", "parameters", "draws", "step")
         t, x, own, u, parameters, draws, step = symbols
         moments = self._moments(t=t, x=x, own=own, command=u, parameters=parameters, draws=draws, step=step)
-        found = [
+        inner = [
             effect.begin(at) if effect.has("begin") else at.inner
             for effect, at in zip(self._effects, moments, strict=True)
         ]
-        return self._function("begun", symbols, [ca.vertcat(*found)])
+        return self._function("begun", symbols, [ca.vertcat(*inner)])
 
     def ending(self) -> ca.Function:
         """(t, x, own, parameters, step) -> own at the end of a period, before anything is measured."""
         symbols = self._symbols("t", "x", "own", "parameters", "step")
         t, x, own, parameters, step = symbols
         moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
-        found = [
+        inner = [
             effect.end(at) if effect.has("end") else at.inner for effect, at in zip(self._effects, moments, strict=True)
         ]
-        return self._function("ending", symbols, [ca.vertcat(*found)])
+        return self._function("ending", symbols, [ca.vertcat(*inner)])
 
     def drive(self) -> ca.Function:
         """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""
@@ -261,11 +292,35 @@ class _Parts:
         moments = self._moments(
             t=t, x=x, own=own, parameters=parameters, step=step, wind=wind, thrust=thrusts, x_next=x_next
         )
-        found = [
+        inner = [
             effect.advance(at._replace(command=command)) if effect.has("advance") else at.inner
             for effect, at, command in zip(self._effects, moments, entering, strict=True)
         ]
-        return self._function("after", [*symbols, *entering], [ca.vertcat(*found)])
+        return self._function("after", [*symbols, *entering], [ca.vertcat(*inner)])
+
+    def settled(self, S: Any, own: Any, known: Any, theta: Any, t: Any, step: Any) -> _After:
+        """What a control period would leave that ended after a step with S (see `step`). own: as the period began."""
+        equations, n = self._equations, self._vehicle.n_rotors
+        further = equations.step.size1_in(0) - N_STATE
+        sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
+        x, rest, moved, wind, thrusts, pushed = ca.vertsplit(S, [0, *accumulate(sizes)])
+        own = self.ending()(t, x, self.assembled(moved, own), known, step)
+        if not equations.end:
+            return _After(x, own, wind, pushed, rest)
+        held = equations.command(thrusts, theta) if equations.command else thrusts
+        _, inner, reading, doubt = equations.end(ca.vertcat(_seen_from_the_air(x, wind), rest), held, theta)
+        return _After(x, own, wind, pushed, inner, reading, doubt)
+
+    def columns(self, places: list[int], states: Any, own: Any, known: Any, theta: Any, times: Any, step: Any) -> ca.MX:
+        """Some inner states of airframe and effects after every step, (k, steps). times: when the steps began."""
+        given = [states[:, 0], own, known, theta, times[0], step]
+        symbols = [ca.MX.sym(f"s{i}", value.numel()) for i, value in enumerate(given)]
+        S, before, of_effects, of_airframe, began, h = symbols
+        after = self.settled(S, before, of_effects, of_airframe, began + h, h)
+        one = ca.Function("columns_after", symbols, [ca.vertcat(after.inner, after.own)[places]])
+        steps = states.size2()
+        held = [ca.repmat(value, 1, steps) for value in (own, known, theta)]
+        return one.map(steps)(states, *held, times, ca.repmat(step, 1, steps))
 
     def step(self) -> ca.Function:
         """(S, t, still, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s,
@@ -299,8 +354,8 @@ class _Parts:
 
         seen = kicked(_seen_from_the_air(x, wind) if blows else x)
         held = equations.command(thrusts, theta) if equations.command else thrusts
-        found = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
-        s, *kept = found if isinstance(found, tuple) else (found,)
+        results = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
+        s, *kept = results if isinstance(results, tuple) else (results,)
         x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
         if blows:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
@@ -324,15 +379,13 @@ class _Parts:
                 doubt = ca.fmax(doubt, effect.ended(inner, theta))
         return doubt
 
-    def measured(
-        self, states: Any, own: Any, parameters: Any, draws: Any, t: Any, step: Any, clock: Clock, told: Told
-    ) -> tuple[Any, Told]:
-        """`own` after the period, and what the controller is told."""
+    def measured(self, seen: Readings, told: Told) -> tuple[Any, Told]:
+        """The inner states of all effects after the period, and what the controller is told. seen: with those before,
+        and all parameters and draws."""
         found = []
-        cut = [self._cut(value, kind) for value, kind in ((own, "inner"), (parameters, "parameters"), (draws, "draws"))]
+        cut = [self._cut(getattr(seen, name), name) for name in ("inner", "parameters", "draws")]
         for effect, inner, theta, drawn in zip(self._effects, *cut, strict=True):
             if effect.has("measure"):
-                at = Readings(t, states, inner, theta, drawn, step, clock)
-                inner, told = effect.measure(at, told)
+                inner, told = effect.measure(seen._replace(inner=inner, parameters=theta, draws=drawn), told)
             found.append(inner)
         return ca.vertcat(*found), told

@@ -13,7 +13,7 @@ no numbers. What a hook is for is said here; that of an effect says what is its 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -22,6 +22,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
+from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.streams import Drawn
@@ -45,11 +46,15 @@ class Clock:
 
 
 class Sizes(NamedTuple):
-    """How many inner states and parameters an effect has, and what it draws in a control period."""
+    """How many inner states and parameters an effect has, and what it draws in a control period.
+
+    streams: the name of each random stream; those of no name are called by the part and a number.
+    """
 
     inner: int = 0
     parameters: int = 0
     drawn: tuple[Drawn, ...] = ()
+    streams: tuple[str, ...] = ()
 
     @property
     def draws(self) -> int:
@@ -97,7 +102,9 @@ class Readings(NamedTuple):
     """The end of a control period, as MX expressions.
 
     t: s since the start. states: true states (13, steps + 1) at the beginning and after every integration step.
-    inner, parameters, draws: the effect's own. step: s. clock: the same in numbers.
+    inner, parameters, draws: the effect's own. step: s. clock: the same in numbers. vehicle: the true one.
+    columns: of names of columns that are inner states of airframe and effects, such as "rotor_speed_0": their values
+    (k, steps + 1) at the times of the states; KeyError where there is no such column.
     """
 
     t: ca.MX
@@ -107,6 +114,8 @@ class Readings(NamedTuple):
     draws: ca.MX
     step: ca.MX
     clock: Clock
+    vehicle: Vehicle
+    columns: Callable[[Sequence[str]], ca.MX]
 
 
 Told = dict[str, Any]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
@@ -150,6 +159,11 @@ class Effect(Part):
         """The effect as it is in a world of these effects. Raises UsageError where it lacks another that it needs."""
         return self
 
+    @property
+    def tells_state(self) -> bool:
+        """Whether the state that is told may differ from the true one."""
+        return self.has("measure")
+
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The state (13,) that is told when a flight begins. inner: its own; state: what it would be otherwise."""
         return state
@@ -157,6 +171,10 @@ class Effect(Part):
     def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
         """The vehicle that is flown, from the one that controllers believe in."""
         return vehicle
+
+    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+        """The data sheets of the true vehicle's sensors, from what they are without this effect."""
+        return sheet
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """Names of the columns of a flight that are inner states of its own, and which."""

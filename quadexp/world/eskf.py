@@ -42,6 +42,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import cross_matrix, exponential, product, right_jacobian, rotation_matrix
@@ -269,6 +270,12 @@ class Navigation(Effect):
         known = _off_by()(truth, -to_body @ drawn, to_body @ standing @ to_body.T)
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
         return np.concatenate([known.full().ravel(), queue]), self.believed(gravity)
+
+    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+        """The deviations that the filter states when a flight begins; its errors are slow, its state is of now."""
+        deviations = np.sqrt(np.diag(_standing(self, vehicle.gravity)))
+        position, velocity, attitude = (Stated(drift=float(deviations[list(place)].max())) for place in PLACES[:3])
+        return replace(sheet, position=position, velocity=velocity, attitude=attitude)
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         return np.concatenate([inner[: RATE.start], state[RATE]])

@@ -97,10 +97,10 @@ def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, nois
     thrusts = ca.fmin(ca.fmax(command, vehicle.thrust_min), vehicle.thrust_max)
 
     def correction(state: ca.MX) -> ca.MX:
-        found = ca.densify(model.function(features(state, thrusts), theta)[0])
+        wrench = ca.densify(model.function(features(state, thrusts), theta)[0])
         if model_mass is not None:
-            found = ca.vertcat(found[:3] * (model_mass / vehicle.mass), found[3:])
-        return found + held
+            wrench = ca.vertcat(wrench[:3] * (model_mass / vehicle.mass), wrench[3:])
+        return wrench + held
 
     def slope(state: ca.MX) -> ca.MX:
         return derivative(state, thrusts, correction(state))

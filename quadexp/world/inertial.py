@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any, ClassVar, NamedTuple
 
@@ -43,6 +43,7 @@ from scipy.special import ndtri
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import Setting, key
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product, rotation_matrix
@@ -223,6 +224,11 @@ class InertialSensors(Effect):
         parameters = [np.array([start.vehicle.gravity]), self.densities]
         parameters += [np.concatenate([aid.sampling(), aid.deviations]) for aid in self.aids]
         return np.concatenate([bias, np.zeros(N_CLOCK * len(self.aids))]), np.concatenate(parameters)
+
+    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+        force, turn, *_ = (self.densities * math.sqrt(self.imu_rate)).tolist()
+        accelerometer, gyroscope = Stated(force, self.accelerometer_bias_std), Stated(turn, self.gyroscope_bias_std)
+        return replace(sheet, accelerometer=accelerometer, gyroscope=gyroscope)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """The true biases."""

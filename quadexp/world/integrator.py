@@ -70,20 +70,20 @@ def integrate(method: str, slope: Callable[[Expression], Expression], s: Express
 
 def period(equations: Equations, steps: int) -> ca.Function:
     """INPUTS -> OUTPUTS over `steps` steps of length `step` (s), noise (d, steps); then what is kept of the steps."""
-    one, begin, end = equations.step, equations.begin, equations.end
+    function, begin, end = equations.step, equations.begin, equations.end
     x, inner, step = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", equations.inner_size), ca.MX.sym("step")
-    u = ca.MX.sym("u", begin.size1_in(2) if begin else one.size1_in(1))
-    noise, parameters = ca.MX.sym("noise", one.size1_in(2), steps), ca.MX.sym("parameters", one.size1_in(3))
+    u = ca.MX.sym("u", begin.size1_in(2) if begin else function.size1_in(1))
+    noise, parameters = ca.MX.sym("noise", function.size1_in(2), steps), ca.MX.sym("parameters", function.size1_in(3))
     s, held = begin(x, inner, u, parameters) if begin else (ca.vertcat(x, inner), u)
     again = [ca.repmat(value, 1, steps) for value in (held, parameters, step)]
-    found = one.mapaccum(steps)(s, again[0], noise, *again[1:])
-    states, *kept = found if isinstance(found, tuple) else (found,)
+    results_of_steps = function.mapaccum(steps)(s, again[0], noise, *again[1:])
+    states, *kept = results_of_steps if isinstance(results_of_steps, tuple) else (results_of_steps,)
     if end:
         results = [*end(states[:, -1], held, parameters), *kept]
     else:
         results = [states[:N_STATE, -1], states[N_STATE:, -1], kept[0][:, -1], ca.MX(1, 1)]
-    arguments, names = [x, inner, u, noise, parameters, step], one.name_out()[1:] if end else []
-    return ca.Function(f"{one.name()}_period", arguments, results, INPUTS, [*OUTPUTS, *names])
+    arguments, names = [x, inner, u, noise, parameters, step], function.name_out()[1:] if end else []
+    return ca.Function(f"{function.name()}_period", arguments, results, INPUTS, [*OUTPUTS, *names])
 
 
 class SimulatedPlant:
@@ -193,10 +193,10 @@ class SimulatedPlant:
         arguments = {name: value.T for name, value in function.arguments.items()}  # a matrix is stored transposed
         if function not in self._safe:
             self._safe[function] = self.same_period(function, self.safe_equations)
-        found = self._safe[function](**arguments)
-        found = {name: np.array(value.full()) for name, value in found.items()}
-        self.check_safe(found, float(function.arguments["step"][0]))
-        return {name: found[name].ravel() for name in function.results}
+        results = self._safe[function](**arguments)
+        results = {name: np.array(value.full()) for name, value in results.items()}
+        self.check_safe(results, float(function.arguments["step"][0]))
+        return {name: results[name].ravel() for name in function.results}
 
     @property
     def rough_equations(self) -> Equations:

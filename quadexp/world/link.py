@@ -66,10 +66,10 @@ class Latency(Effect):
 
     def thrusts(self, at: Moment) -> Expression:
         """From its arrival on, each command replaces older ones."""
-        n, acting, found = at.command.numel(), 0, 0
+        n, acting, thrusts = at.command.numel(), 0, 0
         for first in range(n, at.inner.numel(), n + 1):  # the newest first; acting: share of the step from then on
-            left = at.t + at.step - ROUNDING - at.inner[first + n]
-            share = ca.fmax(acting, ca.fmin(left / (at.step - 2 * ROUNDING), 1))
-            found += (share - acting) * at.inner[first : first + n]
+            since = at.t + at.step - ROUNDING - at.inner[first + n]
+            share = ca.fmax(acting, ca.fmin(since / (at.step - 2 * ROUNDING), 1))
+            thrusts += (share - acting) * at.inner[first : first + n]
             acting = share
-        return found + (1 - acting) * at.inner[:n]
+        return thrusts + (1 - acting) * at.inner[:n]

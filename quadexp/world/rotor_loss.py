@@ -39,8 +39,8 @@ class RotorLoss(Effect):
         super().__post_init__()
         for loss in self.losses:
             if not isinstance(loss, Mapping) or {*loss} != {*FAILURE}:
-                found = sorted(loss) if isinstance(loss, Mapping) else loss
-                raise UsageError(f"health.losses: {found}; each loss is {{rotor: number, t: s, factor: 0 .. 1}}")
+                given = sorted(loss) if isinstance(loss, Mapping) else loss
+                raise UsageError(f"health.losses: {given}; each loss is {{rotor: number, t: s, factor: 0 .. 1}}")
             numbers = [loss[name] for name in FAILURE]
             if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers):
                 raise UsageError(f"health.losses: rotor, t and factor are {numbers}, all must be numbers")

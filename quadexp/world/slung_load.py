@@ -138,21 +138,21 @@ class SlungLoad(Payload):
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """The load hangs at rest."""
-        made = cable(self, start.vehicle.gravity)
-        check_step(made, start.clock.step, start.vehicle.mass)
-        return hanging(made, start.x), np.hstack(made)
+        rope = cable(self, start.vehicle.gravity)
+        check_step(rope, start.clock.step, start.vehicle.mass)
+        return hanging(rope, start.x), np.hstack(rope)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         return {f"load_{axis}": i for i, axis in enumerate("xyz")}
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        made = self._cable(at)
-        force = cable_force(made, at.x, at.inner, at.step)
-        return force, cable_torque(made, at.x[ATTITUDE], force)
+        rope = self._cable(at)
+        force = cable_force(rope, at.x, at.inner, at.step)
+        return force, cable_torque(rope, at.x[ATTITUDE], force)
 
     def advance(self, at: Moment) -> Expression:
-        made = self._cable(at)
-        return advanced(made, at.inner, cable_force(made, at.x, at.inner, at.step), at.wind, at.step)
+        rope = self._cable(at)
+        return advanced(rope, at.inner, cable_force(rope, at.x, at.inner, at.step), at.wind, at.step)
 
     @staticmethod
     def _cable(at: Moment) -> Cable:

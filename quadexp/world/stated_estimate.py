@@ -10,17 +10,20 @@ gyro=fresh the body rate is that of t: a gyroscope has no part in what makes pos
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.parts.sensor_sheet import SensorSheet, Stated, noisier
 from quadexp.parts.settings import key
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+from quadexp.world.sensors import Sensors
 from quadexp.world.streams import Sampled
 
 AXES = 12  # of the noise: position, velocity, attitude, rate
@@ -48,9 +51,16 @@ class StatedEstimate(Effect):
 
     stage = "estimator"
 
+    follows: bool = False  # whether sensors tell the state, and make it older by the delay themselves
+
     @property
     def loop_delay(self) -> float:
         return self.delay
+
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """Its noise comes on top of what sensors tell of the state."""
+        told = any(isinstance(effect, Sensors) and effect.tells_state for effect in effects)
+        return replace(self, delay=0.0, follows=True) if told else self
 
     def _late(self, clock: Clock) -> tuple[int, float]:
         """Integration steps by which the older of two states is late, and the share of the younger one."""
@@ -64,6 +74,17 @@ class StatedEstimate(Effect):
         noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
         return np.tile(start.x, self._late(start.clock)[0]), noise
 
+    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+        """Its noise; its age is stated by nobody, but for a gyroscope that is fresh."""
+        prompt = self.gyro == "fresh" and not self.follows
+        return replace(
+            sheet,
+            position=noisier(sheet.position, self.position_noise),
+            velocity=noisier(sheet.velocity, self.velocity_noise),
+            attitude=noisier(sheet.attitude, self.attitude_noise),
+            gyroscope=noisier(Stated() if prompt else sheet.gyroscope, self.rate_noise),
+        )
+
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
         late, share = self._late(at.clock)
         kept = ca.horzcat(ca.reshape(at.inner, N_STATE, late), at.states[:, 1:])[:, -late - 1 :]
@@ -72,6 +93,8 @@ class StatedEstimate(Effect):
             x = (1 - share) * x + share * kept[:, 1]
             x[ATTITUDE] /= ca.norm_2(x[ATTITUDE])
         rate = kept[:, -1] if self.gyro == "fresh" else x
+        if self.follows:
+            x = rate = told["state"]
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
         turned = ca.mtimes(left_matrix(x[ATTITUDE]), ca.vertcat(1, noise[6:9] / 2))
         noisy = ca.vertcat(

@@ -69,6 +69,7 @@ class Ticking:
     numbers: int
     tick: float
     period: float  # s, of control
+    closing: bool = False  # whether a tick at the end of a period belongs to it, and not to the next one
 
     @property
     def slots(self) -> int:
@@ -85,13 +86,14 @@ class Ticking:
         """See Sampled.begin."""
 
         def take(begins: np.ndarray, end: float) -> np.ndarray:
-            first = np.ceil(np.append(begins, end) / self.tick - EARLY).clip(1)
+            edges = np.append(begins, end) / self.tick
+            first = np.floor(edges + EARLY) + 1 if self.closing else np.ceil(edges - EARLY).clip(1)
             ticks = first[:-1, None] + np.arange(self.slots)
             there = ticks < first[1:, None]
-            found = np.zeros((*ticks.shape, 1 + self.numbers))
-            found[..., 0] = np.where(there, self.tick * ticks, NEVER)
-            found[there, 1:] = rng.standard_normal((there.sum(), self.numbers))
-            return found.reshape(len(begins), -1)
+            numbers_at = np.zeros((*ticks.shape, 1 + self.numbers))
+            numbers_at[..., 0] = np.where(there, self.tick * ticks, NEVER)
+            numbers_at[there, 1:] = rng.standard_normal((there.sum(), self.numbers))
+            return numbers_at.reshape(len(begins), -1)
 
         return take
 
@@ -161,9 +163,9 @@ class Streams:
         times = self._period * np.arange(self.first, self.first + BLOCK + 1)
         self.block, column = self._kept, 0  # new memory costs more than a draw
         for take in self._takers:
-            found = take(times[:-1], times[-1])
-            column += found.shape[1]
-            self.block[:, column - found.shape[1] : column] = found
+            numbers = take(times[:-1], times[-1])
+            column += numbers.shape[1]
+            self.block[:, column - numbers.shape[1] : column] = numbers
 
     def standard_normal(self, out: np.ndarray) -> None:
         """As Generator.standard_normal: the numbers of the next period."""

@@ -78,8 +78,8 @@ def read_wind(path: Path) -> WindRecord:
     columns = _columns(path)
     missing = [name for name in COLUMNS if name not in columns]
     if missing:
-        found = ", ".join(list(columns)[:20]) or "none"
-        raise DataError(f"{path}: no column {', '.join(missing)} (found {found}; needed {', '.join(COLUMNS)})")
+        present = ", ".join(list(columns)[:20]) or "none"
+        raise DataError(f"{path}: no column {', '.join(missing)} (found {present}; needed {', '.join(COLUMNS)})")
     values = [columns[name] for name in COLUMNS]
     rows = len(values[0])
     if not 1 <= rows <= MAX_ROWS:

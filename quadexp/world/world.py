@@ -17,6 +17,7 @@ from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.models.residual import Residual
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
@@ -82,13 +83,14 @@ class World(SimulatedPlant):
         inner, parameters = [self.airframe.initial(thrust)], []
         for effect, sizes in zip(self.effects, layout.effects, strict=True):
             stream = part_stream(rng, effect.part)
-            found = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
-            if [len(values) for values in found] != [sizes.inner, sizes.parameters]:
-                raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in found]} numbers, sizes {sizes}")
-            begun[effect.part] = found[0]
-            inner.append(found[0])
-            parameters.append(found[1])
-            parts += [(part_stream(rng, f"{effect.part} {i}"), drawn) for i, drawn in enumerate(sizes.drawn)]
+            begins = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
+            if [len(values) for values in begins] != [sizes.inner, sizes.parameters]:
+                raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in begins]} numbers, sizes {sizes}")
+            begun[effect.part] = begins[0]
+            inner.append(begins[0])
+            parameters.append(begins[1])
+            streams = sizes.streams or [f"{effect.part} {i}" for i in range(len(sizes.drawn))]
+            parts += [(part_stream(rng, name), drawn) for name, drawn in zip(streams, sizes.drawn, strict=True)]
         ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
         slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
         first = layout.airframe.parameters
@@ -97,7 +99,8 @@ class World(SimulatedPlant):
             for effect, own, theta in zip(self.effects, *slices, strict=True)
         ]
         columns = self.columns(period)
-        self._rotors = [i for name, i in columns.items() if name.startswith("rotor_speed_")]
+        of = range(self.vehicle.n_rotors) if self.sheet.rotor_speed else ()
+        self._rotors = [columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)) for i in of]
         self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
         for effect, own in zip(self.effects, inner[1:], strict=True):
             self.measured = effect.first(own, self.measured)
@@ -145,11 +148,11 @@ class World(SimulatedPlant):
             views = {"noise": buffer[: clock.steps * rows].reshape(shape), "draws": buffer[-draws:]}
             views = {name: view for name, view in views.items() if function.size1_in(name)}
             self._made[clock] = _Prepared(function, views, buffer, clock)
-        made = self._made[clock]
-        made.arguments["step"][0], made.arguments["time"][0] = clock.step, self.time
+        prepared = self._made[clock]
+        prepared.arguments["step"][0], prepared.arguments["time"][0] = clock.step, self.time
         if len(self.inner):  # a flight has begun
-            made.arguments["parameters"][:] = self.parameters(clock.step)
-        return made
+            prepared.arguments["parameters"][:] = self.parameters(clock.step)
+        return prepared
 
     def noise(self, function: BufferedFunction) -> np.ndarray:
         assert isinstance(function, _Prepared)
@@ -177,7 +180,8 @@ class World(SimulatedPlant):
                 raise ModelDomainError(f"{reason} at t={self.time:.2f} s")
 
     def _period(self, equations: Equations, clock: Clock) -> ca.Function:
-        return compose(equations, self.effects, self._layout(clock), clock, self.vehicle)
+        columns = self.columns(clock.period)
+        return compose(equations, self.effects, self._layout(clock), clock, self.vehicle, columns)
 
     def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:
         assert isinstance(function, _Prepared)
@@ -213,7 +217,16 @@ class World(SimulatedPlant):
     @property
     def estimates(self) -> bool:
         """Whether `measured` may differ from the truth."""
-        return any(effect.has("measure") for effect in self.effects)
+        return any(effect.tells_state for effect in self.effects)
+
+    @property
+    def sheet(self) -> SensorSheet:
+        """What the data sheets of its sensors say."""
+        turning = any(name.startswith("rotor_speed_") for name in self.columns(self.step))
+        sheet = SensorSheet(rotor_speed=Stated() if turning else None)
+        for effect in self.effects:
+            sheet = effect.stated(sheet, self.vehicle)
+        return sheet
 
     @property
     def loop_delay(self) -> float:
@@ -228,8 +241,8 @@ class World(SimulatedPlant):
     def residual(self) -> Residual:
         """The airframe's own; it names what it does not know of the world."""
         found: Residual = self._believed.residual()
-        unknown = ", ".join(effect.part for effect in self.effects)
-        return replace(found, source=f"{found.source}; does not know: {unknown}")
+        unknown = ", ".join(effect.part for effect in self.effects if effect.names_world)
+        return replace(found, source=f"{found.source}; does not know: {unknown}") if unknown else found
 
     @property
     def rotor_speed(self) -> np.ndarray:

@@ -27,7 +27,6 @@ from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
-from quadexp.world.accelerometer import Accelerometer
 from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
@@ -38,6 +37,7 @@ from quadexp.world.from_model import FromModelPlant
 from quadexp.world.ground import GroundEffect
 from quadexp.world.link import Latency
 from quadexp.world.rotor_loss import RotorLoss
+from quadexp.world.sensors import Sensors
 from quadexp.world.slung_load import SlungLoad
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import BLOCK
@@ -47,7 +47,7 @@ from tests.models.residuals import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
 
 Q = ("q_w", "q_x", "q_y", "q_z")
-LEI_LI = Accelerometer(bias=(0.001, 0.001, -0.001), noise_std=(0.05, 0.05, 0.05))
+LEI_LI = Sensors(accelerometer_bias=(0.001, 0.001, -0.001), accelerometer_noise=(0.05, 0.05, 0.05))
 compiled = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 
@@ -60,9 +60,10 @@ class Both:
     periods_in_c: int
 
 
-def both(monkeypatch, plant, controller, path, *, seed=0, **options) -> Both:
-    """Fly it twice and compare."""
-    assert covers(plant, controller, np.random.default_rng(), sensor=options.get("sensor"))
+def both(monkeypatch, plant, controller, path, *, seed=0, sensors=(), **options) -> Both:
+    """Fly it twice and compare. sensors: around a plant that has no world."""
+    plant = World(plant, sensors) if sensors and not isinstance(plant, World) else plant
+    assert covers(plant, controller, np.random.default_rng())
     found, stops, flown = [], [], [0]
 
     def go_on(self, k, x, reading):
@@ -128,7 +129,7 @@ def draw(seed, vehicle):
         Step(target=tuple(rng.normal(size=3)), step_time=0.3, duration=1.5),
     ]
     path = paths[rng.integers(len(paths))]
-    options = {"seed": int(rng.integers(100)), "sensor": LEI_LI if rng.integers(2) else None}
+    options = {"seed": int(rng.integers(100)), "sensors": [LEI_LI] if rng.integers(2) else []}
     options["lost_distance"] = float(rng.choice([0.4, 10.0]))
     if rng.integers(2):
         options["start"] = near(np.r_[path.flat_output(np.zeros(1)).position[0, 0], 1, np.zeros(9)], rng, 0.1)
@@ -178,7 +179,7 @@ WORLD = [
 def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
     """The same with effects around the plant; the seeds bring the three plants."""
     plant, controller, path, options = draw(seed, vehicle)
-    world = World(plant, [WORLD[i] for i in effects])
+    world = World(plant, [*(WORLD[i] for i in effects), *options["sensors"]])
     flight = both(monkeypatch, world, controller, path, **options).flight
     assert ("est_p_x" in flight.columns) == (2 in effects) and ("wind_x" in flight.columns) == (0 in effects)
     if 2 in effects:
@@ -210,7 +211,7 @@ def test_any_flight_with_a_load_in_turbulence(monkeypatch, vehicle, seed):
         Disturbance(force=(0.5, 0.0, 0.2), torque=(0.0, 0.01, 0.0), onset=0.2, duration=0.3),
         GroundEffect(rotor_radius=0.12),
     ]
-    flight = both(monkeypatch, World(plant, effects), controller, path, **options).flight
+    flight = both(monkeypatch, World(plant, [*effects, *options["sensors"]]), controller, path, **options).flight
     assert {"wind_x", "load_z"} < flight.columns.keys()
     assert np.std(flight["wind_x"]) > 0.01
 
@@ -344,6 +345,11 @@ REMEDIES = {
     ),
     "nominal_mpc adaptive=l1 inner=indi inner.rate=300 controller.rate=100": ("truth.mass=1.2",),
     "perfect_mpc inner=indi inner.rate=300 controller.rate=100": ("sensor=lei_li",),
+    "nominal_mpc inner=indi observer=disturbance observer.torque_bandwidth=0 controller.rate=100": (
+        *SPEEDS, "sensor=high", "sensor.rotor_speed_jitter=0.005", "sensor.rotor_speed_drop=0.1",
+        "sensor.rotor_speed_rate=250", "sensor.accelerometer_vibration=[0.5,0.5,0.5]", "estimator.delay=0.003",
+        "sensor.accelerometer_cutoff=80", "sensor.gyroscope_cutoff=80", "sensor.pose_rate=90",
+    ),
 }  # fmt: skip
 
 
@@ -362,7 +368,7 @@ def test_any_controller_with_what_is_around_it(monkeypatch, flown):
     given = [f"controller={flown.split()[0]}", *flown.split()[1:], *world]
     loop = build_loop(compose([*given, *["controller.allow_unstable=true"] * ("mpc" in flown)]), None)
     path = build_trajectory(compose(world).trajectory, loop.vehicle)
-    made = both(monkeypatch, loop.plant, loop.controller, path, sensor=loop.sensor)
+    made = both(monkeypatch, loop.plant, loop.controller, path)
     assert made.periods_in_c > 0.9 * len(made.flight)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from quadexp.control.base import Measurement, Window
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.outcome import COMPLETED
@@ -39,11 +39,10 @@ def fly_from(start, *overrides, lost_distance=100.0, seed=0):
     """A flight from a state of its own."""
     config = compose([*BENCH, *overrides])
     vehicle = build_vehicle(config.vehicle)
-    plant = build_plant(vehicle, config.plant)
+    plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, None)
-    reference = SampledReference(build_trajectory(config.trajectory), controller)
-    rng, sensor = np.random.default_rng(seed), build_sensor(config.sensor)
-    return fly(plant, controller, reference, rng, start=start, sensor=sensor, lost_distance=lost_distance)
+    reference, rng = SampledReference(build_trajectory(config.trajectory), controller), np.random.default_rng(seed)
+    return fly(plant, controller, reference, rng, start=start, lost_distance=lost_distance)
 
 
 @pytest.mark.parametrize(("trajectory", "variant"), EXPECTED)
@@ -253,7 +252,7 @@ class TestIdentifyingMPC:
         """As if the path lay there: the same command as along a path moved by hand. Within the limit nothing moves."""
         config = compose([*BENCH, "controller=nominal_mpc", "controller.distance_limit=4"])
         vehicle = build_vehicle(config.vehicle)
-        controller = build_controller(config, vehicle, build_plant(vehicle, config.plant), None)
+        controller = build_controller(config, vehicle, build_world(config, vehicle), None)
         reference = SampledReference(build_trajectory(config.trajectory), controller)
         x = reference.at(0)[0].copy()
         commands = []

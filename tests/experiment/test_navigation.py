@@ -149,7 +149,7 @@ def test_errors_in_flight_are_those_that_the_filter_believes(vehicle, combinatio
 def test_the_flight_in_c_is_the_flight_in_python(monkeypatch, vehicle, combination):
     sensors, seed = combination
     plant, controller, path, options = draw(seed, vehicle)
-    both(monkeypatch, World(plant, [SENSORS[sensors], Navigation()]), controller, path, **options | {"sensor": None})
+    both(monkeypatch, World(plant, [SENSORS[sensors], Navigation()]), controller, path, **options | {"sensors": ()})
 
 
 def test_options_compose_and_what_cannot_be_is_refused():

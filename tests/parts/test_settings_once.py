@@ -16,7 +16,7 @@ from quadexp.parts.schema import PARTS, Config
 from quadexp.parts.settings import REQUIRED, Setting, declared, inside, lists, plain
 
 # What a part that is the object itself is given besides its keys.
-OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
+OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial", "later", "later_rates", "follows"}
 
 
 def nodes() -> dict[str, type]:

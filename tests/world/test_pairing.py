@@ -9,6 +9,7 @@ from quadexp.physics.state import RATE, VELOCITY
 from quadexp.world.dryden import Dryden
 from quadexp.world.link import Latency
 from quadexp.world.motion_capture import ImuMocap
+from quadexp.world.sensors import Sensors
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.world import World
@@ -35,6 +36,14 @@ PARTS = {
     "estimate": (
         [ROUGH, StatedEstimate(position_noise=0.1, velocity_noise=0.2, rate_noise=0.3)],
         lambda world, x: (world.measured - x)[[0, 1, 7, 8, 10]],
+    ),
+    "sensors": (
+        [ROUGH, Sensors(gyroscope_noise=0.1, gyroscope_bias_walk=0.1, position_noise=(0.1,) * 3, velocity_drift=0.3)],
+        lambda world, x: (world.measured - x)[[0, 1, 7, 8, 10, 11]],
+    ),
+    "readings on their way": (
+        [ROUGH, Sensors(position_drift=0.3, pose_rate=50, pose_delay=0.003, pose_jitter=0.03, pose_drop=0.2)],
+        lambda world, x: [world.inner[world.columns(1 / 50)["taken_pose"]]],
     ),
     "walk": ([ROUGH, ImuMocap(accelerometer_bias_walk=0.1)], lambda world, x: world.inner[:3]),
 }

@@ -157,9 +157,9 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     torque = ca.mtimes(ca.DM(vehicle.inertia_matrix), angular)
     thrust = vehicle.mass * ca.norm_2(f)
     u = prioritised(vehicle, ca.vertcat(thrust, torque), airmode=keys.airmode, yaw_margin=keys.yaw_margin)
-    left = torque - ca.mtimes(ca.DM(vehicle.allocation[1:]), u)
+    lacking = torque - ca.mtimes(ca.DM(vehicle.allocation[1:]), u)
     scale = SATURATED * vehicle.thrust_max * float(np.abs(vehicle.allocation[1:]).max())
-    slow = ca.if_else(left > scale, ca.fmin(slow, 0), ca.if_else(left < -scale, ca.fmax(slow, 0), slow))
+    slow = ca.if_else(lacking > scale, ca.fmin(slow, 0), ca.if_else(lacking < -scale, ca.fmax(slow, 0), slow))
     share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
     bound = ca.DM(keys.rate_integral_limit)
     rate_integral = rate_integral + period * share * ca.DM(keys.rate_integral) * slow
@@ -211,8 +211,8 @@ def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[E
     most = ca.sqrt(top**2 - ca.fmin(sideways, keys.horizontal_margin * top) ** 2)
     up = ca.fmin(f[2], most)
     room = ca.sqrt(ca.fmax(top**2 - up**2, 0))
-    left = ca.fmin(1, room / ca.fmax(sideways, 1e-12))
-    return ca.vertcat(left * f[:2], up), f, left * level
+    share = ca.fmin(1, room / ca.fmax(sideways, 1e-12))
+    return ca.vertcat(share * f[:2], up), f, share * level
 
 
 def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression:

@@ -72,15 +72,15 @@ class RaptorController(ExplicitController):
 def policy() -> Any:
     """The package's policy. Raises UsageError where the package is missing, or holds another kind of policy."""
     try:
-        made = importlib.import_module(PACKAGE).Raptor()
+        network = importlib.import_module(PACKAGE).Raptor()
     except ImportError:
         raise UsageError(
             'controller=raptor: needs the package foundation-policy: pip install "quadexp[controllers]"'
         ) from None
-    kinds = [type(layer).__name__ for layer in made.layers]
+    kinds = [type(layer).__name__ for layer in network.layers]
     if kinds != ["DenseLayer", "GRULayer", "DenseLayer"]:
         raise UsageError(f"controller=raptor: foundation-policy has layers {', '.join(kinds)}; version 1.0 is needed")
-    return made
+    return network
 
 
 def layout(vehicle: Vehicle) -> tuple[list[int], float]:

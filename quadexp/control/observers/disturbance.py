@@ -81,10 +81,10 @@ def disturbance_function(
     known: Any = ca.vertcat(0, 0, thrust) + y[:3]
     if scaled:
         by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
-        left, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
+        unexplained, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
         drag, walks = ca.mtimes(R, y[:3]), ca.vertcat(q, scale_walk, air_walk)
-        found, P, rest = scaled_force_update(s[:first], left, turned, drag, walks, r, for_rest)
-        force, scale, air = found[:3] + rest, 1 + found[3], 1 + found[4]
+        scaled_state, P, rest = scaled_force_update(s[:first], unexplained, turned, drag, walks, r, for_rest)
+        force, scale, air = scaled_state[:3] + rest, 1 + scaled_state[3], 1 + scaled_state[4]
     elif velocity:
         mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
         predicted = estimate + period * (ca.mtimes(R, mean) + ca.vertcat(0, 0, -vehicle.gravity) + force)
@@ -100,7 +100,7 @@ def disturbance_function(
         s[first:], x[RATE], scale * a["mean"], air * y[3:], settings[N_FORCE_SETTINGS:], vehicle, period
     )
     belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), scale, air)
-    state = ca.vertcat(found, P, rest) if scaled else ca.vertcat(force, estimate, P)
+    state = ca.vertcat(scaled_state, P, rest) if scaled else ca.vertcat(force, estimate, P)
     results = [ca.vertcat(state, rates), belief]
     return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])
 
@@ -173,8 +173,8 @@ class DisturbanceObserver(ObserverPart):
         """See Remedy. A scale of the thrust or of the air is the ratio of two forces at one time. Where motors lag, the
         thrusts of that time are known from rotor speeds, or from a lag and a dead time that are told or found."""
         lag = getattr(plant, "loop_lag", 0.0)
-        told = [getattr(part, key, None) for part in (self, controller) for key in ("motor_lag", "dead_time")]
-        if vehicle.thrust_coefficient is not None or not lag or any(told) or any(one.finds_delays for one in others):
+        stated = [getattr(part, key, None) for part in (self, controller) for key in ("motor_lag", "dead_time")]
+        if vehicle.thrust_coefficient is not None or not lag or any(stated) or any(one.finds_delays for one in others):
             return
         for name in ("scale_walk", "air_walk"):
             if getattr(self, name) > 0:

@@ -83,21 +83,21 @@ def scaled_force_update(
     s: the three of the last step. y, h, g: (3,), world (m/s^2). walks: variances that a, k and c gain in a step, (3,).
     noise: variance r of a reading. gain: of the low pass.
     """
-    found, P, fast = ca.vertsplit(s, [0, N_SCALED, N_SCALED + N_SCALED**2, N_SCALED_STATE])
+    estimate, P, fast = ca.vertsplit(s, [0, N_SCALED, N_SCALED + N_SCALED**2, N_SCALED_STATE])
     P = ca.reshape(P, N_SCALED, N_SCALED)
     P = P + ca.diag(ca.vertcat(walks[0], walks[0], walks))
     H = ca.horzcat(ca.DM.eye(3), h, g)
     S = ca.mtimes([H, P, H.T]) + noise * ca.DM.eye(3)
-    inverted, error = inverse(S), y - ca.mtimes(H, found)
+    inverted, error = inverse(S), y - ca.mtimes(H, estimate)
     surprise = ca.mtimes([error.T, inverted, error])
     trust = ca.fmin(1, SURPRISE / ca.sqrt(surprise + 1e-12))
     K = ca.mtimes([ca.diag(ca.vertcat(1, 1, 1, trust, trust)), P, H.T, inverted])
-    found = found + ca.mtimes(K, error)
-    left = ca.DM.eye(N_SCALED) - ca.mtimes(K, H)
-    P = ca.mtimes([left, P, left.T]) + noise * ca.mtimes(K, K.T)  # Joseph's form
-    scales = [ca.fmin(ca.fmax(found[3 + i], low), high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
-    fast = fast + gain * (y - ca.mtimes(H, found) - fast)
-    return ca.vertcat(found[:3], *scales), ca.vec(P), fast
+    estimate = estimate + ca.mtimes(K, error)
+    reduction = ca.DM.eye(N_SCALED) - ca.mtimes(K, H)
+    P = ca.mtimes([reduction, P, reduction.T]) + noise * ca.mtimes(K, K.T)  # Joseph's form
+    scales = [ca.fmin(ca.fmax(estimate[3 + i], low), high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
+    fast = fast + gain * (y - ca.mtimes(H, estimate) - fast)
+    return ca.vertcat(estimate[:3], *scales), ca.vec(P), fast
 
 
 def inverse(S: ca.MX) -> ca.MX:

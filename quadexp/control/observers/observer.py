@@ -85,8 +85,8 @@ class Observer(WrappedController):
     def __init__(self, inner: Controller, update: Update, config: ObserverPart) -> None:
         super().__init__(inner)
         self.finds_torque = config.torque_bandwidth > 0
-        told = {"dead_time": config.dead_time, "known_lag": config.motor_lag}
-        known = [known_delay(given, inner, name) for name, given in told.items()]
+        stated = {"dead_time": config.dead_time, "known_lag": config.motor_lag}
+        known = [known_delay(given, inner, name) for name, given in stated.items()]
         self._begin, self._world = update.begin, None
         self._ways = {False: (update.settings, update.begin), True: update.cautious or (update.settings, update.begin)}
         if isinstance(inner, PredictiveController):

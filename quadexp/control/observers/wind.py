@@ -99,8 +99,8 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     change = ca.mtimes(K, error)
     air = air + change
     force = force + gain * (ca.mtimes(R, error - ca.mtimes(H, change)) - force)
-    left = ca.DM.eye(N_AIR) - ca.mtimes(K, H)
-    P = ca.mtimes([left, P, left.T]) + ca.mtimes([K, ca.diag(ca.vertcat(*noise)), K.T])  # Joseph's form
+    reduction = ca.DM.eye(N_AIR) - ca.mtimes(K, H)
+    P = ca.mtimes([reduction, P, reduction.T]) + ca.mtimes([K, ca.diag(ca.vertcat(*noise)), K.T])  # Joseph's form
     shrink = ca.fmin(1, ca.sqrt(3 * largest / ca.trace(P[:3, :3])))
     by = ca.diag(ca.vertcat(shrink, shrink, shrink, 1))
     P = ca.mtimes([by, P, by])
@@ -147,12 +147,12 @@ class WindObserver(ObserverPart):
         inner = believer(controller, self.name)
         core = innermost(inner)
         residual, period = air_of(core), inner.control_period
-        found = wind_bandwidth(inner.vehicle, residual, parameters_of(core), self, period)
-        if found < self.least_bandwidth:
+        bandwidth = wind_bandwidth(inner.vehicle, residual, parameters_of(core), self, period)
+        if bandwidth < self.least_bandwidth:
             raise UsageError(
                 f"observer={self.name}: this controller knows too little drag of vehicle={inner.vehicle.name} to"
-                f" measure the wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth"
-                f" is {self.least_bandwidth:g}); take observer=disturbance"
+                f" measure the wind (bandwidth {bandwidth:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s,"
+                f" observer.least_bandwidth is {self.least_bandwidth:g}); take observer=disturbance"
             )
         function = wind_function(inner.vehicle, residual, period, inner.backend)
 
