@@ -25,6 +25,7 @@ from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import Instant, Told, call, copy, instant_of
 from quadexp.control.wrapped import WrappedController
 from quadexp.models.residual import no_residual
+from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.vehicle import Vehicle
 
 SPACING = 2  # samples of the reference in a control period
@@ -34,12 +35,12 @@ DERIVATIVES = 5  # of the path: position .. snap
 class AutoLaw(Auto):
     """A law, inside its observer where it takes a belief."""
 
-    def __init__(self, core: Any, noise: float, commands: SentCommands) -> None:
+    def __init__(self, core: Any, sheet: SensorSheet, commands: SentCommands) -> None:
         world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}
         sooner = Sooner(core, commands, world)
         observer = following(core) if hasattr(core, "believed_numbers") else None
         inner = sooner if observer is None else observer.around(sooner)
-        super().__init__(inner, core, noise, no_residual(core.vehicle), world, observer, commands)
+        super().__init__(inner, core, sheet, no_residual(core.vehicle), world, observer, commands)
         self._sooner, self._thrust = sooner, CommandedThrust(commands, self.control_period, core.backend)
         if observer is not None:
             inner.delivered = self._thrust
@@ -58,6 +59,8 @@ class AutoLaw(Auto):
 
     def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
         """See Auto."""
+        if self._observer is None:  # in the world of the model alone, predicting further would mislead it
+            dead_time = lag = 0.0
         self._thrust.tune(dead_time, lag)
         self._sooner.tune(dead_time, lag)
         first = round((dead_time + lag) / self._spacing)

@@ -15,6 +15,7 @@ from quadexp.control.instant import Instant, Told, instant_of
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.observers.observer import parameters_of
+from quadexp.parts.sensor_sheet import SensorSheet
 
 SPACING = 4  # samples of the reference in a control period, so that it may be asked for later ones
 
@@ -22,14 +23,14 @@ SPACING = 4  # samples of the reference in a control period, so that it may be a
 class AutoMPC(Auto):
     """The MPC plans in the world that its observer believes in; its grid and weights are one of decide.GRIDS."""
 
-    def __init__(self, core: PredictiveController, noise: float) -> None:
+    def __init__(self, core: PredictiveController, sheet: SensorSheet) -> None:
         observer = following(core)
         inner, world, mpc = observer.around(core), core.believed, core.mpc
         assert world is not None and mpc.disturbance is not None
         believed = {"theta": parameters_of(core), "push": mpc.disturbance}
         believed |= {"wind": world.numbers[6:9], "scale": world.numbers[9:10]}
         commands = sent_commands(core.vehicle, core.control_period)
-        super().__init__(inner, core, noise, mpc.residual, believed, observer, commands)
+        super().__init__(inner, core, sheet, mpc.residual, believed, observer, commands)
         self._delivered = Delivered(commands, core.backend)
         self._world, self._grids = world, grids(core.settings)
         self._ahead, self._lead = CommandsAhead(mpc), MotorLead(core.vehicle, core.settings, core.backend)

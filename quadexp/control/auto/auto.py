@@ -28,9 +28,12 @@ from quadexp.control.instant import Operation, Told, copy, python
 from quadexp.control.observers.observer import air_of, parameters_of
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.models.residual import Residual
+from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE
 
 DECIDES = 0.2  # s, between decisions
+LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
+GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "scale", "scale_sd", "rates_fresh", "acts_age",
@@ -43,8 +46,9 @@ NOTHING_KNOWN = np.array([0.0, np.nan, 0.0, np.nan, 0.0, np.nan, 1.0, np.nan, *n
 class Auto(WrappedController):
     """A controller that finds out in flight what makes its model wrong.
 
-    inner: what is told, the Observer first. core: the controller itself. noise: of the accelerometer, by its data sheet (m/s^2). believed:
-    arrays of the believed world, for Ahead. commands: for all that needs them. observer: what follows the world; None where the core takes no belief.
+    inner: what is told, the Observer first. core: the controller itself. sheet: of the sensors. believed: arrays of the
+    believed world, for Ahead. commands: for all that needs them. observer: what follows the world; None where the core
+    takes no belief.
     A subclass says how it plans (`_plan`), and what its instant is.
     """
 
@@ -52,7 +56,7 @@ class Auto(WrappedController):
     delay = 0.0  # of a flight that begins
 
     def __init__(
-        self, inner: Controller, core: Any, noise: float, residual: Residual, believed: dict[str, np.ndarray],
+        self, inner: Controller, core: Any, sheet: SensorSheet, residual: Residual, believed: dict[str, np.ndarray],
         observer: WindFollowing | ForceFollowing | None, commands: SentCommands,
     ) -> None:  # fmt: skip
         super().__init__(inner)
@@ -60,6 +64,9 @@ class Auto(WrappedController):
         self._commands = commands
         self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
+        noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
+        speeds = sheet.rotor_speed
+        self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
         self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
         self._decides = round(DECIDES / self._bank.period)
         self._posterior, self._decision = Posterior(self._bank), Decision()
@@ -97,6 +104,7 @@ class Auto(WrappedController):
         """What stands before the controller: decisions, and what it is told, its state in an array of its own."""
         inside = copying.copy(told)
         inside.force = self._unbiased
+        inside.turning = told.turning if self._turns else np.zeros(1)
         decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)

@@ -14,7 +14,7 @@ from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.part import Remedy
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.part import Given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +25,6 @@ class AutoPart(Remedy):
     believes = True
     finds_delays = True
 
-    noise: float = key(
-        0.06, "standard deviation of a reading of the accelerometer by its data sheet", "(0, 100]", "m/s^2"
-    )
-
     def suited(self, settings: Any) -> Any:
         """See Remedy. UsageError where it is told of what it finds itself."""
         if settings.dead_time or settings.known_lag:
@@ -38,12 +34,12 @@ class AutoPart(Remedy):
             )
         return grids(replace(settings, input_hold="deviation"))[0]
 
-    def around(self, controller: Any) -> Auto:
+    def put_around(self, controller: Any, given: Given) -> Auto:
         """See Remedy. UsageError where the controller learns its model itself, or has other remedies around it."""
         if type(controller) is PredictiveController:
-            return AutoMPC(controller, self.noise)
+            return AutoMPC(controller, given.sheet)
         if isinstance(controller, ExplicitController):
-            return AutoLaw(controller, self.noise, sent_commands(controller.vehicle, controller.control_period))
+            return AutoLaw(controller, given.sheet, sent_commands(controller.vehicle, controller.control_period))
         raise UsageError(
             f"delay={self.name}: stands alone around an MPC whose model does not adapt, or a law in closed form:"
             " observer, adaptive and inner must be none"
