@@ -195,13 +195,35 @@ def _keys(given: Sequence[str]) -> list[str] | None:
 
 
 @command
-def show(path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or results.")]) -> Answer:
+def show(
+    path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or results.")],
+    beliefs: Annotated[bool, Ask("Of a flight with remedies=auto: what it believed, and what was true.")] = False,
+    out: Annotated[Path | None, Ask("Draw the beliefs too: a png, pdf or svg.", "PATH", "--out -o")] = None,
+    force: Force = False,
+) -> Answer:
     """Show what a file holds: its kind, configuration, units, seed, versions, size.
 
     \b
     quadexp show runs/a.parquet
     quadexp show models/gp
+    quadexp show runs/a.parquet --beliefs --out beliefs.png
     """
+    if out is not None and not beliefs:
+        raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
+    if beliefs:
+        from quadexp.report.beliefs import beliefs_figure, beliefs_table, read_beliefs
+        from quadexp.report.draw import check_path
+        from quadexp.report.style import save_figure
+
+        figure = None if out is None else check_path(out, force, ("png", "pdf", "svg"))
+        flight = read_beliefs(path)
+        table = beliefs_table(flight)
+        if figure is not None:
+            save_figure(beliefs_figure(flight), figure, force=force)
+        drawn = [] if figure is None else [str(figure)]
+        return Answer(
+            {"beliefs": [dict(zip(table.columns, row, strict=True)) for row in table.rows]}, [table], [table, *drawn]
+        )
     from quadexp.report.summary import summarise
 
     summary = summarise(path)

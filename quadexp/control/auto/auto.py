@@ -4,7 +4,8 @@
                         bank (bank.py) -> posterior (posterior.py), every DECIDES -> what acts (decide.py)
 
 It is told the vehicle, which sensors there are and the noise of the accelerometer; nothing of delays, lags, air, load,
-battery or wind. A flight begins as if nothing were known. Columns: COLUMNS, delays in s.
+battery or wind. A flight begins as if nothing were known. Columns: COLUMNS, delays in s, each with its standard
+deviation; what is believed of the world is in the columns of the observer.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from quadexp.control.auto.ahead import LARGEST, Ahead
 from quadexp.control.auto.bank import SPINS, Bank
 from quadexp.control.auto.decide import GATE, Acting, Decision, Senses
-from quadexp.control.auto.following import ForceFollowing, WindFollowing
+from quadexp.control.auto.following import DEVIATIONS, UNKNOWN, ForceFollowing, WindFollowing
 from quadexp.control.auto.posterior import Posterior
 from quadexp.control.auto.senses import WALKS
 from quadexp.control.base import Controller, Window
@@ -36,11 +37,11 @@ LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
-    "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "scale", "scale_sd", "rates_fresh", "acts_age",
-    "acts_dead_time", "acts_lag", "grid", "acts_lateral", "acts_vertical", "acts_torque",
+    "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
+    "grid", "acts_lateral", "acts_vertical", "acts_torque", *DEVIATIONS,
 )  # fmt: skip
 COLUMNS = tuple(f"auto_{name}" for name in KNOWN)
-NOTHING_KNOWN = np.array([0.0, np.nan, 0.0, np.nan, 0.0, np.nan, 1.0, np.nan, *np.zeros(8)])
+NOTHING_KNOWN = np.array([*([0.0, np.nan] * 3), *np.zeros(8), *UNKNOWN])
 
 
 class Auto(WrappedController):
@@ -127,8 +128,7 @@ class Auto(WrappedController):
         self._time += self._decides * bank.period
         senses, before = self._senses(), self._decision.acting
         if bank.count < self._decides or self._time < self._again:
-            acting = before if bank.count >= self._decides else self._decision.begin(senses)
-            self._observe(acting, before, senses)
+            self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
             return
         self._again = self._time * LATER
         evidence = self._posterior.evidence()
@@ -145,7 +145,7 @@ class Auto(WrappedController):
         known = (*evidence.mean, *evidence.deviation)
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
-        self._beliefs[...] = *about, *evidence.scale, evidence.fresh, *doing
+        self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
 
     def _senses(self) -> Senses:
         """What the bank has measured beside the delays."""
@@ -180,3 +180,4 @@ class Auto(WrappedController):
         if self._observer is not None:
             inner: Any = self.inner
             inner.settings[...] = self._observer.follow(inner.estimate, acting, before, senses)
+            self._beliefs[-len(UNKNOWN) :] = self._observer.deviations(inner.estimate)

@@ -46,7 +46,7 @@ SPINS = tuple(
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
 SKIPPED = 0.3  # s, until the filters are stationary
-FADING = 20.0  # s, of the sums of the thrust, whose scale moves with the battery
+FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves with the battery
 
 
 class Layout:
@@ -225,7 +225,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     fade, sums = math.exp(-period / FADING), []
     for i, G in enumerate(ca.horzsplit(a["sums"], rows)):
         part = z[:, 2 * i : 2 * i + 2] if i < spins else z[:, -1]
-        sums.append((G if i < spins else fade * G) + counts * ca.mtimes(part, part.T))
+        sums.append(fade * G + counts * ca.mtimes(part, part.T))
 
     # velocity: y, phi of each reading, phi of each axis of beta
     forces = ca.horzcat(f, ca.reshape(kept["forces"], 3, layout.readings)[:, :-1])  # the newest first

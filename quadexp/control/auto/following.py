@@ -23,6 +23,8 @@ TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of t
 STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the observer's own settings
 UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
 SLOW = 3.0  # rad/s, of a force then
+DEVIATIONS = (*(f"wind_{axis}_sd" for axis in "xyz"), "force_sd", "thrust_scale_sd")  # m/s, N, 1
+UNKNOWN = np.full(len(DEVIATIONS), np.nan)
 
 
 class WindFollowing:
@@ -65,12 +67,18 @@ class WindFollowing:
         estimate[self._torque] *= torque
         return wind_settings(config, self._period)
 
+    def deviations(self, estimate: np.ndarray) -> np.ndarray:
+        """Standard deviations, in the order of DEVIATIONS; NaN of what is not estimated."""
+        variances = estimate[N_AIR + (N_AIR + 1) * np.arange(N_AIR)]
+        known = np.sqrt(np.where(variances > 1e-6, variances, np.nan))
+        return np.array([*known[:3], np.nan, known[3]])
+
 
 class ForceFollowing:
-    """Of the force alone."""
+    """Of the force alone. mass: kg."""
 
-    def __init__(self, config: DisturbanceObserver, period: float) -> None:
-        self.config, self._period = config, period
+    def __init__(self, config: DisturbanceObserver, period: float, mass: float) -> None:
+        self.config, self._period, self._mass = config, period, mass
         self.around = config.around
 
     def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
@@ -94,6 +102,11 @@ class ForceFollowing:
             estimate[6] = 0.0
         return settings
 
+    def deviations(self, estimate: np.ndarray) -> np.ndarray:
+        """See WindFollowing."""
+        force = self._mass * math.sqrt(estimate[6]) if estimate[6] > 0 else np.nan
+        return np.array([np.nan, np.nan, np.nan, force, np.nan])
+
 
 def torque_bandwidth(most: float, acting: Acting, senses: Senses) -> float:
     """Of the torque (rad/s): by its walk, and less the noisier the rates are."""
@@ -109,4 +122,4 @@ def following(core: Any) -> WindFollowing | ForceFollowing:
     told = core.vehicle, air_of(core), parameters_of(core), wind, core.control_period
     if isinstance(core, PredictiveController) and wind_bandwidth(*told) >= wind.least_bandwidth:
         return WindFollowing(wind, core.control_period)
-    return ForceFollowing(DisturbanceObserver(**targets), core.control_period)
+    return ForceFollowing(DisturbanceObserver(**targets), core.control_period, core.vehicle.mass)

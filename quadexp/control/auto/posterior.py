@@ -2,8 +2,8 @@
 
     log p(a, d, l) = sum over filters of  -tau n/2 log(sum nu^2)  -  (a + d + l) / TYPICAL
 
-n: innovations; their size is profiled out, and so are the scale of the thrust and the bias of the accelerometer. tau:
-what an innovation is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order
+n: innovations; their size is profiled out, and so are the bias of the accelerometer and a scale of the thrust, in the
+gyro's filter another one, which is kept near it: a scale that is wrong would be taken for a lag. tau: what an innovation is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order
 process. The grid is over the age, the total d + l, which is known much better than either, and the lag.
 
 The told rates are as old as the rest of the state, or of now (`fresh`), whichever the gyro says.
@@ -21,7 +21,7 @@ from quadexp.control.delivered import INSTANT, NO_LAG
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
-FINER, CLOSER, BESIDE = 8.0, 2, 8  # by which a grid closes in, how often, and its steps to either side then
+FINER, CLOSER, BESIDE = 8.0, 5, 8  # by which a grid closes in, how often it moves, and its steps to either side then
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
 FRESHER = 1.0  # log odds for rates of now
@@ -62,7 +62,7 @@ class Posterior:
 
     def evidence(self) -> Evidence:
         """Of the bank's sums as they are; there must be some."""
-        grids, steps, whole = list(self._grids), np.array(STEPS), [grid[-1] for grid in self._grids]
+        grids, steps, most = list(self._grids), np.array(STEPS), [grid[-1] for grid in self._grids]
         late = slow = 0.0
         for closer in range(CLOSER):
             J = self._joint(*grids, choose=not closer)
@@ -76,11 +76,15 @@ class Posterior:
             mean = np.array([share @ grid for share, grid in zip(shares, grids, strict=True)])
             about = [(grid - centre) ** 2 for grid, centre in zip(grids, mean, strict=True)]
             spread = np.sqrt([share @ square for share, square in zip(shares, about, strict=True)])
-            for i in np.flatnonzero(spread < steps) if closer < CLOSER - 1 else ():
-                steps[i] /= FINER
+            finer = (spread < steps) & (steps == STEPS)
+            steps[finer] /= FINER
+            ends = [best in (grid[0], grid[-1]) and 0 < best < top for best, grid, top in zip(self.best, grids, most)]
+            if not (finer | ends).any():
+                break
+            for i in np.flatnonzero((steps < STEPS) & (finer | np.any(ends))):
                 near = self.best[i] + steps[i] * np.arange(-BESIDE, BESIDE + 1)
-                grids[i] = near[(near > -INSTANT) & (near < whole[i] + INSTANT)]
-        deviation = np.hypot(spread, steps / np.sqrt(12))
+                grids[i] = near[(near > -INSTANT) & (near < most[i] + INSTANT)]
+        deviation = np.hypot(spread, steps / 2)
         return Evidence(mean, deviation, late, slow, self._fresh, self._scale, self._bias, self._spin)
 
     def weights(self, age: float, total: float, lag: float) -> np.ndarray:
@@ -91,49 +95,57 @@ class Posterior:
 
     def _joint(self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool) -> np.ndarray:
         """Log posterior, but for a constant; choose: also the likeliest noise, and whether rates are of now."""
-        bank, m = self._bank, self._bank.layout.commands
-        count = bank.count
-        faded = (1 - np.exp(-count * bank.period / FADING)) * FADING / bank.period
-        slots = slice(2, 2 + m)
-
-        G = bank.sums[-1]
+        bank = self._bank
+        faded = self._faded
         W = self._of_commands(totals, lags, mean=False)
-        by, square = W @ G[0, slots], ((W @ G[slots, slots]) * W).sum(-1)
-        known = (G[0, 0] - 2 * by + square).min() / faded / SCALE**2
-        scales = (by + known) / (square + known)
-        thrust = G[0, 0] - 2 * scales * by + scales**2 * square
+        G = bank.sums[-1]
+        by, square = _moments(G, W)
+        prior = (G[0, 0] - 2 * by + square).min() / faded / SCALE**2
+        scales = (by + prior) / (square + prior)
+        thrust = np.maximum(G[0, 0] - 2 * scales * by + scales**2 * square, 0)
         at = np.unravel_index(int(thrust.argmin()), thrust.shape)
         worth = self._worth(G, scales[at] * W[at])
-        variance = thrust[at] / faded / worth
-        self._scale = float(scales[at]), float(np.sqrt(variance / (square[at] + variance / SCALE**2)))
-        scale = self._scale[0]
 
         if choose:
             few = np.unique(np.round((ages[:, None] + totals)[::2, ::2], 9))
-            W = scale * self._of_commands(few, lags[::3], mean=True).reshape(-1, m)
-            self._spin = int(np.argmin([_squares(G, W).min() for G in bank.sums[:-1]]))
-        G = bank.sums[self._spin]
-        velocity = self._velocity(ages, choose=choose)
-        rest = velocity[:, None, None] - worth * faded / 2 * np.log(thrust / faded + 1e-12)
+            W = self._of_commands(few, lags[::3], mean=True)
+            least = [G[0, 0] - np.max(by**2 / square) for G in bank.sums[:-1] for by, square in [_moments(G, W)]]
+            self._spin = int(np.argmin(least))
+        rest = self._velocity(ages, choose=choose)[:, None, None]
+        rest = rest - worth * faded / 2 * np.log(thrust / faded + 1e-12)
         rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL
         waits = totals[:, None] - lags
-        rest = np.where((waits < -INSTANT) | (waits > DEAD_TIME + INSTANT), -np.inf, rest)
-        fresh = self._gyro(G, totals, lags, scale) + rest if choose or self._fresh else rest
-        if self._fresh and not choose:
-            return fresh
-        sums, places = np.unique(np.round(ages[:, None] + totals, 9), return_inverse=True)
-        late = self._gyro(G, sums, lags, scale)[places.reshape(len(ages), len(totals))] + rest
+        J = np.where((waits < -INSTANT) | (waits > DEAD_TIME + INSTANT), -np.inf, rest)
+        late = fresh = np.full_like(J, -np.inf)
+        if choose or self._fresh:
+            fresh = J + self._gyro(totals[None], lags, scales)
+        if choose or not self._fresh:
+            late = J + self._gyro(ages[:, None] + totals, lags, scales)
         if choose:
             self._fresh = bool(fresh.max() > late.max() + FRESHER)
-        return fresh if self._fresh else late
+        J = fresh if self._fresh else late
+        at = np.unravel_index(int(J.argmax()), J.shape)[1:]
+        variance = thrust[at] / faded / worth
+        self._scale = float(scales[at]), float(np.sqrt(variance / (square[at] + variance / SCALE**2)))
+        return J
 
-    def _gyro(self, G: np.ndarray, totals: np.ndarray, lags: np.ndarray, scale: float) -> np.ndarray:
-        """Log likelihood of totals with the age of the rates in them, (t, l)."""
-        n = 2 * self._bank.count
-        W = scale * self._of_commands(totals, lags, mean=True)
-        squares = _squares(G, W)
-        at = np.unravel_index(int(squares.argmin()), squares.shape)
-        likelihood: np.ndarray = -self._worth(G, W[at]) * n / 2 * np.log(squares / n + 1e-14)
+    @property
+    def _faded(self) -> float:
+        """Periods that are in the sums over commands."""
+        return (1 - np.exp(-self._bank.count * self._bank.period / FADING)) * FADING / self._bank.period
+
+    def _gyro(self, sums: np.ndarray, lags: np.ndarray, scales: np.ndarray) -> np.ndarray:
+        """Log likelihood, (a, t, l), of the totals with the age of the rates in them, (a, t), under scales (t, l)."""
+        G, n = self._bank.sums[self._spin], 2 * self._faded
+        times, places = np.unique(np.round(sums, 9), return_inverse=True)
+        W, places = self._of_commands(times, lags, mean=True), places.reshape(sums.shape)
+        by, square = (moment[places] for moment in _moments(G, W))
+        prior = (G[0, 0] - 2 * scales * by + scales**2 * square).min() / n / SCALE**2
+        scales = (by + prior * scales) / (square + prior)
+        squares = np.maximum(G[0, 0] - 2 * scales * by + scales**2 * square, 0)
+        a, t, k = np.unravel_index(int(squares.argmin()), squares.shape)
+        worth = self._worth(G, scales[a, t, k] * W[places[a, t], k])
+        likelihood: np.ndarray = -worth * n / 2 * np.log(squares / n + 1e-14)
         return likelihood
 
     def _velocity(self, ages: np.ndarray, *, choose: bool) -> np.ndarray:
@@ -197,11 +209,10 @@ def _worth(rho: float) -> float:
     return float(np.clip((1 - rho) / (1 + rho), *WORTH))
 
 
-def _squares(G: np.ndarray, W: np.ndarray) -> np.ndarray:
-    """Sums of squared innovations for weights W (.., m)."""
+def _moments(G: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """W G_phi,y and W G_phi,phi W' of a sum G, for weights (.., m): of k W they leave G_yy - 2 k first + k^2 second."""
     slots = slice(2, 2 + W.shape[-1])
-    squares: np.ndarray = G[0, 0] - 2 * W @ G[0, slots] + ((W @ G[slots, slots]) * W).sum(-1)
-    return np.maximum(squares, 0.0)
+    return W @ G[0, slots], ((W @ G[slots, slots]) * W).sum(-1)
 
 
 def _of_readings(age: float, period: float, count: int) -> np.ndarray:
