@@ -19,10 +19,10 @@ from quadexp.control.auto.ahead import LARGEST, LARGEST_LAG, Ahead, CommandedThr
 from quadexp.control.auto.auto import Auto
 from quadexp.control.auto.decide import Acting
 from quadexp.control.auto.following import following
-from quadexp.control.base import N_BELIEF
+from quadexp.control.base import N_BELIEF, Window
 from quadexp.control.built import built
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import Instant, Told, call, copy, instant_of
+from quadexp.control.instant import Instant, Told, call, copy, instant_of, move
 from quadexp.control.wrapped import WrappedController
 from quadexp.models.residual import no_residual
 from quadexp.parts.sensor_sheet import SensorSheet
@@ -30,6 +30,7 @@ from quadexp.physics.vehicle import Vehicle
 
 SPACING = 2  # samples of the reference in a control period
 DERIVATIVES = 5  # of the path: position .. snap
+HELD, FREED = 0.05, 0.5  # s
 
 
 class AutoLaw(Auto):
@@ -79,7 +80,12 @@ class Sooner(WrappedController):
         longest = LARGEST + LARGEST_LAG
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, longest)
         self._later = BufferedFunction(built(core.backend, later))
-        self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
+        self._world = BufferedFunction(built(core.backend, world_of, core.vehicle, core.control_period), into=world)
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        self._world.arguments["share"][0] = 1.0
 
     @property
     def believed_numbers(self) -> np.ndarray:
@@ -100,14 +106,21 @@ class Sooner(WrappedController):
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         given, left = self._later.arguments, self._later.results
-        operations, then = self._ahead.before(state)
-        if hasattr(self.inner, "believed_numbers"):
-            operations = [copy(self._world.arguments["belief"], self.believed_numbers), call(self._world), *operations]
-        operations += [copy(given["path"], told.path), copy(given["yaw"], told.yaw), call(self._later)]
+        predicted, then = self._ahead.before(state)
+        operations = [copy(given["path"], told.path), copy(given["yaw"], told.yaw), call(self._later)]
         inside = copying.copy(told)
         inside.path, inside.yaw = left["path_then"], left["yaw_then"]
         inner = instant_of(self.inner, inside, then)
-        return inner._replace(operations=[*operations, *inner.operations])
+        believing = []
+        if inner.held is not None and hasattr(self.inner, "believed_numbers"):
+            world, found = self._world.arguments, self._world.results
+            believing = [
+                copy(world["belief"], self.believed_numbers),
+                copy(world["held"], inner.held),
+                call(self._world),
+            ]
+            believing += [move(world["share"], found["share_next"]), copy(self.believed_numbers[:3], found["force"])]
+        return inner._replace(operations=[*believing, *predicted, *operations, *inner.operations])
 
 
 def later() -> ca.Function:
@@ -127,9 +140,19 @@ def later() -> ca.Function:
     )
 
 
-def world_of(vehicle: Vehicle) -> ca.Function:
-    """belief (11,) -> push (6,): acceleration, world, and angular acceleration, body; wind (3,); scale of the thrust."""
-    belief = ca.SX.sym("belief", N_BELIEF)
-    spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), belief[3:6])
-    results = [ca.vertcat(belief[:3] / vehicle.mass, spin), belief[6:9], belief[9]]
-    return ca.Function("believed_push", [belief], results, ["belief"], ["push", "wind", "scale"])
+def world_of(vehicle: Vehicle, period: float) -> ca.Function:
+    """What a law is told of a force, and the prediction of the world: push (6,), acceleration, world, and angular
+    acceleration, body; wind (3,); scale of the thrust.
+
+    belief: (11,). held: rotors at a limit in the last step. share: of the force that is told, (1,).
+    Where rotors are at their limits the force cannot be answered, and a law that tries turns the vehicle away: the share
+    falls in HELD, and comes back in FREED.
+    """
+    belief, held, share = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("held"), ca.SX.sym("share")
+    share_next = ca.if_else(held > 0, share * math.exp(-period / HELD), share + (1 - share) * period / FREED)
+    force, spin = share_next * belief[:3], ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), belief[3:6])
+    push = ca.vertcat(belief[:3] / vehicle.mass, spin)
+    results = {"push": push, "wind": belief[6:9], "scale": belief[9], "force": force, "share_next": share_next}
+    return ca.Function(
+        "believed_push", [belief, held, share], [*results.values()], ["belief", "held", "share"], [*results]
+    )
