@@ -147,8 +147,8 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
         elif kind == "plan" or kind == "python":
             act()
         elif kind == "window":
-            rows = slice(None) if source is None else source.astype(int)
-            to[...], other[...] = window.state[rows], window.input[rows if source is None else rows[:-1]]
+            rows = np.arange(len(window.state)) if source is None else source.astype(int)
+            to[...], other[...] = window.state[rows], window.input[rows[:-1]]
         elif kind == "square":
             to[...] = factor * (source * source)
         elif kind == "divide":

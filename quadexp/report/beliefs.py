@@ -72,7 +72,7 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         found |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
     if "delivered_0" in columns:
         n = sum(name.startswith("delivered_") for name in columns)
-        delivered, commanded = (sum(columns[f"{of}_{i}"] for i in range(n)) for of in ("delivered", "u"))
+        delivered, commanded = (np.sum([columns[f"{of}_{i}"] for i in range(n)], axis=0) for of in ("delivered", "u"))
         spacing = float(columns["t"][1] - columns["t"][0])
         window = np.ones(min(max(round(LAST / spacing), 1), len(flight)))
         means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]

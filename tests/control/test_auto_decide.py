@@ -1,4 +1,4 @@
-"""What acts, and when: nothing without evidence, stiffness one grid at a time, and an observer that follows what shows."""
+"""What acts, and when: nothing without evidence, one stiffer grid at a time, an observer that follows what shows."""
 
 from __future__ import annotations
 

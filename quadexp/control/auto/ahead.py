@@ -1,4 +1,4 @@
-"""Where the state, and the thrusts, will be or were, by the commands that were sent: over spans that may change in flight.
+"""Where state and thrusts will be or were, by the commands that were sent, over spans that may change in flight.
 
     late -> now       the told state, over its age
     now -> ahead      the state at which a command of now begins to act, over the dead time

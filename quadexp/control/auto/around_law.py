@@ -40,7 +40,7 @@ class AutoLaw(Auto):
         world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}
         sooner = Sooner(core, commands, world)
         observer = following(core) if hasattr(core, "believed_numbers") else None
-        inner = sooner if observer is None else observer.around(sooner)
+        inner: Any = sooner if observer is None else observer.around(sooner)
         super().__init__(inner, core, sheet, no_residual(core.vehicle), world, observer, commands)
         self._sooner, self._thrust = sooner, CommandedThrust(commands, self.control_period, core.backend)
         if observer is not None:
@@ -145,7 +145,7 @@ def world_of(vehicle: Vehicle, period: float) -> ca.Function:
     acceleration, body; wind (3,); scale of the thrust.
 
     belief: (11,). held: rotors at a limit in the last step. share: of the force that is told, (1,).
-    Where rotors are at their limits the force cannot be answered, and a law that tries turns the vehicle away: the share
+    Where rotors are at their limits a force cannot be answered, and a law that tries turns the vehicle away: the share
     falls in HELD, and comes back in FREED.
     """
     belief, held, share = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("held"), ca.SX.sym("share")

@@ -158,13 +158,9 @@ class Auto(WrappedController):
         shares = np.exp(likelihood - likelihood.max(0))
         strength = np.sqrt(np.square(WALKS) @ shares / shares.sum(0))
         torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
-        return Senses(
-            (float(away[:2].max()), float(away[2]), torque),
-            strength,
-            self._bank.reading_noise,
-            *self._bank.pose_noise,
-            *SPINS[self._bank.spin],
-        )
+        (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
+        pushes = float(away[:2].max()), float(away[2]), torque
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""

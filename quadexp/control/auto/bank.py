@@ -215,9 +215,9 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         nu = ca.repmat(reading, spins, 1) - predicted
         filters.append((nu, ca.horzcat(predicted + Kw * nu, state[:, 1] + Kb * nu)))
     (nu_y, spin_y), (nu_phi, spin_phi) = filters
-    K = stationary_scalar(THRUST[0], THRUST[1] * math.sqrt(period))
+    gain = stationary_scalar(THRUST[0], THRUST[1] * math.sqrt(period))
     lines = ca.vertcat(lifted, more * sent[2, -1]) - kept["push"]
-    push = kept["push"] + K * lines
+    push = kept["push"] + gain * lines
     first, fresh = ca.vertcat(nu_y, lines[0]), ca.vertcat(-nu_phi, lines[1])
     before = ca.reshape(kept["lines"], rows - 1, 2 * spins + 1)  # y, phi of m + 1, the newest first
     lines = ca.vertcat(first.T, fresh.T, before[1:-1, :])

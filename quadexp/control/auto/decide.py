@@ -7,7 +7,8 @@
                     one grid at a time towards the stiffer, at once towards the softer
     push            each of lateral, vertical and torque, once it is GATE deviations away from zero
 
-Where the commands' timing is not known to SURELY_TIMED, thrusts are not compared with readings: that looks like a force.
+Where the timing of commands is not known to SURELY_TIMED, thrusts are not compared with readings: it would look like a
+force.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""An observer whose gains follow from what its readings are worth, and which believes nothing that has not shown itself.
+"""An observer with gains by what its readings are worth, which believes nothing that has not shown itself.
 
-The wind where the model of the air has a drag that tells it, the force otherwise. Bandwidth of a low pass that follows a
-walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a period T: q / (r sqrt(T)).
+The wind where the model of the air has a drag that tells it, the force otherwise. Bandwidth of a low pass that follows
+a walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a period T: q / (r sqrt(T)).
 """
 
 from __future__ import annotations
@@ -117,9 +117,8 @@ def torque_bandwidth(most: float, acting: Acting, senses: Senses) -> float:
 
 def following(core: Any) -> WindFollowing | ForceFollowing:
     """The observer for a controller."""
-    targets = {"targets": False} if isinstance(core, PredictiveController) else {}
-    wind = WindObserver(**targets)
+    wind = WindObserver(targets=False)  # of next to no weight beside that of the position
     told = core.vehicle, air_of(core), parameters_of(core), wind, core.control_period
     if isinstance(core, PredictiveController) and wind_bandwidth(*told) >= wind.least_bandwidth:
         return WindFollowing(wind, core.control_period)
-    return ForceFollowing(DisturbanceObserver(**targets), core.control_period, core.vehicle.mass)
+    return ForceFollowing(DisturbanceObserver(targets=False), core.control_period, core.vehicle.mass)

@@ -3,8 +3,9 @@
     log p(a, d, l) = sum over filters of  -tau n/2 log(sum nu^2)  -  (a + d + l) / TYPICAL
 
 n: innovations; their size is profiled out, and so are the bias of the accelerometer and a scale of the thrust, in the
-gyro's filter another one, which is kept near it: a scale that is wrong would be taken for a lag. tau: what an innovation is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order
-process. The grid is over the age, the total d + l, which is known much better than either, and the lag.
+gyro's filter another one that is kept near it: a scale that is wrong would be taken for a lag. tau: what an innovation
+is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order process. The grid is
+over the age, the total d + l, which is known much better than either, and the lag.
 
 The told rates are as old as the rest of the state, or of now (`fresh`), whichever the gyro says.
 """
@@ -78,7 +79,8 @@ class Posterior:
             spread = np.sqrt([share @ square for share, square in zip(shares, about, strict=True)])
             finer = (spread < steps) & (steps == STEPS)
             steps[finer] /= FINER
-            ends = [best in (grid[0], grid[-1]) and 0 < best < top for best, grid, top in zip(self.best, grids, most)]
+            axes = zip(self.best, grids, most, strict=True)
+            ends = [best in (grid[0], grid[-1]) and 0 < best < top for best, grid, top in axes]
             if not (finer | ends).any():
                 break
             for i in np.flatnonzero((steps < STEPS) & (finer | np.any(ends))):

@@ -38,7 +38,7 @@ def sensed(
 ) -> dict[str, ca.MX]:  # fmt: skip
     """What is remembered after a period.
 
-    x, f: told state (13,) and reading without bias (3,). lifted: what the likeliest thrust leaves of the z axis (m/s^2).
+    x, f: told state (13,) and reading without bias (3,). lifted: what the likeliest thrust leaves of z (m/s^2).
     y: of the model, (6,). turning: gyroscopic acceleration (2,). likely: accelerations of the likeliest thrusts (3, 2),
     see bank. gains: (2,), of the torque. noise: of a reading by its data sheet (m/s^2).
     """
