@@ -11,7 +11,8 @@ from quadexp.control.auto.ahead import LARGEST, CommandsAhead, Delivered, sent_c
 from quadexp.control.auto.auto import Auto
 from quadexp.control.auto.decide import LEAST_LAG, Acting, grids
 from quadexp.control.auto.following import following
-from quadexp.control.instant import Instant, Told, instant_of
+from quadexp.control.base import Window
+from quadexp.control.instant import Instant, Told, copy, instant_of
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.observers.observer import parameters_of
@@ -27,8 +28,8 @@ class AutoMPC(Auto):
         observer = following(core)
         inner, world, mpc = observer.around(core), core.believed, core.mpc
         assert world is not None and mpc.disturbance is not None
-        believed = {"theta": parameters_of(core), "push": mpc.disturbance}
-        believed |= {"wind": world.numbers[6:9], "scale": world.numbers[9:10]}
+        self._last = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # believed in the last step
+        believed = {"theta": parameters_of(core), **self._last}
         commands = sent_commands(core.vehicle, core.control_period)
         super().__init__(inner, core, sheet, mpc.residual, believed, observer, commands)
         self._delivered = Delivered(commands, core.backend)
@@ -40,11 +41,20 @@ class AutoMPC(Auto):
         world.thrust, world.rows = self._delivered.thrust, self._rows
         self._use(Acting())
 
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        for name, value in (("push", 0.0), ("wind", 0.0), ("scale", 1.0)):
+            self._last[name][...] = value
+
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         before, inside, now = self.before(told, state)
         inner = instant_of(self.inner, inside, now)
+        numbers, push = self._world.numbers, self._core.mpc.disturbance
+        found = {"push": push, "wind": numbers[6:9], "scale": numbers[9:10]}
         operations = [*before, *self._delivered.before(), *inner.operations, *self.after(told, state, inner.command)]
+        operations += [copy(self._last[name], value) for name, value in found.items()]
         return inner._replace(operations=operations, logged=(*inner.logged, self._beliefs))
 
     def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
