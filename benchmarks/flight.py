@@ -1,38 +1,26 @@
-"""The flight in C beside the Python loop: a 12 s closed loop at 100 control steps a second, compiled functions.
+"""The flight in C beside the Python loop, with compiled functions: controllers with what is around them.
 
-    python -m benchmarks.flight [CASE ...]
-    python -m benchmarks.flight loops
+    python -m benchmarks.flight
 
-A case is a residual of benchmarks.step: none, drag, gp20, gp100. Processor time in milliseconds, the best of the
-rounds, the two loops taking turns; both fly the same numbers. `reference` is what is computed before the flight, with
-its residual interpreted and compiled. `loops`: simulated seconds per second of processor time of a circle at 8 m/s, for
-controllers with what is around them, by both loops.
+Simulated seconds per second of processor time of a circle at 8 m/s with its reference, the best of the rounds, the two
+loops taking turns; both fly the same numbers.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from benchmarks import step
 from benchmarks.machine import machine
 from quadexp.compile.compiler import required_compiler
-from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment import rollout
-from quadexp.experiment.build import build_trajectory, build_vehicle
+from quadexp.experiment.build import build_trajectory
 from quadexp.experiment.evaluate import build_loop, generator
-from quadexp.experiment.rollout import SampledReference
 from quadexp.parts.compose import compose
-from quadexp.reference.circle import Circle
-from quadexp.reference.flatness import flat_reference
-from quadexp.world import SimplifiedPlant
 
-CASES = ("none", "gp20")
 ROUNDS = 15
 NOISE = "sensor.accelerometer_noise=[0.05,0.05,0.05]"
 SPEEDS = "vehicle.thrust_coefficient=1.2e-5 actuator=speed_lag_30ms controller.allow_unstable=true"
@@ -62,35 +50,8 @@ def best(works: dict[str, Callable[[], Any]]) -> dict[str, float]:
     return {name: min(found) for name, found in times.items()}
 
 
-def measure(case: str) -> dict[str, float]:
-    """Milliseconds by what was done."""
-    vehicle = build_vehicle(compose([]).vehicle)
-    residual, _ = step.make_residual(case, vehicle)
-    controller = ModelPredictiveController(vehicle, residual, MPCSettings(rate=100.0), backend="compiled")
-    plant, path = SimplifiedPlant(vehicle, backend="compiled"), Circle(speed=8.0, acceleration=2.0)
-    reference, covers = SampledReference(path, controller), rollout.covers
-
-    def flight(in_c: bool) -> Any:
-        rollout.covers = covers if in_c else lambda *_: False
-        try:
-            return rollout.fly(plant, controller, reference, np.random.default_rng(0))
-        finally:
-            rollout.covers = covers
-
-    one, two = flight(True), flight(False)
-    assert all(name == "solve_time" or np.array_equal(one[name], two[name]) for name in one.columns)
-    t = np.arange(0.0, path.duration + 1.0, 0.01)
-    works: dict[str, Callable[[], Any]] = {
-        "reference interpreted": lambda: flat_reference(path, t, vehicle, residual),
-        "reference compiled": lambda: flat_reference(path, t, vehicle, residual, backend="compiled"),
-        "flight Python": lambda: flight(False),
-        "flight C": lambda: flight(True),
-    }
-    return best(works)
-
-
 def loops(words: str) -> str:
-    """A line of the table of `loops`."""
+    """A line of the table."""
     config = compose(["trajectory=circle", "trajectory.speed=8", *words.split()])
     loop, covers = build_loop(config, None), rollout.covers
     path = build_trajectory(config.trajectory, loop.vehicle)
@@ -112,22 +73,10 @@ def loops(words: str) -> str:
 def main() -> None:
     required_compiler()
     print(machine())
-    if sys.argv[1:] == ["loops"]:
-        print("| controller | Python | C | C / Python |")
-        print("|---|--:|--:|--:|")
-        for words in LOOPS:
-            print(loops(words), flush=True)
-        return
-    print("| residual | reference, interpreted / compiled | flight, Python / C | all, after / before |")
+    print("| controller | Python | C | C / Python |")
     print("|---|--:|--:|--:|")
-    for case in sys.argv[1:] or CASES:
-        found = measure(case)
-        before = found["reference interpreted"] + found["flight Python"]
-        ratio = (found["reference compiled"] + found["flight C"]) / before
-        print(
-            f"| {case} | {found['reference interpreted']:.1f} / {found['reference compiled']:.1f}"
-            f" | {found['flight Python']:.1f} / {found['flight C']:.1f} | {ratio:.2f} |"
-        )
+    for words in LOOPS:
+        print(loops(words), flush=True)
 
 
 if __name__ == "__main__":

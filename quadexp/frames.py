@@ -26,7 +26,6 @@ from quadexp.models.checkpoint import load_model, load_report
 from quadexp.writer import check_output
 
 if TYPE_CHECKING:
-    from quadexp.report.frame import SweepFrame
     from quadexp.report.table import Table
     from quadexp.report.tables import ErrorTable
 
@@ -47,13 +46,13 @@ class Frame(pd.DataFrame):
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray], record: Mapping[str, Any], folder: Any = None) -> Self:
         """columns: name -> (k,). folder: where the files lie that it names, if any."""
-        made = cls(dict(columns))
+        frame = cls(dict(columns))
         described = {name: describe(name, record.get("kind") or cls.kind) for name in columns}
-        made.attrs["units"] = {name: column.unit for name, column in described.items() if column.unit}
-        made.attrs["frames"] = {name: column.frame for name, column in described.items() if column.frame}
-        made.attrs["record"] = dict(record)
-        made._folder = folder
-        return made
+        frame.attrs["units"] = {name: column.unit for name, column in described.items() if column.unit}
+        frame.attrs["frames"] = {name: column.frame for name, column in described.items() if column.frame}
+        frame.attrs["record"] = dict(record)
+        frame._folder = folder
+        return frame
 
     @property
     def record(self) -> dict[str, Any]:
@@ -61,11 +60,8 @@ class Frame(pd.DataFrame):
 
     def columns_as_arrays(self) -> dict[str, np.ndarray]:
         """Name -> (k,) of every column; truth values as 0 and 1."""
-        found = {}
-        for name in self:
-            kind = self[name].dtype.kind
-            found[str(name)] = self[name].to_numpy({"b": np.int8}.get(kind, None if kind in "iuf" else object))
-        return found
+        kinds = {"b": np.int8, "i": None, "u": None, "f": None}
+        return {str(name): self[name].to_numpy(kinds.get(self[name].dtype.kind, object)) for name in self}
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write it as a file that the commands read, and return its path. force: replace an existing file."""
@@ -188,17 +184,13 @@ class Results(Frame):
         for the lines. facet: for the panels. metric: a number of the flights.
         """
         from quadexp.report.draw import figure_of
+        from quadexp.report.frame import SweepFrame
         from quadexp.report.view import view
 
-        options = {"confidence": self._options()["confidence"]}
+        frame = SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
         lines, panels = ([keys] if isinstance(keys, str) else keys for keys in (by, facet))
-        axes: dict[str, Any] = {"x": x, "by": lines, "facet": panels, "kind": kind}
-        return figure_of(view(self._sweep_frame(), y=metric or self._metric(None), **axes, **options))
-
-    def _sweep_frame(self) -> SweepFrame:
-        from quadexp.report.frame import SweepFrame
-
-        return SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
+        options: dict[str, Any] = {"x": x, "by": lines, "facet": panels, "kind": kind}
+        return figure_of(view(frame, y=metric or self._metric(None), **options))
 
     def flight(self, row: int = 0) -> Flight:
         """The flight of a row, counted from 0 in this table: results[results["controller"] == "gp_mpc"].flight(0)."""
@@ -212,10 +204,8 @@ class Results(Frame):
         return Flight.of(flown.columns, flown.metadata)
 
     def _options(self) -> dict[str, Any]:
-        from quadexp.report.statistics import BASELINE, CONFIDENCE
-
-        settled = {name: self.record[name] for name in ("baseline", "confidence") if name in self.record}
-        return {"baseline": BASELINE, "confidence": CONFIDENCE} | settled
+        """Of the statistics, as far as the command settled them."""
+        return {name: self.record[name] for name in ("baseline", "confidence") if name in self.record}
 
     def _metric(self, name: str | None) -> str:
         from quadexp.report.metrics import SHOWN
@@ -279,10 +269,9 @@ class Leaderboard(Frame):
         from quadexp.bench.protocol import read_protocol
         from quadexp.report.metrics import from_columns
 
-        protocol = read_protocol()
+        rows, protocol = from_columns(self.columns_as_arrays()), read_protocol()
         options: Any = {"metric": protocol.metric, "baseline": protocol.baseline}
-        found = families_of(from_columns(self.columns_as_arrays())).items()
-        return {name: board_table(own, title=name, **options) for name, own in found}
+        return {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
 
     def summary(self) -> list[str]:
         return [f"leaderboard: {len(self)} flights of {self['entry'].nunique()} entries"]

@@ -6,6 +6,7 @@ World ENU, body FLU, quaternion body to world with w first, SI units; see quadex
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy.typing as npt
 
 from quadexp.api import Given, overrides
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.compiled_loop import CompiledReference, UserLoop, goes_in_c
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.readings import ReadingGate
@@ -44,16 +46,20 @@ class ControlLoop:
 
     controller: see quadexp/control/base.py. plant: the configured simulated vehicle (quadexp/world/base.py), for a
     loop without a real one; in a world its flight begins with `begin` (quadexp/world/world.py). period: s, between
-    steps. times: (k,), s, the control instants of the trajectory. record: StepRecord of the last step that was made,
-    None before the first. failed: whether the last step was refused, or found no answer, so that its thrusts are those
-    of an earlier prediction.
+    steps. times: (k,), s, the control instants of the trajectory. failed: whether the last step was refused, or
+    found no answer, so that its thrusts are those of an earlier prediction.
+
+    A step is one call into C (control/compiled_loop.py), where controller and machine allow it, with the same numbers.
     """
 
     def __init__(self, controller: Controller, trajectory: Trajectory, plant: Any) -> None:
         self.controller, self.plant, self.vehicle = controller, plant, controller.vehicle
         self.period = controller.control_period
-        self.record: StepRecord | None = None
         self._gate = ReadingGate(self.vehicle.n_rotors)
+        self._record: StepRecord | None
+        self._took: float  # s, of a step in C whose record has not been asked for; otherwise 0
+        self._compiled: UserLoop | None
+        self._asked: Any  # the operations of which it is known whether they go in C
         self.follow(trajectory)
 
     @property
@@ -80,6 +86,13 @@ class ControlLoop:
         mpc = getattr(self.controller, "mpc", None)
         return None if mpc is None or self.record is None else mpc.prediction[0][1, RATE]
 
+    @property
+    def record(self) -> StepRecord | None:
+        """StepRecord of the last step that was made, None before the first."""
+        if self._compiled is not None and self._took:
+            self._record, self._took = self._compiled.record(self._took), 0.0
+        return self._record
+
     def follow(self, trajectory: Trajectory) -> None:
         """Track another trajectory (quadexp/reference/base.py), in a flight that begins with the next step."""
         if not isinstance(trajectory, Trajectory):
@@ -89,7 +102,14 @@ class ControlLoop:
         self.trajectory = trajectory
         self._reference = SampledReference(trajectory, self.controller)
         self._renewal = Renewal(round(self.controller.reference_period / self.period))
-        self._begun, self.record, self.failed = False, None, False
+        self._begun, self.failed, self._record, self._took, self._compiled, self._asked = (
+            False,
+            False,
+            None,
+            0.0,
+            None,
+            None,
+        )
         self._gate.begin()
         self._prepared: tuple[int, Window] | None = None
 
@@ -128,13 +148,26 @@ class ControlLoop:
         A step that fails says so in `failed`. Raises QuadexpError for readings that are not finite, with nothing
         changed; the last good ones of accelerometer and rotor speeds are held for a while (control/readings.py).
         """
-        self.failed = True
-        if not isinstance(measured, Measurement):
-            if t is None:
-                raise UsageError("step: t is needed, the time since the start of the reference (s)")
-            measured = Measurement(t, np.asarray(measured, float), None, None)
-        elif t is not None:
-            measured = measured._replace(t=t)
+        began, self.failed = time.perf_counter(), True
+        force = speed = None
+        if isinstance(measured, Measurement):
+            at, state, force, speed = measured
+            state = np.asarray(state, float)
+            t = at if t is None else t
+        elif t is None:
+            raise UsageError("step: t is needed, the time since the start of the reference (s)")
+        else:
+            state = np.asarray(measured, float)
+        if self._compiled is not None:
+            prepared = -1 if self._prepared is None else self._prepared[0]
+            if self._compiled.step(t, state, force, speed, reference, prepared):
+                self._took, self._prepared, self.failed = time.perf_counter() - began, None, False
+                return self._compiled.command.copy()
+            self._record = self.record
+            self._compiled.hand_over(self._gate)
+        return self._in_python(Measurement(t, state, force, speed), reference)
+
+    def _in_python(self, measured: Measurement, reference: Window | None) -> np.ndarray:
         k = self._instant(measured.t)
         measured = self._gate.admit(measured)
         if reference is not None and not all(np.isfinite(part).all() for part in reference):
@@ -145,6 +178,12 @@ class ControlLoop:
             self._renewal.renew(k, self._reference, self.controller.residual)
         prepared, self._prepared = self._prepared, None
         window = prepared[1] if prepared and prepared[0] == k else self._reference.window(k)
-        thrusts, self.record = self.controller.step(measured, reference or window)
-        self.failed = self.record.status == Status.FAILED
+        thrusts, record = self.controller.step(measured, reference or window)
+        self._record, self.failed = record, record.status == Status.FAILED
+        running = getattr(self.controller, "_running", None)
+        if self._asked is not running:
+            self._asked, self._compiled = running, None
+            if goes_in_c(self.controller):
+                table = CompiledReference(self._reference.horizons(), self._reference.path())
+                self._compiled = UserLoop(self.controller, table)
         return thrusts

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import platform
+import re
 import subprocess
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
@@ -35,7 +36,7 @@ MODULES = {
 DECIDING = (
     "compile", "control", "models", "physics", "reference", "world", "experiment/build.py",
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
-    "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py",
+    "experiment/identity.py", "experiment/loop_margins.py",
     "experiment/rollout.py", "log/outcome.py", "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")
@@ -94,7 +95,9 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
         elsewhere = _elsewhere(MODULES.get(package, package), Path(str(installed.locate_file(""))))
-        found[package] = installed.version + (f" (imported from {elsewhere})" if elsewhere else "")
+        stated = re.search(r"^Version: (\S+)$", installed.read_text("METADATA") or "", re.MULTILINE)
+        number = stated[1] if stated else installed.version  # which parses all of it as an e-mail
+        found[package] = number + (f" (imported from {elsewhere})" if elsewhere else "")
     return found
 
 

@@ -47,6 +47,7 @@ ANSWERED = {
     "import_logs": "experiment.import_flights.import_files",
     "ImportOptions": "log.importers.Options",
     "describe_log": "log.importers.describe.describe_log",
+    "export": "log.exporters.export_flight",
     "select": "sweeps.results.select",
     "prune": "sweeps.results.prune",
     "verify": "sweeps.verify.verify_results",
@@ -151,6 +152,9 @@ def evaluate(
     if not sweep and first.sweep:
         raise UsageError("this experiment is a sweep: add --sweep")
     out = out or Path("results") / _results_name(overrides, first, sweep)
+    from quadexp import papers
+
+    papers.check(first.evaluate.figures)
     figures = sweep if figures is None else figures
     preload = _preload(cells[:SAMPLED], figures)
     if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
@@ -192,7 +196,9 @@ def evaluate(
             flown=drawn.begin if figures else lambda rows, record: None,
         )
         files = dict(result.files) | drawn.end()
-    special, lines = _of_a_paper(settings.figures, result.rows, out, figures)
+    paper = papers.paper(settings.figures)
+    special = papers.write(paper, result.rows, out) if paper and figures else {}
+    lines = paper.overview(result.rows).lines() if paper and hasattr(paper, "overview") else []
     failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
     if missing := result.not_flown:
         cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
@@ -200,25 +206,6 @@ def evaluate(
     doubts = [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes]
     notes, invalid = [note for note in doubts if note], invalid_text(result.rows) if result.invalid else ""
     return Swept(result, settings.metric, out, files | special, lines, notes, failed, invalid)
-
-
-def _of_a_paper(
-    kind: str, rows: Sequence[Mapping[str, Any]], out: Path, figures: bool
-) -> tuple[dict[str, str], Sequence[str]]:
-    """Figures of an experiment of a paper, and the lines of its table, where that of all controllers has no room."""
-    if kind == "ladder":
-        from quadexp.report import ladder
-
-        return ladder.draw(rows, out) if figures else {}, ladder.ladder_table(rows).lines()
-    if kind == "sun":
-        from quadexp.papers.sun import report as sun
-
-        return sun.draw(rows, out) if figures else {}, sun.overview(rows).lines()
-    if kind != "standard" and figures:
-        from quadexp.papers.lei_li import report as lei_li
-
-        return lei_li.draw(kind, rows, out), []
-    return {}, []
 
 
 def _doubts(cells: Sequence[Any]) -> list[str]:
@@ -341,7 +328,7 @@ def identify(
     choice = choose_method(flights, method, named)
     chosen(choice.method, choice.reason)
     if choice.method == "delays":
-        from quadexp.experiment.identify import identify_delays
+        from quadexp.experiment.delays import identify_delays
 
         return {"method": "delays", **identify_delays(flights, named, conf, figure)}
     if choice.method == "rls":
@@ -417,13 +404,3 @@ def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
             texts = {key: record.get(key, "") for key in ("measured", "allowed", "advice")}
             earlier.append(Finding(record["name"], severity, f"the log, {record['where']}", **texts))
     return worst_first(findings + earlier)
-
-
-# --------------------------------------------------------------------------------------------------------------- look
-def export(source: Path, to: str, out: Path | None = None, *, force: bool = False) -> dict[str, Path]:
-    """Write a flight for other programs; name -> file."""
-    from quadexp.log.exporters import export_flight
-    from quadexp.log.store import read_metadata
-
-    read_metadata(source, "flight")  # it is one, before a name is made of its own
-    return dict(export_flight(source, to, out, force=force))

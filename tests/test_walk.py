@@ -54,12 +54,12 @@ LANDMARKS = {
     "fit": ("models.sgpr.loss",),
     "checkpoint": ("models.checkpoint.plain", "models.checkpoint.record_of"),
     "air": ("models.gaussian_process.gaussian_process_residual",),
-    "step": ("control.mpc.step.step_function", "control.mpc.riccati.backward"),
+    "step": ("control.mpc.step.step_functions", "control.mpc.riccati.backward"),
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),
 }
 CONFIGURING = 10  # modules from the words of the command line to the first period
-ENTERED = 57  # modules in which a line runs, of all
+ENTERED = 59  # modules in which a line runs, of all
 MOST = 22  # one of them the integrator that all plants share
 
 

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from quadexp.bench.protocol import FORMER, SHORT
-from quadexp.bench.ranking import Row, Standing, standings
+from quadexp.bench.ranking import Row, Standing, cell_of, standings
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN, from_columns, to_columns
+from quadexp.report.pairing import grouped
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
 from quadexp.writer import write_text
@@ -59,9 +60,9 @@ def joined(rows: Sequence[Row], more: Sequence[Row], where: str) -> list[Row]:
     if rows:
         check_alike(more, str(rows[0]["protocol_sha256"]), str(rows[0]["size"]), where)
     entries = {row["entry"] for row in rows}
-    found = [*rows, *(row for row in more if row["entry"] not in entries)]
-    check_cells(found, where)
-    return found
+    together = [*rows, *(row for row in more if row["entry"] not in entries)]
+    check_cells(together, where)
+    return together
 
 
 def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None:
@@ -82,53 +83,42 @@ def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None
 
 def check_cells(rows: Sequence[Row], where: str) -> None:
     """Raise UsageError where the entries of a family have not flown the same cells."""
-    families: dict[str, dict[str, set[tuple[str, str, int]]]] = {}
-    for row in rows:
-        entries = families.setdefault(row["family"], {})
-        entries.setdefault(row["entry"], set()).add((row["task"], row["world"], int(row["seed"])))
-    for family, entries in families.items():
-        first, *others = entries
-        for entry in others:
-            if entries[entry] != entries[first]:
-                raise UsageError(f"{where}: {entry} and {first} have not flown the same cells of {family}")
+    for family, of_family in families_of(rows).items():
+        flown = grouped((row["entry"], cell_of(row)) for row in of_family)
+        first, *others = flown
+        if wrong := [entry for entry in others if {*flown[entry]} != {*flown[first]}]:
+            raise UsageError(f"{where}: {wrong[0]} and {first} have not flown the same cells of {family}")
 
 
 def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by family, in their order."""
-    found: dict[str, list[Row]] = {}
-    for row in rows:
-        found.setdefault(str(row["family"]), []).append(row)
-    return found
+    return grouped((str(row["family"]), row) for row in rows)
 
 
 def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str = "") -> Table:
     """The standings of one family."""
-    found = standings(rows, metric=metric, baseline=baseline)
+    ranked = standings(rows, metric=metric, baseline=baseline)
     heads = ["place", "entry", "settings", "completed", "mean rank", "x least", f"error / {baseline}", "step"]
-    notes = [f"{listed([one.entry for one in found if one.bound])}: bound, not ranked"] if found[-1].bound else []
+    notes = [f"{listed([s.entry for s in ranked if s.bound])}: bound, not ranked"] if ranked[-1].bound else []
     seeds = len({row["seed"] for row in rows})
     if seeds < least_seeds(1):
         notes.append(f"{too_few(seeds, least_seeds(1), 0.95)}; nobody is told apart")
-    return Table(heads, [_line(one) for one in found], title, left=frozenset({1, 2}), notes=notes)
+    return Table(heads, [*map(_line, ranked)], title, left=frozenset({1, 2}), notes=notes)
 
 
-def _line(one: Standing) -> list[str]:
-    place = "bound" if one.bound else f"{'= ' if one.level else ''}{one.place}"
-    rank = "-" if one.bound else f"{one.rank:.2f}{_limits(one.rank_low, one.rank_high)}"
-    ratio = (
-        "-" if math.isnan(one.ratio.value) else f"{one.ratio.value:.3g}{_limits(one.ratio.low, one.ratio.high, '.3g')}"
-    )
-    ended = f"{one.flights - one.lost} of {one.flights}"
-    step = duration(one.step).replace("µ", "u")
-    least, ratio = (
-        text + (f" ({cells})" if cells < one.flights and text != "-" else "")
-        for text, cells in ((number(one.least), one.least_cells), (ratio, one.ratio_cells))
-    )
-    return [place, one.entry, one.settings, ended, rank, least, ratio, step]
+def _line(s: Standing) -> list[str]:
+    def value(text: str, low: float, high: float, form: str = ".2f") -> str:
+        return text + ("" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]")
 
+    def of_cells(text: str, cells: int) -> str:
+        return f"{text} ({cells})" if cells < s.flights and text != "-" else text
 
-def _limits(low: float, high: float, form: str = ".2f") -> str:
-    return "" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]"
+    place = "bound" if s.bound else f"{'= ' if s.level else ''}{s.place}"
+    rank = "-" if s.bound else value(f"{s.rank:.2f}", s.rank_low, s.rank_high)
+    ratio = "-" if math.isnan(s.ratio.value) else value(f"{s.ratio.value:.3g}", s.ratio.low, s.ratio.high, ".3g")
+    least, ratio = of_cells(number(s.least), s.least_cells), of_cells(ratio, s.ratio_cells)
+    ended, step = f"{s.flights - s.lost} of {s.flights}", duration(s.step).replace("µ", "u")
+    return [place, s.entry, s.settings, ended, rank, least, ratio, step]
 
 
 def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
@@ -137,23 +127,19 @@ def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world
     The least of a line among ranked entries that lost no more than any other of them is bold.
     """
     factor, unit = SHOWN[metric]
-    entries = list(dict.fromkeys(str(row["entry"]) for row in rows))
-    bounds = {str(row["entry"]) for row in rows if row["bound"]}
-    lines: dict[tuple[str, ...], dict[str, list[Row]]] = {}
-    for row in rows:
-        lines.setdefault(tuple(str(row[name]) for name in by), {}).setdefault(str(row["entry"]), []).append(row)
+    bound = {str(row["entry"]): row["bound"] for row in rows}
     texts = []
-    for at, own in lines.items():
-        cells = {entry: _mean(own[entry], metric) for entry in entries}
-        ranked = {entry: cell for entry, cell in cells.items() if entry not in bounds and math.isfinite(cell[0])}
-        best = min(ranked, key=lambda entry: (ranked[entry][1], ranked[entry][0]), default=None)
-        made = []
-        for entry, (error, lost) in cells.items():
-            text = number(factor * error)
-            text = f"**{text}**" if entry == best else text
-            made.append(f"{text} ({lost} lost)" if lost else text)
-        texts.append([*at, *made])
-    return Table([*by, *entries], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
+    for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():
+        flights = grouped((str(row["entry"]), row) for row in line)
+        means = {entry: _mean(flights[entry], metric) for entry in bound}
+        ranked = [entry for entry, (error, _) in means.items() if not bound[entry] and math.isfinite(error)]
+        best = min(ranked, key=lambda entry: means[entry][::-1], default=None)
+        cells = [
+            f"**{number(factor * e)}**" if entry == best else number(factor * e) for entry, (e, _) in means.items()
+        ]
+        lost = [f" ({count} lost)" if count else "" for _, count in means.values()]
+        texts.append([*at, *map("".join, zip(cells, lost, strict=True))])
+    return Table([*by, *bound], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
 
 
 def _mean(rows: Sequence[Row], metric: str) -> tuple[float, int]:
@@ -168,10 +154,10 @@ def markdown(rows: Sequence[Row], *, metric: str, baseline: str, what: Mapping[s
     first = rows[0]
     about = f"Protocol v{first['protocol']} ({str(first['protocol_sha256'])[:SHORT]}), size {first['size']}"
     parts = [f"{about}, {count(len(rows), 'flight')}. {RULE}"]
-    for name, own in families_of(rows).items():
+    for name, of_family in families_of(rows).items():
         parts.append(f"### {name}\n\n{what.get(name, '').strip()}")
-        parts.append(board_table(own, metric=metric, baseline=baseline).markdown().strip())
-        parts.append(error_table(own, metric=metric).markdown().strip())
+        parts.append(board_table(of_family, metric=metric, baseline=baseline).markdown().strip())
+        parts.append(error_table(of_family, metric=metric).markdown().strip())
     return "\n\n".join(parts) + "\n"
 
 

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -108,14 +109,12 @@ def configs_of(
 ) -> list[tuple[str, str, tuple[str, ...], Config]]:
     """(task, world, overrides, configuration) of every flight of an entry in a family."""
     seeds, tasks, worlds = family.chosen(size)
-    found = []
-    for world in worlds:
-        for task in tasks:
-            for seed in protocol.seeds(seeds):
-                given = (*family.given, *family.tasks[task], *family.worlds[world], *entry.overrides)
-                texts = (*given, *([f"model={model}"] if model else []), f"seed={seed}")
-                found.append((task, world, texts, composer.expand(texts, check=False).sound()[0].config))
-    return found
+    flights = []
+    for world, task, seed in product(worlds, tasks, protocol.seeds(seeds)):
+        given = (*family.given, *family.tasks[task], *family.worlds[world], *entry.overrides)
+        texts = (*given, *([f"model={model}"] if model else []), f"seed={seed}")
+        flights.append((task, world, texts, composer.expand(texts, check=False).sound()[0].config))
+    return flights
 
 
 def why_not(config: Config) -> str:

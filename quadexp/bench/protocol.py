@@ -59,11 +59,11 @@ class Family:
             **{f"world {name}": ([*self.given, *first, *given], WORLD) for name, given in self.worlds.items()},
             **{name: (given, MADE_BY[name]) for name, given in self.models.items()},
         }
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for name, (given, groups) in asked.items():
             config = composer.expand(given, check=False).sound()[0].config  # every option is composed once
-            found[name] = {group: _stated(getattr(config, group)) for group in groups}
-        return found
+            values[name] = {group: _stated(getattr(config, group)) for group in groups}
+        return values
 
 
 def _stated(part: Any) -> dict[str, Any]:

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
-from quadexp.report.pairing import seed_means, whole
+from quadexp.report.pairing import grouped, seed_means, whole
 
 Row = Mapping[str, Any]
 
@@ -67,18 +67,16 @@ def standings(
     """
     entries = {str(row["entry"]): row for row in rows}
     names, places = list(entries), {name: i for i, name in enumerate(entries)}
-    cells = {cell: k for k, cell in enumerate(dict.fromkeys(map(_cell, rows)))}
+    cells = {cell: k for k, cell in enumerate(dict.fromkeys(map(cell_of, rows)))}
     errors, steps = np.full((2, len(names), len(cells)), np.inf)  # m, inf for a lost flight; s
     for row in rows:
-        at = places[row["entry"]], cells[_cell(row)]
+        at = places[row["entry"]], cells[cell_of(row)]
         errors[at], steps[at] = _error(row, metric), float(row["solve_time_median"])
-    of_seed: dict[int, list[int]] = {}  # the cells of each seed
-    for cell in sorted(cells):
-        of_seed.setdefault(cell[2], []).append(cells[cell])
+    of_seed = grouped((cell[2], cells[cell]) for cell in sorted(cells))
     ranked, lost = [i for i, name in enumerate(names) if not entries[name]["bound"]], ~np.isfinite(errors)
     ranks = dict(zip(ranked, rankdata(errors[ranked], axis=0), strict=True))  # ties share their mean rank
-    seed_ranks = {i: np.array([np.mean(own[k]) for k in of_seed.values()]) for i, own in ranks.items()}
-    seed_losses = np.array([[own[k].sum() for k in of_seed.values()] for own in lost])
+    seed_ranks = {i: np.array([np.mean(of_entry[k]) for k in of_seed.values()]) for i, of_entry in ranks.items()}
+    seed_losses = np.array([[of_entry[k].sum() for k in of_seed.values()] for of_entry in lost])
     order = _order(seed_losses, seed_ranks, confidence)
     least = np.min(errors[ranked], axis=0, initial=np.inf)
     board = []
@@ -97,23 +95,24 @@ def standings(
         of_cells = zip(cells, _log_ratios(errors[i], other), strict=True)
         against = {((task, world), seed): float(x) for (task, world, seed), x in of_cells if not math.isnan(x)}
         times = steps[i][np.isfinite(steps[i])]
-        standing = Standing(
-            entry=name,
-            settings=str(entries[name]["settings"]),
-            place=place,
-            level=level,
-            flights=len(cells),
-            lost=int(lost[i].sum()),
-            rank=rank,
-            rank_low=limits.low,
-            rank_high=min(limits.high, len(order)),
-            least=math.exp(float(np.mean(known))) if len(known) else math.nan,
-            least_cells=len(known),
-            ratio=log_ratio(seed_means(against), confidence),
-            ratio_cells=len(whole(against.keys())) if against else 0,
-            step=float(np.median(times)) if len(times) else math.nan,
+        board.append(
+            Standing(
+                entry=name,
+                settings=str(entries[name]["settings"]),
+                place=place,
+                level=level,
+                flights=len(cells),
+                lost=int(lost[i].sum()),
+                rank=rank,
+                rank_low=limits.low,
+                rank_high=min(limits.high, len(order)),
+                least=math.exp(float(np.mean(known))) if len(known) else math.nan,
+                least_cells=len(known),
+                ratio=log_ratio(seed_means(against), confidence),
+                ratio_cells=len(whole(against.keys())) if against else 0,
+                step=float(np.median(times)) if len(times) else math.nan,
+            )
         )
-        board.append(standing)
     return sorted(board, key=lambda standing: (standing.bound, standing.place, standing.lost, standing.least))
 
 
@@ -132,7 +131,7 @@ def _apart(differences: np.ndarray, confidence: float) -> bool:
     return paired_permutation(differences) < 1 - confidence
 
 
-def _cell(row: Row) -> tuple[str, str, int]:
+def cell_of(row: Row) -> tuple[str, str, int]:
     """Task, world, seed."""
     return row["task"], row["world"], int(row["seed"])
 

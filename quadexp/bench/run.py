@@ -119,12 +119,14 @@ def _flights(
         if not family.chosen(size)[0]:
             continue
         rules = {entry.model: None for entry in entries if entry.model in family.models}
-        made = {rule: make_model(family, rule, composer, models, say) for rule in rules}
+        checkpoints = {rule: make_model(family, rule, composer, models, say) for rule in rules}
         for entry in entries:
-            if entry.model and entry.model not in made:
+            if entry.model and entry.model not in checkpoints:
                 notes.append(f"{entry.name} has no part in {family.name}: {protocol.name} has no rule for its model")
                 continue
-            configs = configs_of(entry, family, protocol, size, composer, made.get(entry.model, made.get("fit")))
+            configs = configs_of(
+                entry, family, protocol, size, composer, checkpoints.get(entry.model, checkpoints.get("fit"))
+            )
             if why := why_not(configs[0][3]):
                 notes.append(f"{entry.name} has no part in {family.name}: {why}")
                 continue
@@ -136,7 +138,7 @@ def _flights(
 
 def _write(rows: Sequence[Row], protocol: Protocol, out: Path, asked: Bench, notes: Sequence[str]) -> Leaderboard:
     options: dict[str, Any] = {"metric": protocol.metric, "baseline": protocol.baseline}
-    tables = {name: board_table(own, title=name, **options) for name, own in families_of(rows).items()}
+    tables = {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
     record = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "notes": list(notes)}
     files = {"leaderboard": write_board(out / FILE, rows, record)}
     if asked.markdown is not None:

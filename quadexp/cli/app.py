@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
-from typing import Annotated, Any
+from collections.abc import Callable, Iterable
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from quadexp import __version__
 from quadexp.cli import extend, fly, learn, look
+from quadexp.cli.command import Command
 from quadexp.cli.terminal import end, fail, output_failed, prepare
 
-GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
+GROUPS: dict[str, tuple[Command, ...]] = {
     "Fly": (fly.simulate, fly.evaluate, fly.tune, fly.bench),
     "Learn": (
         learn.import_, learn.check, learn.collect, learn.fit_gp, learn.fit_drag, learn.fit_nn, learn.identify,
@@ -27,28 +30,56 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Look": (look.show, look.compare, look.results, look.plot, look.report, look.animate, look.export),
     "Extend": (extend.options, extend.new, extend.cache),
 }  # fmt: skip
+COMMANDS = {each.name: each for group in GROUPS.values() for each in group}
 INTERRUPTED = 130  # what typer returns for Ctrl-C
 
 
-class Grouped(TyperGroup):
+class _Given(NamedTuple):
+    """Texts, paths and options that are not given are taken as they are; typer would load pydantic for them (.07 s).
+
+    kind: of a value. usual: makes typer's own way, for numbers, choices, and a path that may not be read.
+    """
+
+    kind: Any
+    usual: Callable[[], Any]
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Called by typer; value: the words, None where the option is not given."""
+        if value is None:
+            return () if param.multiple or param.nargs == -1 else None
+        words = value if isinstance(value, (list, tuple)) else [value]
+        kind = {str: str, list[str]: str, Path: Path, list[Path]: Path}.get(self.kind)
+        if kind is None or (kind is Path and any(os.path.exists(x) and not os.access(x, os.R_OK) for x in words)):
+            return self.usual().coerce(value, param=param, ctx=ctx)
+        return [kind(word) for word in words] if words is value else kind(value)
+
+
+class Direct:
+    """Of a command: see _Given."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Called by typer."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # of the command beside it
+        for each in parameters:
+            usual = getattr(each, "get_runtime_param", None)  # which typer has since it uses pydantic
+            if usual and not isinstance(usual, partial):
+                each.get_runtime_param = partial(_Given, each.type_descriptor.annotation, usual)
+        return parameters
+
+
+class Single(Direct, TyperCommand):
+    """One command."""
+
+
+class Grouped(Direct, TyperGroup):
     """Commands in the help by what they are for."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Called by typer."""
-        for heading, functions in GROUPS.items():
+        for heading, commands in GROUPS.items():
             with formatter.section(heading):
-                names = [each.__name__ for each in functions]
+                names = [each.name for each in commands]
                 formatter.write_dl([(name, self.commands[name].get_short_help_str(200)) for name in names])
-
-
-app = typer.Typer(
-    cls=Grouped,
-    name="quadexp",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-)
 
 
 def _version(wanted: bool) -> None:
@@ -62,7 +93,6 @@ def _debug(wanted: bool) -> None:
         os.environ["QUADEXP_DEBUG"] = "1"
 
 
-@app.callback()
 def root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
@@ -72,9 +102,23 @@ def root(
     """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation."""
 
 
-for functions in GROUPS.values():
-    for function in functions:
-        app.command(function.__name__)(function)
+def application(commands: Iterable[Command] = COMMANDS.values()) -> typer.Typer:
+    """The program with these commands; all of them take 25 ms of processor time."""
+    program = typer.Typer(
+        cls=Grouped, name="quadexp", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    )  # fmt: skip
+    program.callback()(root)
+    for each in commands:
+        program.command(each.name, cls=Single)(each.typed())
+    return program
+
+
+@cache
+def __getattr__(name: str) -> Any:
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return application()
 
 
 def main() -> None:
@@ -86,7 +130,8 @@ def main() -> None:
 def _run() -> int:
     code: object
     try:
-        code = app(standalone_mode=False, prog_name="quadexp")
+        asked = [COMMANDS[word] for word in sys.argv[1:2] if word in COMMANDS]
+        code = application(asked or COMMANDS.values())(standalone_mode=False, prog_name="quadexp")
         if code == INTERRUPTED:  # Ctrl-C before the command began
             code = fail("interrupted before anything was done: run the same command again", 1).exit_code
     except typer.Abort:

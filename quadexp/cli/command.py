@@ -72,39 +72,50 @@ FORMAT = Ask("Print json, csv, markdown or latex instead of text.", "FORMAT", "-
 JSON = Ask("One JSON object on standard output.")
 
 
-def command(function: Callable[..., Answer], **asked: Ask) -> Callable[..., None]:
-    """The function as a command of typer, under its name. asked: of keys of its records that need more than their
-    meaning says."""
-    hints = get_type_hints(function, include_extras=True)
-    parameters, records = [], {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        hint = hints[name]
-        if isinstance(hint, type) and issubclass(hint, Settings):
-            records[name], keys = hint, get_type_hints(hint)
-            for key, about in declared(hint).items():
-                ask = asked.get(key, Ask(about.setting.meaning))
-                parameters.append(_parameter(key, keys[key], ask, about.default))
-        elif hint is typer.Context:
-            parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=hint))
-        elif name != "form":  # set from --format and --json
-            kind, ask = get_args(hint)
-            parameters.append(_parameter(name, kind, ask, parameter.default))
-    parameters += [_parameter("form", str | None, FORMAT, None), _parameter("json", bool, JSON, False)]
-    several = {each.name for each in parameters if "list[" in str(each.annotation)}
-    name = function.__name__.rstrip("_").replace("_", "-")  # import_ is `import`
+class Command(NamedTuple):
+    """A command. function: answers it. asked: of keys of its records that need more than their meaning says."""
 
-    def run(form: str | None, json: bool, **given: Any) -> None:
-        with guarded(name):
-            shown = format_of(form, json)
-            given |= {key: tuple(given[key] or ()) for key in several}
-            for argument, record in records.items():
-                given[argument] = record(**{key: given.pop(key) for key in declared(record)})
-            _print(function(**given, **({"form": shown} if "form" in hints else {})), shown, name)
+    name: str
+    function: Callable[..., Answer]
+    asked: Mapping[str, Ask]
 
-    run.__name__, run.__doc__ = name, inspect.getdoc(function)
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
-    run.__annotations__ = {each.name: each.annotation for each in parameters}
-    return run
+    def typed(self) -> Callable[..., None]:
+        """As a function that typer takes, whose signature has its words and options."""
+        hints = get_type_hints(self.function, include_extras=True)
+        parameters, records = [], {}
+        for name, parameter in inspect.signature(self.function).parameters.items():
+            hint = hints[name]
+            if isinstance(hint, type) and issubclass(hint, Settings):
+                records[name], keys = hint, get_type_hints(hint)
+                for key, about in declared(hint).items():
+                    ask = self.asked.get(key, Ask(about.setting.meaning))
+                    parameters.append(_parameter(key, keys[key], ask, about.default))
+            elif hint is typer.Context:
+                parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=hint))
+            elif name != "form":  # set from --format and --json
+                kind, ask = get_args(hint)
+                parameters.append(_parameter(name, kind, ask, parameter.default))
+        parameters += [_parameter("form", str | None, FORMAT, None), _parameter("json", bool, JSON, False)]
+        several = {each.name for each in parameters if "list[" in str(each.annotation)}
+
+        def run(form: str | None, json: bool, **given: Any) -> None:
+            with guarded(self.name):
+                shown = format_of(form, json)
+                given |= {key: tuple(given[key] or ()) for key in several}
+                for argument, record in records.items():
+                    given[argument] = record(**{key: given.pop(key) for key in declared(record)})
+                answer = self.function(**given, **({"form": shown} if "form" in hints else {}))
+                _print(answer, shown, self.name)
+
+        run.__name__, run.__doc__ = self.name, inspect.getdoc(self.function)
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
+        run.__annotations__ = {each.name: each.annotation for each in parameters}
+        return run
+
+
+def command(function: Callable[..., Answer], **asked: Ask) -> Command:
+    """The function as a command under its name; `import_` is `import`."""
+    return Command(function.__name__.rstrip("_").replace("_", "-"), function, asked)
 
 
 def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:

@@ -39,9 +39,9 @@ def results(
 ) -> Answer:
     """List, filter, sort and prune the flights of a sweep.
 
-    A column is one of the table or any key of the configuration (controller.nodes). --where knows == != < <= > >=, and,
-    or, not, in [A, B], like 'gp_*', is null, and brackets; a number has the unit of the table's column, or its own:
-    mean_error < 5mm.
+    A column is one of the table or any key of the configuration (controller.nodes). KEY=VALUE takes patterns (gp_*)
+    and null. --where knows == != < <= > >=, and, or, not, in [A, B], and brackets; a number has the unit of the table's
+    column, or its own: mean_error < 5mm.
 
     --verify compares every flight and table with its hashes, rows with their flights, and texts with their rows; exit
     code 1 if something is wrong. The next run of the sweep flies such cells again and writes such tables again.
@@ -158,7 +158,7 @@ def plot(
     quadexp plot results/x --x controller.horizon --y mean_error --by controller.nodes --out a.png
     quadexp plot results/x --x controller.horizon --by controller.nodes --kind heat --out map.pdf
     quadexp plot results/x --width column --label gp_mpc="GP (ours)" --title "Circle" --out figure.pdf
-    quadexp plot results/x --x vehicle.mass --facet trajectory --where "controller like '*_mpc'" --out b.html
+    quadexp plot results/x --x vehicle.mass --facet trajectory --where "seed in [0, 1]" --out b.html
     """
     from dataclasses import replace
 
@@ -176,8 +176,7 @@ def plot(
         frame = frame.where(chosen(frame, where))
         if not frame.rows:
             raise UsageError(f"--where {where!r}: no flight fulfils it")
-    options: Any = {"kind": kind, "confidence": float(frame.record.get("confidence", 0.95))}
-    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), **options).named(names)
+    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
     figure = replace(figure, heading=title, width=WIDTHS[width] if width else None)
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)
@@ -244,8 +243,9 @@ def compare(
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
-    from quadexp.report.checked import check_flights, rows_of
+    from quadexp.report.checked import check_flights
     from quadexp.report.compare import compare as compared
+    from quadexp.report.frame import read_results
 
     if out is not None:
         from quadexp.report.draw import check_path
@@ -257,7 +257,7 @@ def compare(
         from quadexp.report.style import save_figure
 
         save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
-    checked = {str(p): check_flights(*rows_of(p)) for p in (first, *others) if report["kind"] == "results"}
+    checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}
     wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")

@@ -16,7 +16,7 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,6 +40,7 @@ from quadexp.writer import unfollowed, write_text, written
 if TYPE_CHECKING:
     from quadexp.compile.library_function import LibraryFunction
 
+PRODUCT = "void casadi_mtimes_dense("  # one function for all of a library: its sums do not depend on what else is there
 BACKENDS = ("auto", "compiled", "interpreted")
 
 
@@ -76,7 +77,10 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
     for function in functions:
         generator.add(function)
-    library = _library(functions[0].name(), generator.dump(), compile_flags())
+    source = generator.dump()
+    if len(functions) > 1:
+        source = source.replace(PRODUCT, f"__attribute__((noclone, noinline)) {PRODUCT}")
+    library = _library(functions[0].name(), source, compile_flags())
     try:
         from quadexp.compile.library_function import LibraryFunction
 
@@ -89,11 +93,12 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
         raise QuadexpError(f"{library.name}: {error}") from None
 
 
-def strict_library(name: str, body: Path) -> ctypes.CDLL:
-    """C of our own, compiled without any liberty in its arithmetic. Raises QuadexpError where that fails."""
-    library = _library(name, body.read_text(encoding="utf-8"), STRICT_FLAGS)
+def strict_library(name: str, *bodies: Path, loader: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL:
+    """C of our own, one file behind another, compiled without any liberty in its arithmetic. Raises QuadexpError where
+    that fails."""
+    library = _library(name, "\n".join(body.read_text(encoding="utf-8") for body in bodies), STRICT_FLAGS)
     try:
-        return ctypes.CDLL(str(library))
+        return loader(str(library))
     except OSError as error:
         raise _unloadable(error) from None
 
@@ -170,6 +175,14 @@ def _intact(library: Path) -> bool:
         return False
 
 
+def array_for(sparsity: ca.Sparsity) -> np.ndarray:
+    """Zeros for a matrix, see BufferedFunction; for one with structural zeros its other numbers in one row."""
+    if sparsity.is_dense():
+        rows, columns = sparsity.shape
+        return np.zeros(rows) if columns == 1 else np.zeros((columns, rows))
+    return np.zeros(sparsity.nnz())
+
+
 class BufferedFunction:
     """A CasADi function called through preallocated arrays, without any allocation per call.
 
@@ -188,27 +201,20 @@ class BufferedFunction:
         self.arguments = {}
         self.results = {}
         for i, name in enumerate(function.name_in()):
-            own = self._array(function.sparsity_in(i))
-            self.arguments[name] = given = (shared or {}).get(name, own)
-            if given.shape != own.shape or given.dtype != own.dtype or not given.flags.c_contiguous:
-                raise ValueError(f"{function.name()}: the array shared as {name} must be like {own.shape} floats")
-            if self.arguments[name].size:
-                self._buffer.set_arg(i, self.arguments[name].reshape(-1).data)
+            fresh = array_for(function.sparsity_in(i))
+            self.arguments[name] = given = (shared or {}).get(name, fresh)
+            if given.shape != fresh.shape or given.dtype != fresh.dtype or not given.flags.c_contiguous:
+                raise ValueError(f"{function.name()}: the array shared as {name} must be like {fresh.shape} floats")
+            if given.size:
+                self._buffer.set_arg(i, given.reshape(-1).data)
         for i, name in enumerate(function.name_out()):
-            self.results[name] = own = self._array(function.sparsity_out(i))
+            self.results[name] = fresh = array_for(function.sparsity_out(i))
             if into is not None and name in into:
-                self.results[name] = into[name].reshape(own.shape)
+                self.results[name] = into[name].reshape(fresh.shape)
                 if not np.shares_memory(self.results[name], into[name]):
                     raise ValueError(f"{function.name()}: the array for {name} must be contiguous")
             if self.results[name].size:
                 self._buffer.set_res(i, self.results[name].reshape(-1).data)
-
-    @staticmethod
-    def _array(sparsity: ca.Sparsity) -> np.ndarray:
-        if sparsity.is_dense():
-            rows, columns = sparsity.shape
-            return np.zeros(rows) if columns == 1 else np.zeros((columns, rows))
-        return np.zeros(sparsity.nnz())
 
     def __call__(self) -> None:
         self._trigger()
@@ -231,11 +237,6 @@ class BufferedFunction:
         if not isinstance(self.function, LibraryFunction):
             return None
         return CFunction(self.function, self.arguments.values(), self.results.values())
-
-    def lean(self, names: Container[str]) -> CFunction:
-        """As `for_c`, leaving the results of these names only."""
-        results = [array if name in names else np.empty(0) for name, array in self.results.items()]
-        return CFunction(self.function, self.arguments.values(), results)
 
 
 @cache

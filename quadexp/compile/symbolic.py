@@ -14,8 +14,8 @@ else:
         def __getattr__(self, name: str) -> Any:
             import casadi
 
-            found = getattr(casadi, name)
-            setattr(self, name, found)  # the next time it is at hand
-            return found
+            attribute = getattr(casadi, name)
+            setattr(self, name, attribute)  # the next time it is at hand
+            return attribute
 
     ca = _CasADi()

@@ -2,7 +2,7 @@
 
 A controller of this program, and everything around it, says by `instant(told)` what it does; what is around a
 controller asks the one inside, and adds its own operations before and behind. The same list on the same arrays is run
-by `run`, in Python, and by experiment/flight.c, so that either may take over from the other at any instant. What cannot
+by `run`, in Python, and by loop.c, so that either may take over from the other at any instant. What cannot
 be said in operations, such as a user's own controller, is an operation of the kind `python`.
 
 Where an instant is out of the ordinary, C leaves it to Python from its beginning. So up to the plan, or the law's
@@ -134,7 +134,7 @@ def law_record(law: BufferedFunction) -> Callable[[float], StepRecord]:
 
 
 def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None:
-    """The operations of control instant k, as flight.c runs them; window: of the reference, a Window."""
+    """The operations of control instant k, as loop.c runs them; window: of the reference, a Window."""
     operation: Any
     for operation in operations:
         kind, to, source, other, factor, function, act, every, when = operation

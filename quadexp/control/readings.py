@@ -56,12 +56,16 @@ class ReadingGate:
             return None
         values, admitted = self._read(name, reading)
         if admitted:
-            self._good[name] = t, values.copy()
+            self.keep(name, t, values)
             return values
         read_at, last = self._good.get(name, (-math.inf, values))
         if not abs(t - read_at) <= HELD:
             raise self._refusal(name, values, t)
         return last
+
+    def keep(self, name: str, t: float, values: np.ndarray) -> None:
+        """Take a reading for the last good one."""
+        self._good[name] = t, values.copy()
 
     def _read(self, name: str, reading: Any) -> tuple[np.ndarray, bool]:
         """A reading as an array, and whether all its numbers may be used."""

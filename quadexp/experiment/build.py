@@ -12,6 +12,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -48,11 +49,11 @@ _kept = _Kept()
 def keep(record: Any, make: Callable[[], T]) -> T:
     """What this thread made before of an equal record, else a new one."""
     key, things = digest(record), _kept.things
-    made = things.pop(key) if key in things else make()
+    thing = things.pop(key) if key in things else make()
     while len(things) >= KEPT:
         del things[next(iter(things))]
-    things[key] = made
-    return made
+    things[key] = thing
+    return thing
 
 
 @contextlib.contextmanager
@@ -77,11 +78,9 @@ def build_plant(vehicle: Vehicle, config: Any, believed: Vehicle | None = None) 
     vehicle: that is flown. believed: the one that controllers, and a model identified from flights, are made for, where
     it is another.
     """
-    believed = believed or vehicle
-    given = Given(
-        vehicle=vehicle, believed=believed, plant_model=lambda path, kind: model_residual(believed, Path(path), kind)
-    )
-    of_model = [believed.fingerprint] if hasattr(config, "model") else []
+    of = believed or vehicle
+    given = Given(vehicle=vehicle, believed=of, plant_model=lambda path, kind: model_residual(of, Path(path), kind))
+    of_model = [of.fingerprint] if hasattr(config, "model") else []
     return keep([*plant_record(vehicle, config), *of_model], lambda: checked("plant", config, config.build(given)))
 
 
@@ -106,8 +105,8 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
 
     _check_one_lag(config, believed)
     effects, true_vehicle = build_effects(vehicle, *parts.values())
-    read = [content_hash(one.path) for one in effects if hasattr(one, "path")]
-    given = {group: one.recorded() for group, one in parts.items()}
+    read = [content_hash(effect.path) for effect in effects if hasattr(effect, "path")]
+    given = {group: part.recorded() for group, part in parts.items()}
     record = ["world", plant_record(vehicle, config.plant), given, read]
 
     def make() -> Any:
@@ -131,7 +130,7 @@ def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
     not hover.
     """
-    effects = [_with_file(one) for one in parts]
+    effects = [_with_file(part) for part in parts]
     for effect in effects:
         vehicle = effect.true_vehicle(vehicle)
     return effects, vehicle
@@ -159,16 +158,14 @@ def _check_one_lag(config: Config, plant: Any) -> None:
 
 def _with_drag(config: Config) -> Any:
     """The plant with `truth.drag` times its drag and lift. Raises UsageError where it has none of these settings."""
-    factor, names = getattr(config.truth, "drag", 1.0), ("linear_drag", "quadratic_drag")
+    factor, plant, names = getattr(config.truth, "drag", 1.0), config.plant, ("linear_drag", "quadratic_drag")
     if factor == 1.0:
-        return config.plant
-    if not all(hasattr(config.plant, name) for name in (*names, "lift")):
-        raise UsageError(
-            f"truth.drag={factor:g}: scales the drag of plant=simplified and its presets; plant={config.plant.name} has"
-            " no such coefficients"
-        )
-    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(config.plant, name)) for name in names}
-    return replace(config.plant, **scaled, lift=factor * config.plant.lift)
+        return plant
+    if not all(hasattr(plant, name) for name in (*names, "lift")):
+        said = f"scales the drag of plant=simplified and its presets; plant={plant.name} has no such coefficients"
+        raise UsageError(f"truth.drag={factor:g}: {said}")
+    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(plant, name)) for name in names}
+    return replace(plant, **scaled, lift=factor * plant.lift)
 
 
 # ------------------------------------------------------------------------------------- trajectory, controller, remedies
@@ -192,32 +189,27 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     """The controller inside its remedies; one is kept for every (configuration, model), and begins anew with every
     flight."""
     controller, around = config.controller, remedies(config)
-    told = [config.plant.recorded(), [*world_parts(config)]]
-    believed = told if controller.knows_plant else model.sha256 if model else ""
+    believed: Any = [config.plant.recorded(), [*world_parts(config)]]
+    if not controller.knows_plant:
+        believed = model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, controller.recorded(), believed]
     sheet = sensor_sheet(plant)
-    record += [{group: one.recorded() for group, one in around.items()}, asdict(sheet)]
-
-    def residual(*kinds: str) -> Any:
-        return build_residual(kinds, vehicle, plant, model)
+    record += [{group: remedy.recorded() for group, remedy in around.items()}, asdict(sheet)]
 
     given = Given(
-        vehicle=vehicle,
-        plant=plant,
-        sheet=sheet,
-        remedies=tuple(around.values()),
-        residual=residual,
+        vehicle=vehicle, plant=plant, sheet=sheet, remedies=tuple(around.values()),
+        residual=lambda *kinds: build_residual(kinds, vehicle, plant, model),
         residuals=lambda kinds: residuals(kinds, vehicle, model),
         checkpoint=lambda index: load_checkpoint(vehicle, model.files[index]) if model else None,
-    )
+    )  # fmt: skip
 
     def make() -> Any:
         built = checked("controller", controller, controller.build(given))
-        for one in around.values():
-            try:
-                built = one.put_around(built, given)
-            except UsageError as error:
-                raise UsageError(f"controller={controller.name}: {error}") from None
+        try:
+            for remedy in around.values():
+                built = remedy.put_around(built, given)
+        except UsageError as error:
+            raise UsageError(f"controller={controller.name}: {error}") from None
         return built
 
     return keep(record, make)
@@ -239,29 +231,26 @@ def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: 
     if kinds == ("plant",):
         plant.reset()  # as things stand before any change in flight
         return plant.residual()
-    parts = residuals(kinds, vehicle, model)
-    if len(parts) == 1:
-        return parts[0]
     from quadexp.models.residual import sum_residual
 
-    return sum_residual(parts)
+    return sum_residual(residuals(kinds, vehicle, model))
 
 
 def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
     """Raise UsageError where a remedy needs what neither vehicle nor world measure, nor the other parts know."""
     around = tuple(remedies(config).values())
-    for one in around:
-        one.check(vehicle, plant, config.controller, around)
+    for remedy in around:
+        remedy.check(vehicle, plant, config.controller, around)
 
 
-def checked(seam: str, part: Part, made: Any) -> Any:
+def checked(seam: str, part: Part, product: Any) -> Any:
     """What a part made; UsageError where it lacks what its seam asks for."""
-    lacking = [name for name in SEAMS[seam] if not hasattr(made, name)]
+    lacking = [name for name in SEAMS[seam] if not hasattr(product, name)]
     if lacking:
         target = getattr(part, "_target_", f"{type(part).__module__}.{type(part).__qualname__}")
-        key = f"{seam}._target_={target}"
-        raise UsageError(f"{key}: made no {seam}, a {type(made).__name__} without {', '.join(lacking)}")
-    return made
+        said = f"made no {seam}, a {type(product).__name__} without {', '.join(lacking)}"
+        raise UsageError(f"{seam}._target_={target}: {said}")
+    return product
 
 
 # --------------------------------------------------------------------------------------------------------- checkpoints
@@ -269,44 +258,25 @@ def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
     """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
     from quadexp.models.checkpoint import load_model
 
-    folder = Path(model.path)
-    if content_hash(folder / MODEL_FILE) != model.sha256:
+    if content_hash(Path(model.path) / MODEL_FILE) != model.sha256:
         raise DataError(f"{model.path}: has changed since this run began")
-    return load_model(folder, vehicle=vehicle)
+    return load_model(model.path, vehicle=vehicle)
 
 
 def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
     """The models of the air of some kinds, each from its own checkpoint."""
-    files = iter(model.files if model else ())
-    return [_residual(kind, vehicle, next(files)) for kind in kinds if kind in LEARNED]
 
+    def of_file(kind: str, file: ModelFile) -> Any:
+        checkpoint = load_checkpoint(vehicle, file)
+        checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
+        if checkpoint.kind != kind:
+            maker = model_class(kind).maker
+            raise UsageError(f"{file.path}: holds {checkpoint.kind}, not {kind}, which {maker} makes")
+        return replace(checkpoint.residual(vehicle, file.path), ranges=checkpoint.feature_range)
 
-def _residual(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
-
-
-def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    checkpoint = load_checkpoint(vehicle, model)
-    checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
-    if checkpoint.kind != kind:
-        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {model_class(kind).maker} makes")
-    return replace(checkpoint.residual(vehicle, model.path), ranges=checkpoint.feature_range)
-
-
-def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
-    """A checkpoint for this vehicle; one of flights that do not say their vehicle is taken as it is.
-
-    Raises UsageError where it was fitted for another vehicle.
-    """
-    from quadexp.models.checkpoint import load_model
-
-    model = load_model(path)
-    if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):
-        raise UsageError(
-            f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({model.vehicle.get('fingerprint')}), not for"
-            f" '{vehicle.name}' ({vehicle.fingerprint}): pass the vehicle=... of its flights"
-        )
-    return model
+    files = zip((kind for kind in kinds if kind in LEARNED), model.files if model else (), strict=False)
+    record = ["residual", vehicle.fingerprint]
+    return [keep([*record, kind, file.sha256], partial(of_file, kind, file)) for kind, file in files]
 
 
 def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
@@ -314,4 +284,6 @@ def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
 
     Raises UsageError where the checkpoint has none of that kind.
     """
-    return load_identified(path, vehicle).residual(vehicle, str(path), kind)
+    from quadexp.models.checkpoint import load_model
+
+    return load_model(path, vehicle=vehicle, unknown=True).residual(vehicle, str(path), kind)

@@ -21,21 +21,22 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_vehicle, load_identified
+from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import build_loop, describe, thrust_excess
 from quadexp.experiment.identity import digest, find_model, flight_record
 from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
+from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residual_dataset
 from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset
-from quadexp.models.rotor_thrust import TimingFit, fit_timing, mean_thrust
-from quadexp.models.thrust_curve import ThrustCurve
+from quadexp.models.residual import VELOCITY
+from quadexp.models.rotor_thrust import fit_timing, mean_thrust
 from quadexp.parts.schema import WORLD, Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
-from quadexp.reference.base import FlatOutput
+from quadexp.reference.base import FlatOutput, standing
 from quadexp.reference.random_polynomial import RandomPolynomial
 
 PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
@@ -83,46 +84,41 @@ class Setpoints:
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         """See Trajectory.flat_output; all derivatives are zero."""
         t = np.atleast_1d(np.asarray(t, float))
-        position = np.zeros((len(t), 5, 3))
-        position[:, 0] = self.points[np.searchsorted(self.times, t, side="right").clip(1) - 1]
-        return FlatOutput(position, np.zeros((len(t), 3)))
+        return standing(self.points[np.searchsorted(self.times, t, side="right").clip(1) - 1])
 
 
 def collect_flights(
-    config: Config,
-    progress: Callable[[float, float], None] = lambda done, total: None,
-    *,
+    config: Config, progress: Callable[[float, float], None] = lambda done, total: None, *,
     worlds: Sequence[Config] = (),
-) -> list[Flight]:
+) -> list[Flight]:  # fmt: skip
     """Fly until `collect.duration` seconds are recorded.
 
     worlds: configurations that differ from this one in the plant and the world around it, flown in turn.
     Raises UsageError where the controller lacks its model, worlds differ in something else, or one of them makes the
     loop unstable, QuadexpError where no path of a speed can be flown.
     """
-    model = find_model(config)
+    model, settings = find_model(config), config.collect
     vehicle = build_vehicle(config.vehicle)
     worlds = worlds or [config]
     for world in worlds:
         _check_same(config, world)
         build_loop(world, model)
     sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))
-    speeds = np.random.default_rng(sequence.spawn(1)[0])
-    offset = speeds.random()
+    offset = np.random.default_rng(sequence.spawn(1)[0]).random()
+    decisive = {key: value for key, value in asdict(settings).items() if key not in OF_RECORDED}
     flights: list[Flight] = []
     recorded = 0.0
-    while not flights or recorded < config.collect.duration - 1e-6:
+    while not flights or recorded < settings.duration - 1e-6:
         index = len(flights)
         world = worlds[index % len(worlds)]
         loop = build_loop(world, model)
-        flown = {group: node for group, node in flight_record(world).items() if group != "trajectory"}
         path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
-        share = (offset + index * GOLDEN) % 1.0
-        speed = config.collect.speed_min + share * (config.collect.speed_max - config.collect.speed_min)
-        left = config.collect.duration - recorded
-        trajectory = _trajectory(config, vehicle, loop.controller, speed, left, path_rng)
-        metadata = describe(world, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
-        metadata["config"] = {**flown, "collect": _decisive(config)}
+        speed = settings.speed_min + (offset + index * GOLDEN) % 1.0 * (settings.speed_max - settings.speed_min)
+        rest = settings.duration - recorded
+        trajectory = _trajectory(config, vehicle, loop.controller, speed, rest, path_rng)
+        metadata = describe(world, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": settings.mode}
+        flown = {group: node for group, node in flight_record(world).items() if group != "trajectory"}
+        metadata["config"] = {**flown, "collect": decisive}
         flight = loop.fly(trajectory, noise_rng, lost_distance=LOST_DISTANCE, metadata=metadata)
         if flight.outcome not in COMPLETED:
             raise QuadexpError(
@@ -130,42 +126,34 @@ def collect_flights(
             )
         flights.append(flight)
         recorded += float(flight.t[-1])
-        progress(min(round(recorded, 1), config.collect.duration), config.collect.duration)
+        progress(min(round(recorded, 1), settings.duration), settings.duration)
     return flights
 
 
 def _check_same(config: Config, other: Config) -> None:
     """Raise UsageError where two configurations differ in more than the plant and the world around it."""
-    mine, others = (
-        {key: value for key, value in flight_record(one).items() if key not in (*WORLD, "plant")}
-        | {"collect": asdict(one.collect)}
-        for one in (config, other)
-    )
-    different = next((key for key in mine if mine[key] != others.get(key)), None)
-    if different is not None:
+    mine, others = (flight_record(either) | {"collect": asdict(either.collect)} for either in (config, other))
+    fixed = (key for key in mine if key not in (*WORLD, "plant") and mine[key] != others.get(key))
+    if different := next(fixed, None):
         raise UsageError(
             f"collect --sweep: the flights differ in `{different}`; one data set is of one vehicle, controller"
             f" and seed, in worlds that may differ in {', '.join(('plant', *WORLD))}"
         )
 
 
-def _decisive(config: Config) -> dict[str, Any]:
-    """The keys of `collect` that affect simulated flights."""
-    return {key: value for key, value in asdict(config.collect).items() if key not in OF_RECORDED}
-
-
 def _trajectory(
-    config: Config, vehicle: Vehicle, controller: Any, speed: float, left: float, rng: np.random.Generator
+    config: Config, vehicle: Vehicle, controller: Any, speed: float, rest: float, rng: np.random.Generator
 ) -> Any:
+    """What is flown next, for `rest` (s) at most where that is possible."""
     settings = config.collect
     if settings.mode == "setpoints":
-        return setpoints(settings.extent, settings.clearance, speed, min(settings.flight_duration, left), rng)
+        return setpoints(settings.extent, settings.clearance, speed, min(settings.flight_duration, rest), rng)
     for _ in range(DRAWS):
         seed = int(rng.integers(2**31))
         path = RandomPolynomial(speed=speed, seed=seed, extent=settings.extent, clearance=settings.clearance)
         if thrust_excess(path, vehicle) is None:
             period = controller.control_period
-            wanted = max(SHORTEST, math.ceil(left / period - 1e-6) * period)
+            wanted = max(SHORTEST, math.ceil(rest / period - 1e-6) * period)
             return Beginning(path, wanted) if path.duration > wanted + OVERTIME * settings.duration else path
     raise QuadexpError(
         f"none of {DRAWS} random paths at {speed:.1f} m/s can be flown; lower collect.speed_max"
@@ -197,109 +185,75 @@ def _rows(
         raise UsageError("collect.target: simulated and recorded flights together need specific_force or velocity")
     if settings.state == "estimate":
         flights = [as_told(flight) for flight in flights]
-    if settings.identified is None and settings.target in ("auto", "velocity") and not any(recorded):
+    if settings.identified is not None:
+        model = load_model(settings.identified, vehicle=vehicle, unknown=True)
+        if not hasattr(model, "thrust"):
+            said = f"collect.identified={settings.identified}: has no thrust curve"
+            raise UsageError(f"{said}; give a folder written by `quadexp identify`")
+        curve = model.thrust
+    elif settings.target in ("auto", "velocity") and not any(recorded):
         return _simulated_rows(config, vehicle, flights, names)
-    curve = _curve(config, vehicle, flights)
+    else:
+        curve = logged_thrust(flights, vehicle)
     target = "specific_force" if settings.target == "auto" else settings.target
-    notes = []
-    if target == "velocity":
-        notes.append("warning: the target is the derivative of an estimated velocity, with its filter and noise")
-    return recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names), notes
+    noisy = "warning: the target is the derivative of an estimated velocity, with its filter and noise"
+    dataset = recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names)
+    return dataset, [noisy] if target == "velocity" else []
 
 
 def _simulated_rows(
     config: Config, vehicle: Vehicle, flights: Sequence[Flight], names: Sequence[str]
 ) -> tuple[ResidualDataset, list[str]]:
-    """Transitions under the thrusts that the rotors delivered, as far as the flights tell, and how they were found."""
-    frame = config.collect.frame
-    dataset = residual_dataset(flights, vehicle, frame=frame, names=names)
+    """Transitions under the thrusts that the rotors delivered, as far as the flights tell, and how these are known."""
+    settings = config.collect
+    dataset = residual_dataset(flights, vehicle, frame=settings.frame, names=names)
     worlds = [flight.metadata.get("config") or {} for flight in flights]
 
     def noise_of(rows: ResidualDataset) -> dict[str, Any] | None:
-        return known_noise(rows, vehicle, worlds, of_estimate=config.collect.state == "estimate")
+        return known_noise(rows, vehicle, worlds, of_estimate=settings.state == "estimate")
 
-    found = _timings(vehicle, flights, dataset, noise_of) if config.collect.thrust == "delivered" else []
+    groups: dict[str, list[int]] = {}  # flights that have lag and delays in common
+    for i, world in enumerate(worlds if settings.thrust == "delivered" else ()):
+        groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
+    timings = []
+    for group in groups.values():
+        index = dataset.columns["flight"]
+        tables = [dataset.rows(index == i).columns for i in group]
+        noise = noise_of(dataset.rows(np.isin(index, group)))
+        timings.append((group, fit_timing([flights[i] for i in group], vehicle, tables, noise=noise)))
     extra: dict[str, Any] = {}
-    if not all(fit.timing.is_ideal for _, fit in found):
+    lines: list[str] = []
+    if not all(fit.timing.is_ideal for _, fit in timings):
         thrusts = [np.empty(0)] * len(flights)
-        for own, fit in found:
-            for i in own:
+        for group, fit in timings:
+            for i in group:
                 thrusts[i] = mean_thrust(flights[i], vehicle, fit.timing)
-        dataset = residual_dataset(flights, vehicle, frame=frame, names=names, thrusts=thrusts)
-        extra["timing"] = [{"flights": [names[i] for i in own], **fit.as_dict()} for own, fit in found]
+            shown = ", ".join(map(str, group[:4])) + (" .." if len(group) > 4 else "")
+            of = "" if len(group) == len(flights) else f"flight{'s' if len(group) > 1 else ''} {shown}: "
+            lines.append(f"{of}{fit.line}")
+        dataset = residual_dataset(flights, vehicle, frame=settings.frame, names=names, thrusts=thrusts)
+        extra["timing"] = [{"flights": [names[i] for i in group], **fit.as_dict()} for group, fit in timings]
     extra["known_noise"] = noise_of(dataset)
-    lines = [f"{_flights(own, flights)}{fit.line}" for own, fit in found] if "timing" in extra else []
     return dataset._replace(metadata={**dataset.metadata, **extra}), lines
 
 
-def _timings(
-    vehicle: Vehicle,
-    flights: Sequence[Flight],
-    commanded: ResidualDataset,
-    noise_of: Callable[[ResidualDataset], dict[str, Any] | None],
-) -> list[tuple[list[int], TimingFit]]:
-    """Motor lag and delays of every group of flights that has them in common, with the flights' indices."""
-    groups: dict[str, list[int]] = {}
-    for i, flight in enumerate(flights):
-        world = flight.metadata.get("config") or {}
-        groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
-    index = np.asarray(commanded.columns["flight"])
-    tables = [commanded.rows(index == i).columns for i in range(len(flights))]
-    found = []
-    for own in groups.values():
-        noise = noise_of(commanded.rows(np.isin(index, own)))
-        fit = fit_timing([flights[i] for i in own], vehicle, [tables[i] for i in own], noise=noise)
-        found.append((own, fit))
-    return found
-
-
-def _flights(own: Sequence[int], flights: Sequence[Flight]) -> str:
-    """Which flights a line is about, "" where it is about all."""
-    if len(own) == len(flights):
-        return ""
-    shown = ", ".join(map(str, own[:4])) + (" .." if len(own) > 4 else "")
-    return f"flight{'s' if len(own) > 1 else ''} {shown}: "
-
-
-def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> ThrustCurve:
-    """The identified thrust curve, or the logged thrust."""
-    folder = config.collect.identified
-    if folder is None:
-        return logged_thrust(flights, vehicle)
-    model = load_identified(folder, vehicle)
-    if not hasattr(model, "thrust"):
-        raise UsageError(
-            f"collect.identified={folder}: has no thrust curve; give a folder written by `quadexp identify`"
-        )
-    return model.thrust
-
-
-def _check_unique(flights: Sequence[Path], save_flights: Path | None) -> None:
-    """Raise UsageError for a repeated flight, which could be held out and fitted, and for equal names to be saved."""
-    refuse_repeated("collect", [path.resolve() for path in flights])
-    if save_flights is not None:
-        said = f"two flights named {{path}} would both be written to {save_flights}"
-        refuse_repeated("collect --save-flights", [Path(path.stem) for path in flights], said)
-
-
 def collect_dataset(
-    config: Config,
-    path: Path,
-    *,
-    flights: Sequence[Path] = (),
-    worlds: Sequence[Config] = (),
-    save_flights: Path | None = None,
-    force: bool = True,
+    config: Config, path: Path, *, flights: Sequence[Path] = (), worlds: Sequence[Config] = (),
+    save_flights: Path | None = None, force: bool = True,
     progress: Callable[[float, float], None] = lambda done, total: None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Write the residual data set of flight files, or of new flights (worlds: see collect_flights). force: replace
     files that are there.
 
-    Returns the report.
+    Returns the report. Raises UsageError for a repeated flight, which could be held out and fitted, and for equal names
+    to be saved.
     """
-    vehicle = build_vehicle(config.vehicle)
+    vehicle, settings = build_vehicle(config.vehicle), config.collect
     if flights:
-        _check_unique(flights, save_flights)
+        refuse_repeated("collect", [file.resolve() for file in flights])
+        if save_flights is not None:
+            said = f"two flights named {{path}} would both be written to {save_flights}"
+            refuse_repeated("collect --save-flights", [Path(file.stem) for file in flights], said)
         flown = [read_flight(file, whole=True) for file in flights]
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
@@ -311,41 +265,26 @@ def collect_dataset(
         if len(worlds) > 1:
             record |= {"worlds": configs[: len(worlds)], "config_hash": digest(configs[: len(worlds)])}
     dataset, notes = _rows(config, vehicle, flown, names)
-    record |= {key: getattr(config.collect, key) for key in OF_RECORDED if "target" in dataset.metadata}
+    target = dataset.metadata.get("target")
+    record |= {key: getattr(settings, key) for key in OF_RECORDED if target}
     if save_flights is not None:
         for name, flight in zip(names, flown, strict=True):
             write_flight(save_flights / f"{Path(name).stem}.parquet", flight, force=force)
     metadata = {**dataset.metadata, **record, "seed": config.seed, "versions": versions(), "provenance": provenance()}
     write_table(path, dataset.columns, metadata, "residuals", force=force)
-    speed = np.linalg.norm(dataset.matrix(["v_x", "v_y", "v_z"]), axis=1)
-    seconds = float(np.sum(dataset.columns["dt"]))
-    report = {
-        "path": path,
-        "rows": dataset.n_rows,
-        "flights": len(flown),
-        "duration": seconds,
-        "speed_median": float(np.median(speed)),
-        "speed_p95": float(np.percentile(speed, 95)),
-        "speed_max": float(speed.max()),
-        "plant": None if flights else config.plant.name,
-        "controller": None if flights else config.controller.name,
-        "seed": config.seed,
-    }
-    rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"
-    kind = f"target {dataset.metadata['target']}" if "target" in dataset.metadata else f"frame {config.collect.frame}"
-    report["target"] = dataset.metadata.get("target")
     if len(worlds) > len(flown):
-        notes = [*notes, f"warning: {len(flown)} flights in the first of {len(worlds)} worlds: raise collect.duration"]
-    report["notes"] = notes
-    report["lines"] = [
-        *notes,
-        (
-            f"{dataset.n_rows} {rows} from {len(flown)} flights, {seconds:.0f} s"
-            f" ({config.collect.mode if not flights else 'recorded'}, {kind})"
-        ),
-        (
-            f"speed: median {report['speed_median']:.1f}, 95 % {report['speed_p95']:.1f},"
-            f" largest {report['speed_max']:.1f} m/s"
-        ),
-    ]
-    return report
+        notes.append(f"warning: {len(flown)} flights in the first of {len(worlds)} worlds: raise collect.duration")
+    speed = np.linalg.norm(dataset.matrix(VELOCITY), axis=1)
+    median, high, largest = float(np.median(speed)), float(np.percentile(speed, 95)), float(speed.max())
+    seconds = float(np.sum(dataset.columns["dt"]))
+    rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"
+    kind = f"target {target}" if target else f"frame {settings.frame}"
+    how = "recorded" if flights else settings.mode
+    lines = [f"{dataset.n_rows} {rows} from {len(flown)} flights, {seconds:.0f} s ({how}, {kind})"]
+    lines.append(f"speed: median {median:.1f}, 95 % {high:.1f}, largest {largest:.1f} m/s")
+    return {
+        "path": path, "rows": dataset.n_rows, "flights": len(flown), "duration": seconds, "speed_median": median,
+        "speed_p95": high, "speed_max": largest, "plant": None if flights else config.plant.name,
+        "controller": None if flights else config.controller.name, "seed": config.seed, "target": target,
+        "notes": notes, "lines": [*notes, *lines],
+    }  # fmt: skip

@@ -9,19 +9,17 @@ if it had made all of them. The noise is drawn beforehand, a block of periods at
 from __future__ import annotations
 
 import ctypes
-import re
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, CFunction, strict_library
+from quadexp.compile.backend import strict_library
 from quadexp.control.base import Controller
-from quadexp.control.instant import KINDS, Instant, Operation, in_operations
-from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.mpc import MAX_TURN, ModelPredictiveController, StepRecord
-from quadexp.control.mpc.subproblem import TOLERANCE
+from quadexp.control.compiled_loop import SOURCE as INSTANT
+from quadexp.control.compiled_loop import CompiledLoop, CompiledReference, addresses, goes_in_c, structure
+from quadexp.control.instant import in_operations
 from quadexp.physics.state import N_STATE
 from quadexp.world.base import Plant
 from quadexp.world.integrator import SimulatedPlant
@@ -31,27 +29,14 @@ from quadexp.world.world import World
 SOURCE = Path(__file__).with_name("flight.c")
 INSIDE = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 LARGEST = 1e100  # of a number in a reference
-PLAIN = {"integer": ctypes.c_longlong, "double": ctypes.c_double, "function": CFunction}  # types of fields
-LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
 
 
-def _structure(name: str) -> type[ctypes.Structure]:
-    """A structure of flight.c, field by field as its source declares it."""
-    declared = re.sub(r"/\*.*?\*/", "", SOURCE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    body = next(body for body, named in re.findall(r"typedef struct {([^}]*)} (\w+);", declared) if named == name)
-    fields: list[tuple[str, Any]] = []
-    for kind, names in re.findall(r"^ *(?:const )?(\w+) ([^;(]*);", body, flags=re.MULTILINE):
-        for field in re.split(r",\s*", names):
-            fields.append((re.split(r"[* ]", field)[-1], ctypes.c_void_p if "*" in field else PLAIN[kind]))
-    return type(name, (ctypes.Structure,), {"_fields_": fields})
-
-
-OPERATION, FLIGHT = _structure("operation"), _structure("flight")
+FLIGHT = structure(SOURCE, "flight")
 
 
 @cache
 def _library() -> ctypes.CDLL:
-    library = strict_library("flight", SOURCE)
+    library = strict_library("flight", INSTANT, SOURCE)
     library.fly.argtypes, library.fly.restype = [ctypes.c_void_p, ctypes.c_longlong], ctypes.c_longlong
     return library
 
@@ -106,58 +91,30 @@ class CompiledFlight:
         rotors = np.array(plant.rotor_places, np.int64) if hasattr(plant, "rotor_speed") else None
         if logged is None:
             logged = np.arange(log["inner"].shape[1])
-        self._running, self._told = controller.running, controller.running.told
-        self.instant = instant = self._running.instant
-        self.flies = _in_c(instant, log["extra"].shape[1])
+        instant, told = controller.running.instant, controller.running.told
+        self.flies = goes_in_c(controller) and sum(array.size for array in instant.logged) == log["extra"].shape[1]
         if not self.flies:
             return
-        states, thrusts, where = (np.ascontiguousarray(array) for array in reference)
-        arrays = {"states": states, "thrusts": thrusts, "along": np.ascontiguousarray(along), "where": where}
-        planned: dict[str, Any] = {}
-        if instant.plan is not None:
-            step, bounded = instant.plan.mpc.functions
-            self._lean = step.lean(LEAN)
-            planned = {
-                "step": step.for_c,
-                "lean": self._lean,
-                "bounded": bounded.for_c,
-                "nodes": len(step.arguments["U"]),
-                "plan_rows": len(step.arguments["X_ref"]),
-            }
-            arrays |= {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U")}
-            arrays |= {name: step.results[name] for name in ("checks", "X_new", "U_new", "X_lin", "U_lin")}
-            arrays |= {"guess": bounded.arguments["guess"], "bounded_checks": bounded.results["checks"]}
-            arrays |= {"bounded_X": bounded.results["X_new"], "bounded_U": bounded.results["U_new"]}
-            arrays |= {"side": bounded.results["side"]}
-        arrays |= {f"plant_{name}": period.arguments[name] for name in ("x", "inner", "u")}
+        self._loop = CompiledLoop(controller.running, controller.control_period)
+        self._reference, self._told, self._turning = CompiledReference(reference, path), told, rotors is not None
+        arrays = {f"plant_{name}": period.arguments[name] for name in ("x", "inner", "u")}
         arrays |= {name: period.results[name] for name in ("x_next", "inner_next", "specific_force", "doubt")}
         if self._world:
             arrays |= {"plant_time": period.arguments["time"], "measured": period.results["measured"]}
-        if rotors is not None:
-            arrays |= {"rotors": rotors}
-        arrays |= {"paths": np.ascontiguousarray(path[0]), "yaws": np.ascontiguousarray(path[1])}
-        told, self._turning = self._told, rotors is not None
-        arrays |= {"x": self._x, "told": told.state, "reading": told.force, "inner": self._inner}
-        arrays |= {"speed": told.speed, "path": told.path, "yaw": told.yaw}
-        arrays |= {"command": instant.command} | ({} if instant.held is None else {"held": instant.held})
+        arrays |= {"along": np.ascontiguousarray(along), "x": self._x, "inner": self._inner}
+        arrays |= {"command": instant.command, "held": instant.held, "rotors": rotors}
         arrays["logged"] = np.ascontiguousarray(logged, np.int64)
         arrays["extra"] = np.array([array.ctypes.data for array in instant.logged], np.uintp)
         arrays["extra_sizes"] = np.array([array.size for array in instant.logged], np.int64)
         arrays |= {f"log_{name}": array for name, array in log.items()}
         self._arrays = arrays  # which must live as long as their addresses
-        self._kept = [np.empty_like(o.to) if o.kind == "move" else None for o in instant.operations]
-        made = [_operation(o, kept) for o, kept in zip(instant.operations, self._kept, strict=True)]
-        self._operations = (OPERATION * len(made))(*made)
-        names = list(period.arguments)
-        finite = max(np.abs(states).max(), np.abs(thrusts).max()) < LARGEST
+        names, table = list(period.arguments), self._reference
+        finite = max(np.abs(table.states).max(), np.abs(table.inputs).max()) < LARGEST
         self._flight = FLIGHT(
-            **planned,
+            **addresses(arrays),
+            loop=ctypes.addressof(self._loop.structure),
+            reference=ctypes.addressof(table.structure),
             plant=period.for_c,
-            samples=len(along),
-            operations=ctypes.addressof(self._operations),
-            operations_size=len(made),
-            reference_rows=where.shape[1],
-            inputs=thrusts.shape[1],
             inner_size=len(plant.inner),
             logged_size=log["inner"].shape[1],
             extra_size=log["extra"].shape[1],
@@ -168,10 +125,6 @@ class CompiledFlight:
             draws_at=period.arguments["noise"].size,
             doubt_size=period.results["doubt"].size,
             near=lost_distance * INSIDE if finite else -1.0,
-            tolerance=TOLERANCE,
-            max_turn=MAX_TURN,
-            period=controller.control_period,
-            **{name: array.ctypes.data for name, array in arrays.items() if array.size},
         )
 
     def go_on(self, k: int, x: np.ndarray, reading: np.ndarray) -> tuple[int, bool, np.ndarray, np.ndarray]:
@@ -179,10 +132,10 @@ class CompiledFlight:
 
         Returns the instant at which Python is needed, whether its control step has been made, state and reading then.
         """
-        plan = self.instant.plan
+        plan = self._loop.running.instant.plan if self.flies else None
         if not self.flies or (plan is not None and plan.mpc.cold):
             return k, False, x, reading
-        flight, plant, drawn, told = self._flight, self._plant, self._drawn, self._told
+        flight, plant, drawn, told, mpc = self._flight, self._plant, self._drawn, self._told, self._loop.mpc
         self._x[:], told.force[:], self._inner[:] = x, reading, plant.inner
         told.state[:] = plant.measured if self._world else x
         told.read[0], told.turning[0] = 1.0, self._turning
@@ -191,7 +144,8 @@ class CompiledFlight:
         flight.time, flight.next_change = plant.time, plant.next_change
         flight.commanded = False
         records = self._arrays["log_record"]
-        _, flight.status, flight.sweeps, flight.active, flight.kkt, flight.converged = records[k - 1]
+        if mpc is not None:
+            _, mpc.status, mpc.sweeps, mpc.active, mpc.kkt, mpc.converged = records[k - 1]
         while True:
             flight.noise, flight.first_drawn, flight.end_drawn = drawn.block.ctypes.data, drawn.first, drawn.end
             k = _library().fly(ctypes.byref(flight), k)
@@ -202,37 +156,6 @@ class CompiledFlight:
         if self._world:
             plant.measured = told.state.copy()
         at = k + flight.commanded
-        took, status, sweeps, active, kkt, converged = records[at - 1].tolist()
-        self._running.k = at
-        if plan is not None:
-            plan.record = StepRecord(took, Status(int(status)), int(sweeps), int(active), kkt, bool(converged))
+        self._loop.running.k = at
+        self._loop.record(records.item(at - 1, 0))
         return k, bool(flight.commanded), self._x.copy(), told.force.copy()
-
-
-def _in_c(instant: Instant, columns: int) -> bool:
-    """Whether an instant leaves every column, and C can do it: nothing is always Python's, all that it calls is
-    compiled, and its arrays lie as C reads them."""
-    functions: list[Any] = [o.function for o in instant.operations if o.function is not None]
-    if instant.plan is not None:
-        mpc = instant.plan.mpc
-        if type(mpc) is not ModelPredictiveController or mpc.reference[0].shape[1] != N_STATE:
-            return False
-        functions += mpc.functions
-    arrays = [array for o in instant.operations for array in (o.to, o.source, o.other, o.when) if array is not None]
-    return (
-        sum(array.size for array in instant.logged) == columns
-        and not any(o.kind == "python" and o.when is None for o in instant.operations)
-        and all(isinstance(f, BufferedFunction) and f.for_c is not None for f in functions)
-        and all(array.flags.c_contiguous and array.dtype == float for array in arrays)
-    )
-
-
-def _operation(o: Operation, kept: np.ndarray | None) -> ctypes.Structure:
-    """As C has it."""
-    arrays = {"to": o.to, "source": o.source, "other": o.other, "when": o.when, "kept": kept}
-    counted = o.to if o.to is not None else o.source
-    places = {name: array.ctypes.data for name, array in arrays.items() if array is not None and array.size}
-    if o.function is not None:
-        places["function"] = ctypes.addressof(o.function.for_c)  # type: ignore[arg-type]  # `_in_c` saw to it
-    count = 0 if counted is None else counted.size
-    return OPERATION(kind=KINDS.index(o.kind), every=o.every, count=count, factor=o.factor, **places)

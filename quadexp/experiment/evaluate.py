@@ -15,7 +15,6 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, check_remedies
 from quadexp.experiment.identity import ModelFile, digest, find_model, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import instability, loop_margins
-from quadexp.experiment.outside import outside_data
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name
@@ -27,6 +26,7 @@ from quadexp.report.metrics import flight_metrics
 LONGEST = 4 * 3600.0  # s of a flight
 MOST_DRAG = 0.5  # of the weight, at 1 m/s
 CHECK_STEP = 0.02  # s between the points at which a reference is compared with the vehicle's limits
+UNKNOWN_RANGES = "the checkpoint has no ranges of its data (fitted by an older version); fit it again"
 REFERENCES = 4  # kept of each controller
 FINITE_SAMPLES = 200  # of a path, of which each must be finite
 
@@ -41,6 +41,7 @@ def generator(config: Config) -> np.random.Generator:
 
 
 def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
+    """The reference by which a path is judged."""
     from quadexp.reference.flatness import flat_reference
 
     if not trajectory.duration <= LONGEST:
@@ -202,20 +203,38 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     loop = build_loop(config, model)
     controller = loop.controller
     known = config.trajectory.shipped and not hasattr(config.trajectory, "path")  # another file may lie there
-    flight = loop.fly(
-        trajectory,
-        generator(config),
-        digest=digest([config.trajectory.recorded(), vehicle.fingerprint]) if known else "",
-        lost_distance=config.trajectory.lost_distance,
-        lost_box=config.trajectory.lost_box,
-        metadata=describe(config, vehicle, model),
-    )
-    flight.metadata["reference_note"] = note
-    flight.metadata["residual"] = {"name": controller.name, "source": controller.source}
-    flight.metadata["margins"] = loop.margins
+    path_digest = digest([config.trajectory.recorded(), vehicle.fingerprint]) if known else ""
+    limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
+    metadata = describe(config, vehicle, model)
+    flight = loop.fly(trajectory, generator(config), digest=path_digest, metadata=metadata, **limits)
+    residual = {"name": controller.name, "source": controller.source}
+    flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins)
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight
+
+
+def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> dict[str, Any] | None:
+    """How much of a flight lay outside the data that the controller's learned model was fitted to: {model, share,
+    shares, ranges, note}, None where it flies without one.
+
+    share: of the samples, 0..1, None where it is unknown. shares: of every feature. See quadexp.models.base.
+    """
+    if model is None:
+        return None
+    from quadexp.control.observers.observer import air_of
+    from quadexp.control.wrapped import innermost
+    from quadexp.models.base import outside_shares
+    from quadexp.models.dataset import feature_rows
+
+    ranges = dict(air_of(innermost(controller)).ranges or {})
+    record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges}
+    if not ranges or not len(flight):
+        return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}
+    rate = flight.stack(["w_x", "w_y", "w_z"])
+    finite = np.isfinite(flight.state).all(axis=1)
+    shares = outside_shares(ranges, feature_rows(flight.air_velocity[finite], rate[finite], flight.input[finite]))
+    return record | {"share": shares.pop("any"), "shares": shares, "note": ""}
 
 
 def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Flight:
@@ -230,42 +249,28 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
     """The metadata of every flight."""
     record = flight_record(config)
     return {
-        "config": record,
-        "config_hash": digest(record),
-        "seed": config.seed,
+        "config": record, "config_hash": digest(record), "seed": config.seed,
         "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint},
-        "plant": config.plant.name,
-        "world": config.world,
-        "trajectory": config.trajectory.name,
+        "plant": config.plant.name, "world": config.world, "trajectory": config.trajectory.name,
         "controller": controller_name(config),
-        "model": model.path if model else "",
-        "model_sha256": model.sha256 if model else "",
-        "versions": versions(),
-        "sources": sources(),
-        "provenance": provenance(),
-    }
+        "model": model.path if model else "", "model_sha256": model.sha256 if model else "",
+        "versions": versions(), "sources": sources(), "provenance": provenance(),
+    }  # fmt: skip
 
 
 def result_row(config: Config, flight: Flight) -> dict[str, Any]:
     """The row of one flight in a table of results."""
-    metadata, rate = flight.metadata, getattr(config.controller, "rate", None)
-    period = 1 / rate if rate else None
+    metadata, rate, vehicle = flight.metadata, getattr(config.controller, "rate", None), config.vehicle
+    metrics = flight_metrics(flight, vehicle.thrust_min, vehicle.thrust_max, 1 / rate if rate else None)
     return {
         "plant": config.plant.name if config.world == "clean" else f"{config.plant.name}/{config.world}",
-        "vehicle": config.vehicle.name,
-        "trajectory": config.trajectory.name,
-        "speed": getattr(config.trajectory, "speed", None),
-        "controller": controller_name(config),
-        "model": metadata["model"],
-        "seed": config.seed,
-        **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max, period),
+        "vehicle": vehicle.name, "trajectory": config.trajectory.name,
+        "speed": getattr(config.trajectory, "speed", None), "controller": controller_name(config),
+        "model": metadata["model"], "seed": config.seed, **metrics,
         "reference_residual": metadata.get("reference_residual"),
-        "outside_data": (metadata.get("outside_data") or {}).get("share"),
-        "outcome": metadata["outcome"],
-        "backend": metadata.get("backend", ""),
-        "cause": metadata.get("cause", ""),
-        **program_record(),
-    }
+        "outside_data": (metadata.get("outside_data") or {}).get("share"), "outcome": metadata["outcome"],
+        "backend": metadata.get("backend", ""), "cause": metadata.get("cause", ""), **program_record(),
+    }  # fmt: skip
 
 
 def program_record() -> dict[str, str]:

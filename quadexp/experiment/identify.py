@@ -10,33 +10,22 @@ delays      age of the estimate, dead time and lag of the commands, and the sett
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace as with_changes
 
-from quadexp.control.delay.moments import LARGEST_AGE
-from quadexp.control.delay.timing import LARGEST, Delays, Search, Stream, moments_of
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
 from quadexp.experiment.vehicle_of import own_vehicle, recorded_vehicle, refuse_repeated, vehicle_named
+from quadexp.log import store
 from quadexp.log.schema import Flight
-from quadexp.log.store import (
-    check_attitude,
-    check_finite,
-    check_order,
-    check_whole,
-    column_names,
-    read_flight,
-    read_table,
-    write_table,
-)
 from quadexp.models.blade_element import Identification, identify_flight
 from quadexp.models.checkpoint import save_model
+from quadexp.models.inflow import momentum_of
 from quadexp.models.rls import RLSSettings
 from quadexp.models.samples import QUATERNION, Samples, gather_to_fit, rotor_columns
-from quadexp.models.terms import momentum_of
 from quadexp.models.vehicle_model import (
     HOVER_INFLOW,
     FitSettings,
@@ -48,7 +37,6 @@ from quadexp.models.vehicle_model import (
     flight_by_flight,
     selection,
 )
-from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output
@@ -59,11 +47,6 @@ EXPONENT_IMPROVEMENT = 0.1  # the same, for a fitted voltage exponent to replace
 EXPONENTS = (0.5, 1.5)  # plausible voltage exponents of a motor; outside, flights differ in something else
 OTHER_LOSS_SAMPLES = 100_000  # used by the fit with the other loss; more are thinned evenly
 NO_INDUCED = "blade element without induced velocity: its error on held-out flights is smaller than with it"
-ACCELEROMETER = ("acc_x", "acc_y", "acc_z")
-EVEN = 1e-3  # share of a period by which samples may be uneven
-NOTHING = 1.5e-3  # s: less than this is no delay that is worth a setting
-LIKELY = 20.0  # log likelihood less the best, down to which candidates are drawn
-PROFILED, BESIDE = 51, 2  # candidates of a delay in a figure; of them on each side of the likely ones
 
 
 class Choice(NamedTuple):
@@ -85,7 +68,7 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
     if not paths:
         raise UsageError("identify: no flight given")
     for path in paths:
-        names, record = column_names(path, "flight")
+        names, record = store.column_names(path, "flight")
         flight = Flight(dict.fromkeys(names, np.empty(0)), record)
         if not rotor_columns(flight, "rotor_speed"):
             return Choice("regression", f"{path} has no rotor speeds")
@@ -101,23 +84,18 @@ def read_recorded(path: Path) -> Flight:
     """Read a flight that may lack commanded thrusts, as a log does. Raises DataError unless time, attitude and velocity
     are finite, time increases and no sample was left out."""
     needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
-    columns, record = read_table(path, "flight", required=needed)
-    check_finite(columns, needed, str(path))
-    check_attitude(columns, str(path))
-    check_whole(record, str(path))
-    check_order(columns["t"], str(path))
+    columns, record = store.read_table(path, "flight", required=needed)
+    store.check_finite(columns, needed, str(path))
+    store.check_attitude(columns, str(path))
+    store.check_whole(record, str(path))
+    store.check_order(columns["t"], str(path))
     return Flight(columns, record)
 
 
 def identify_files(
-    flights: Sequence[Path],
-    out: Path,
-    *,
-    vehicle: str | None = None,
-    conf: Path | None = None,
-    force: bool = False,
+    flights: Sequence[Path], out: Path, *, vehicle: str | None = None, conf: Path | None = None, force: bool = False,
     paper: bool = False,
-) -> list[tuple[Path, Identification]]:
+) -> list[tuple[Path, Identification]]:  # fmt: skip
     """Identify from every flight and write <out>/<its name>.parquet, all or none.
 
     vehicle: name in the configuration (or in the folder `conf`); None: that in the flight's metadata.
@@ -130,16 +108,14 @@ def identify_files(
     for path in paths:
         check_output(path, force=force)
     named = None if vehicle is None else vehicle_named(vehicle, conf)
+    settings = RLSSettings() if paper else None
     results = []
     for path in flights:
-        flight = read_flight(path, whole=True)
-        settings = RLSSettings() if paper else None
-        results.append(
-            identify_flight(flight, named or recorded_vehicle(flight, path), settings=settings, name=str(path))
-        )
-    for path, one in zip(paths, results, strict=True):
-        record = {**one.metadata(), "versions": versions(), "provenance": provenance()}
-        write_table(path, one.columns(), record, "estimates", force=force)
+        flight = store.read_flight(path, whole=True)
+        results.append(identify_flight(flight, named or recorded_vehicle(flight, path), settings, name=str(path)))
+    for path, result in zip(paths, results, strict=True):
+        record = {**result.metadata(), "versions": versions(), "provenance": provenance()}
+        store.write_table(path, result.columns(), record, "estimates", force=force)
     return list(zip(paths, results, strict=True))
 
 
@@ -153,13 +129,9 @@ class VehicleIdentification(NamedTuple):
 
 
 def identify_vehicle(
-    flights: Sequence[Flight],
-    names: Sequence[str],
-    vehicle: Vehicle | None = None,
-    settings: FitSettings | None = None,
-    *,
-    samples: Samples | None = None,
-) -> VehicleIdentification:
+    flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle | None = None,
+    settings: FitSettings | None = None, *, samples: Samples | None = None,
+) -> VehicleIdentification:  # fmt: skip
     """Fit, and compare models on held-out flights.
 
     names: one per flight, all different. samples: of these flights, if gathered already; their columns are not needed
@@ -221,178 +193,34 @@ def _other_loss(samples: Samples, settings: FitSettings) -> dict[str, Any]:
     return {"loss": other.loss, "rows": fit_level("linear", samples.thinned(OTHER_LOSS_SAMPLES), other).terms.records()}
 
 
-def write_identification(
-    result: VehicleIdentification, out: Path, *, force: bool = False, figures: bool = True
-) -> dict[str, str]:
-    """Write the checkpoint folder, with figures in it; returns figure name -> file."""
-    report = {**result.report, "versions": versions(), "provenance": provenance()}
-    save_model(out, result.model, report=report, force=force)
-    if not figures:
-        return {}
-    from quadexp.report.model_figures import identification_figures
-    from quadexp.report.style import save
-
-    figures_by_name = identification_figures(result.model, result.samples).items()
-    return {name: str(save(figure, out / "figures" / name, inside=out)) for name, figure in figures_by_name}
-
-
 def identify_flights(
-    paths: Sequence[Path],
-    out: Path,
-    vehicle: Vehicle | None,
-    settings: FitSettings,
-    *,
-    force: bool = False,
-    figures: bool = True,
-    conf: Path | None = None,
-) -> dict[str, Any]:
-    """Read, identify, write. vehicle: None: the one recorded in the flights, if any. Returns the report, with `lines`
-    and `main`, those that matter first.
+    paths: Sequence[Path], out: Path, vehicle: Vehicle | None, settings: FitSettings, *, force: bool = False,
+    figures: bool = True, conf: Path | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Read, identify, write the checkpoint folder with its figures. vehicle: None: the one recorded in the flights, if
+    any. Returns the report, with `lines` and `main`, those that matter first.
 
-    Raises UsageError or DataError before anything is written.
+    Raises UsageError for a file given twice (it would test itself), UsageError or DataError before anything is written.
     """
     from quadexp.report.model_lines import identification_lines, main_lines
 
     check_output(out, force=force, folder=True)
-    names = unique_names(paths)
+    refuse_repeated("identify", [path.resolve() for path in paths])
+    stems = [path.stem for path in paths]
+    names = [path.stem if stems.count(path.stem) == 1 else str(path) for path in paths]
     flights = [read_recorded(path) for path in paths]
     samples = gather_to_fit(flights, settings.signal, names)
     flights = [Flight({"t": flight.t[:1]}, flight.metadata) for flight in flights]  # to free their columns
-    result = identify_vehicle(flights, names, vehicle or own_vehicle(flights[0], conf), settings, samples=samples)
-    files = write_identification(result, out, force=force, figures=figures)
-    lines = identification_lines(result.model, result.report)
-    texts = {"lines": lines, "main": main_lines(result.model, result.report)}
-    return {"method": "regression", "out": out, "figures": files, **result.report, **texts}
+    model, _, report = identify_vehicle(
+        flights, names, vehicle or own_vehicle(flights[0], conf), settings, samples=samples
+    )
+    save_model(out, model, report={**report, "versions": versions(), "provenance": provenance()}, force=force)
+    files = {}
+    if figures:
+        from quadexp.report.model_figures import identification_figures
+        from quadexp.report.style import save
 
-
-def unique_names(paths: Sequence[Path]) -> list[str]:
-    """Stems of the files, or paths where stems repeat. UsageError for a file given twice: it would test itself."""
-    refuse_repeated("identify", [path.resolve() for path in paths])
-    stems = [path.stem for path in paths]
-    return [path.stem if stems.count(path.stem) == 1 else str(path) for path in paths]
-
-
-# --------------------------------------------------------------------------------------------------------- delays
-def identify_delays(
-    paths: Sequence[Path], vehicle: Vehicle | None, conf: Path | None, figure: Path | None = None
-) -> dict[str, Any]:
-    """{"flights": a record of each, "lines": the report}.
-
-    vehicle: None: that recorded in the flights. figure: where to draw the search in the only flight, without suffix.
-    Raises DataError where a flight lacks something, UsageError where its vehicle is not known.
-    """
-    if not paths:
-        raise UsageError("identify: no flight given")
-    if figure is not None and len(paths) > 1:
-        raise UsageError(f"identify --figure: draws one flight, {len(paths)} are given")
-    records, lines = [], list[str]()
-    for path in paths:
-        flight = read_flight(path, whole=True)
-        flown = vehicle or own_vehicle(flight, conf)
-        if flown is None:
-            raise UsageError(f"{path}: its vehicle is not known here; name it: --vehicle NAME")
-        search = Search(moments_of(told(flight, str(path)), flown))
-        found = search.all()
-        if figure is not None:
-            _draw(search, found, flight, figure)
-        settings = overrides(found)
-        records.append({"path": str(path), **asdict(found), "overrides": settings})
-        lines += [f"{path}", *(f"  {line}" for line in report(found)), f"  set: {' '.join(settings) or 'nothing'}"]
-    return {"flights": records, "lines": lines}
-
-
-def _draw(search: Search, found: Delays, flight: Flight, path: Path) -> None:
-    """Write the figure of a search, as SVG and PNG; what draws is slow to import."""
-    from quadexp.report.flight_figures import Profile, delay_figure
-    from quadexp.report.style import save
-
-    profiles = [Profile(*one) for one in candidates_of(search, found)]
-    save(delay_figure(profiles, flight.columns, true_delays(flight)), path)
-
-
-def candidates_of(search: Search, found: Delays) -> list[tuple[str, np.ndarray, np.ndarray, float, float]]:
-    """Of every delay that was looked for: name, candidates (s) where they are likely at all and their log likelihood
-    less the best, what was found and its standard error (s); dead time and lag each with the best of the other."""
-    ages = np.linspace(0.0, LARGEST_AGE, PROFILED)
-    ages = _near(ages, search.age_likelihood(ages))
-    dead_times, lags = (np.linspace(0.0, largest, PROFILED) for largest in LARGEST[:2])
-
-    def likelihood() -> np.ndarray:
-        return np.array([[-search.cost(np.array([d, lag, search.rates_age])) for lag in lags] for d in dead_times])
-
-    rough = likelihood()
-    dead_times, lags = _near(dead_times, rough.max(axis=1)), _near(lags, rough.max(axis=0))
-    fine = likelihood()
-    fine -= fine.max()
-    return [
-        ("age of the state", ages, search.age_likelihood(ages), found.age, found.age_error),
-        ("dead time of the commands", dead_times, fine.max(axis=1), found.dead_time, found.dead_time_error),
-        ("lag of the motors", lags, fine.max(axis=0), found.lag, found.lag_error),
-    ]
-
-
-def _near(candidates: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
-    """As many candidates where these are likely, and beside."""
-    likely = np.flatnonzero(likelihood > likelihood.max() - LIKELY)
-    ends = candidates[max(likely[0] - BESIDE, 0)], candidates[min(likely[-1] + BESIDE, len(candidates) - 1)]
-    return np.linspace(*ends, len(candidates))
-
-
-def true_delays(flight: Flight) -> dict[str, float]:
-    """What the world of a simulated flight states, by the columns of delay=identified (s); empty of other flights."""
-    config = flight.metadata.get("config") or {}
-    places = {"delay_time": ("estimator", "delay"), "delay_dead_time": ("link", "latency")}
-    places |= {"delay_lag": ("actuator", "time_constant_up")}
-    if not all(group in config for group, _ in places.values()):
-        return {}
-    return {name: float(config[group].get(key) or 0.0) for name, (group, key) in places.items()}
-
-
-def told(flight: Flight, name: str) -> Stream:
-    """What the controller of a flight was told and has sent. Raises DataError where the flight does not say."""
-    t = np.asarray(flight.t, float)
-    period = np.diff(t)
-    if len(t) < 2 or np.ptp(period) > EVEN * period.mean():
-        raise DataError(f"{name}: delays are found in samples that are evenly spaced; these are not")
-    if not flight.n_rotors:
-        raise DataError(f"{name}: delays are found from the commands of the rotors (u_0, .. in N), and it has none")
-    missing = [column for column in ACCELEROMETER if column not in flight.columns]
-    if missing:
-        raise DataError(f"{name}: delays are found from the accelerometer, and {', '.join(missing)} are not in it")
-    estimated = tuple(f"est_{column}" for column in STATE_COLUMNS)
-    state = flight.stack(estimated if estimated[0] in flight.columns else STATE_COLUMNS)
-    return Stream(t, state, flight.stack(ACCELEROMETER), flight.input)
-
-
-def report(found: Delays) -> list[str]:
-    """In words, a line each."""
-    lines = [_line("age of position, velocity and attitude", found.age, found.age_error, found.age_known)]
-    if found.age_known and found.age > NOTHING:
-        lines.append(f"the body rates are {'fresh' if found.gyro_fresh else 'as old'}")
-    both = found.commands_known
-    lines.append(_line("dead time of the commands", found.dead_time, found.dead_time_error, both))
-    lines.append(_line("time constant of the motors", found.lag, found.lag_error, both))
-    return lines
-
-
-def _line(name: str, value: float, error: float, known: bool) -> str:
-    if not known:
-        return f"{name}: this flight does not tell (standard error {_ms(error)}); faster turns would"
-    return f"{name}: {_ms(value)}, standard error {_ms(error)}"
-
-
-def overrides(found: Delays) -> list[str]:
-    """The settings that make these delays good, as far as they are known."""
-    settings = list[str]()
-    if found.commands_known:
-        if found.dead_time > NOTHING:
-            settings.append(f"controller.dead_time={found.dead_time:.3f}")
-        if found.lag > NOTHING:
-            settings.append(f"controller.motor_lag={found.lag:.3f}")
-    if found.age_known and found.age > NOTHING:
-        settings += [f"delay={'strapdown' if found.gyro_fresh else 'prediction'}", f"delay.time={found.age:.3f}"]
-    return settings
-
-
-def _ms(time: float) -> str:
-    return f"{1e3 * time:.1f} ms"
+        for name, figure in identification_figures(model, samples).items():
+            files[name] = str(save(figure, out / "figures" / name, inside=out))
+    texts = {"lines": identification_lines(model, report), "main": main_lines(model, report)}
+    return {"method": "regression", "out": out, "figures": files, **report, **texts}

@@ -30,13 +30,9 @@ class Outcome:
 
     def lines(self) -> list[str]:
         """For people: one line on what it became, then what there is to say of it."""
-        head = (
-            f"{self.log.name}: {self.summary} -> {self.path}"
-            if self.path
-            else f"{self.log.name}: NOT IMPORTED: {self.cause}"
-        )
-        findings = [f"  {finding.message}" for finding in self.findings]
-        return [head, *(f"  {note}" for note in self.notes), *findings]
+        head = f"{self.summary} -> {self.path}" if self.path else f"NOT IMPORTED: {self.cause}"
+        notes = [*self.notes, *(finding.message for finding in self.findings)]
+        return [f"{self.log.name}: {head}", *(f"  {note}" for note in notes)]
 
     def record(self) -> dict[str, Any]:
         return {
@@ -46,15 +42,9 @@ class Outcome:
 
 
 def import_files(
-    logs: Sequence[Path],
-    out: Path,
-    options: Options,
-    *,
-    vehicle: str | None = None,
-    conf: Path | None = None,
-    force: bool = False,
-    keep: bool = False,
-) -> Iterator[Outcome]:
+    logs: Sequence[Path], out: Path, options: Options, *, vehicle: str | None = None, conf: Path | None = None,
+    force: bool = False, keep: bool = False,
+) -> Iterator[Outcome]:  # fmt: skip
     """Write <out>/<name of the log>.parquet for every log that can be imported, one after the other.
 
     A log with a blocking finding, and a second log with the content of another, are not written unless `keep`.
@@ -82,42 +72,32 @@ def import_files(
         except (MemoryError, RecursionError) as error:
             yield Outcome(log, cause=f"too large or too deeply nested to read ({type(error).__name__})")
         else:
-            yield _finish(
-                Outcome(log, notes=notes, findings=check_flight(flight, named)), flight, path, seen, keep, force
-            )
+            outcome = Outcome(log, notes=notes, findings=check_flight(flight, named))
+            yield _finish(outcome, flight, path, seen, keep, force)
 
 
-def _finish(one: Outcome, flight: Flight, path: Path, seen: dict[str, str], keep: bool, force: bool) -> Outcome:
+def _finish(outcome: Outcome, flight: Flight, path: Path, seen: dict[str, str], keep: bool, force: bool) -> Outcome:
     """Write the flight, unless something blocks."""
     source = flight.metadata.get("source", {})
-    content = source.get("sha256", str(one.log))
+    content = source.get("sha256", str(outcome.log))
     if content in seen:
-        one.findings.insert(0, _duplicate(seen[content]))
-    blocking = [finding for finding in one.findings if finding.blocks]
+        twin = f"the same bytes as {seen[content]}"
+        outcome.findings.insert(0, Finding("duplicate", "blocking", "the whole file", twin, "every flight once"))
+    blocking = [finding for finding in outcome.findings if finding.blocks]
     if blocking and not keep:
         names = ", ".join(dict.fromkeys(finding.name for finding in blocking))
-        one.cause = f"{names} (below); --keep writes it all the same"
+        outcome.cause = f"{names} (below); --keep writes it all the same"
         if path.exists():  # --force was given: what an earlier import made must not pass for this one
             path.unlink()
-            one.cause += f"; the earlier {path} was removed"
-        return one
-    record = {"findings": [finding.record() for finding in one.findings]} if source else {}
+            outcome.cause += f"; the earlier {path} was removed"
+        return outcome
+    record = {"findings": [finding.record() for finding in outcome.findings]} if source else {}
     write_flight(path, flight, force=force, **record)
-    seen.setdefault(content, one.log.name)
-    one.path, one.summary = path, _summary(flight)
-    return one
-
-
-def _duplicate(twin: str) -> Finding:
-    return Finding("duplicate", "blocking", "the whole file", f"the same bytes as {twin}", "every flight once")
-
-
-def _summary(flight: Flight) -> str:
+    seen.setdefault(content, outcome.log.name)
     t = flight.t
-    source = flight.metadata.get("source", {})
-    text = f"{source.get('format') or 'quadexp'}, {float(t[-1] - t[0]) if len(t) else 0:.1f} s"
-    if "rate" in source:
-        text += f" at {source['rate']:.4g} Hz"
-    if "cropped" in source:
-        text += f" (log {source['cropped'][0]:.1f} to {source['cropped'][1]:.1f} s)"
-    return f"{text}, {len(flight.columns)} columns"
+    rate = f" at {source['rate']:.4g} Hz" if "rate" in source else ""
+    part = " (log {:.1f} to {:.1f} s)".format(*source["cropped"]) if "cropped" in source else ""
+    seconds = float(t[-1] - t[0]) if len(t) else 0.0
+    of = source.get("format") or "quadexp"
+    outcome.path, outcome.summary = path, f"{of}, {seconds:.1f} s{rate}{part}, {len(flight.columns)} columns"
+    return outcome

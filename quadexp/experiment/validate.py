@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,27 +11,18 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace as with_changes
 
-from quadexp.errors import DataError, UsageError
-from quadexp.experiment.build import build_vehicle, load_identified
+from quadexp.errors import UsageError
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.models import validation
+from quadexp.models.checkpoint import load_model
 from quadexp.models.recorded import recorded_dataset
 from quadexp.models.samples import FlightRows, gather, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.torque import TorqueModel, explained, torque_lines
-from quadexp.models.validation import (
-    NOMINAL,
-    TURNING,
-    Predictor,
-    Residuals,
-    Track,
-    band_rows,
-    nominal,
-    predictors,
-    residuals,
-    rollout_errors,
-    score_rows,
-)
+from quadexp.models.validation import Predictor, Track
 from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
@@ -39,21 +31,13 @@ from quadexp.writer import check_output, write_text
 
 HORIZONS = (0.1, 0.5, 1.0)
 REPORT_FILE = "validation.json"
-ProgressCallback = Callable[[float, float], None]
 
 
 def validate(
-    models: Sequence[Path],
-    flights: Sequence[Path],
-    config: Config,
-    *,
-    horizons: Sequence[float] = HORIZONS,
-    leave_one_out: bool = False,
-    out: Path | None = None,
-    figures: bool = True,
-    force: bool = False,
-    progress: ProgressCallback = lambda done, total: None,
-) -> dict[str, Any]:
+    models: Sequence[Path], flights: Sequence[Path], config: Config, *, horizons: Sequence[float] = HORIZONS,
+    leave_one_out: bool = False, out: Path | None = None, figures: bool = True, force: bool = False,
+    progress: Callable[[float, float], None] = lambda done, total: None,
+) -> dict[str, Any]:  # fmt: skip
     """Score the models on the flights; with leave_one_out, each flight by models refitted to all the others.
 
     Returns the report (rows, bands, rollouts, notes, lines, files), also written to `out` if given.
@@ -66,79 +50,70 @@ def validate(
     if out is not None:
         check_output(out, force=force, folder=True)
     vehicle = build_vehicle(config.vehicle)
-    loaded = _load(models, vehicle)
+    refuse_repeated("validate", [Path(path.name) for path in models], "two models are named {path}; rename one folder")
+    loaded = [(path.name, load_model(path, vehicle=vehicle, unknown=True)) for path in models]
+    loaded.sort(key=lambda item: not isinstance(item[1], VehicleModel))  # those that have the thrust curve first
     flown = {path.stem: read_flight(path, whole=True) for path in flights}
     if len(flown) < len(flights):
         raise UsageError("--flights: two of them have the same name")
-    if leave_one_out:
-        if len(flown) < 2:
-            raise UsageError("--leave-one-out: needs at least two flights")
-        folds = [(name, [name], [n for n in flown if n != name]) for name in flown]
-    else:
-        folds = [("", list(flown), [])]
+    if leave_one_out and len(flown) < 2:
+        raise UsageError("--leave-one-out: needs at least two flights")
+    folds = [[name] for name in flown] if leave_one_out else [list(flown)]
     by_predictor: dict[str, list[tuple[Predictor, FlightRows]]] = {}
     notes: list[str] = []
     torques: list[str] = []
-    for done, (_, tested, fitted) in enumerate(folds):
+    for done, tested in enumerate(folds):
         progress(done, len(folds))
-        chosen = loaded
-        if leave_one_out:
-            chosen = refitted(loaded, {name: flown[name] for name in fitted}, vehicle)
+        others = {name: flight for name, flight in flown.items() if name not in tested}
+        chosen = refitted(loaded, others, vehicle) if leave_one_out else loaded
         used, lines = _torque_tested(_predictors(chosen, vehicle), [flown[name] for name in tested], tested, vehicle)
-        torques += [f"{', '.join(tested)}: {line}" if leave_one_out else line for line in lines]
+        torques += [f"{tested[0]}: {line}" if leave_one_out else line for line in lines]
         rows = [read_rows(flown[name], name, used[0].curve.signal, used[0].curve.delay) for name in tested]
-        if not leave_one_out:
-            notes += _seen(used, tested)
         for predictor in used:
-            by_predictor.setdefault(predictor.name, []).extend((predictor, one) for one in rows)
+            by_predictor.setdefault(predictor.name, []).extend((predictor, of_flight) for of_flight in rows)
+            for name in () if leave_one_out else tested:
+                if name in {Path(seen).stem for seen in predictor.seen}:
+                    said = f"warning: {name} is one of the flights that {predictor.name} was fitted to"
+                    notes.append(f"{said}, so this is not a test")
     progress(len(folds), len(folds))
-    found = [residuals(predicted) for predicted in by_predictor.values()]
+    scored = [validation.residuals(predicted) for predicted in by_predictor.values()]
     report: dict[str, Any] = {
-        "models": [str(path) for path in models],
-        "flights": list(flown),
-        "leave_one_out": leave_one_out,
+        "models": [str(path) for path in models], "flights": list(flown), "leave_one_out": leave_one_out,
         "nominal": None if leave_one_out else str(used[0].curve),
-        "rows": score_rows(found, NOMINAL),
-        "bands": band_rows(found),
-        "rollouts": [row for one in by_predictor.values() for row in _rollouts(one, horizons, vehicle)],
-        "torque": torques,
-        "notes": list(dict.fromkeys(notes)),
-        "versions": versions(),
-        "provenance": provenance(),
-    }
+        "rows": validation.score_rows(scored), "bands": validation.band_rows(scored),
+        "rollouts": [row for predicted in by_predictor.values() for row in _rollouts(predicted, horizons, vehicle)],
+        "torque": torques, "notes": list(dict.fromkeys(notes)), "versions": versions(), "provenance": provenance(),
+    }  # fmt: skip
     from quadexp.report.model_lines import validation_lines
 
-    report["lines"] = validation_lines(report)
-    report["files"] = _write(report, found, out, figures, force) if out is not None else {}
-    return report
+    lines, files = validation_lines(report), {}
+    if out is not None:
+        files["report"] = str(out / REPORT_FILE)
+        write_text(out / REPORT_FILE, json.dumps(report, indent=1, default=str) + "\n", force=force)
+        if figures:
+            from quadexp.report.model_figures import validation_figures
+            from quadexp.report.style import save
 
-
-def _load(paths: Sequence[Path], vehicle: Vehicle) -> list[tuple[str, Any]]:
-    """Label and checkpoint of every model; identified vehicles first, because they have the thrust curve."""
-    loaded = [(path.name, load_identified(path, vehicle)) for path in paths]
-    labels = [label for label, _ in loaded]
-    twice = next((label for label in labels if labels.count(label) > 1), None)
-    if twice:
-        raise UsageError(f"validate: two models are named {twice}; rename the folder of one")
-    return sorted(loaded, key=lambda item: not isinstance(item[1], VehicleModel))
+            files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report).items()}
+    return {**report, "lines": lines, "files": files}
 
 
 def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Predictor]:
     """All predictors, nominal first, with unique names where several identified vehicles are compared."""
     curve: ThrustCurve | None = None
     torque: TorqueModel | None = None
-    made: list[Predictor] = []
+    all_of_them: list[Predictor] = []
     several = sum(isinstance(model, VehicleModel) for _, model in loaded) > 1
     for label, model in loaded:
-        for one in predictors(model, label, vehicle, curve):
-            if several and isinstance(model, VehicleModel):
-                one = replace(one, name=f"{label}: {one.name}")
-            made.append(replace(one, torque=one.torque or torque))
+        for predictor in validation.predictors(model, label, vehicle, curve):
+            prefix = f"{label}: " if several and isinstance(model, VehicleModel) else ""
+            named = replace(predictor, name=f"{prefix}{predictor.name}", torque=predictor.torque or torque)
+            all_of_them.append(named)
         curve = curve or getattr(model, "thrust", None)
         torque = torque or getattr(model, "torque", None)
-    if all(one.name != NOMINAL for one in made):
-        made.insert(0, nominal(made[0].curve, made[0].seen))
-    return made
+    if all(predictor.name != validation.NOMINAL for predictor in all_of_them):
+        all_of_them.insert(0, validation.nominal(all_of_them[0].curve, all_of_them[0].seen))
+    return all_of_them
 
 
 def _torque_tested(
@@ -151,25 +126,19 @@ def _torque_tested(
     result: list[Predictor] = []
     lines: list[str] = []
     tested: dict[int, TorqueModel] = {}  # by id of the torque model, which several predictors share
-    for one in candidates:
-        model = one.torque
+    for predictor in candidates:
+        model = predictor.torque
         if model is not None and id(model) not in tested:
-            samples = gather(flights, one.curve.signal, names).delayed(one.curve.delay)
-            share = explained(model, samples, vehicle, one.curve)
+            samples = gather(flights, predictor.curve.signal, names).delayed(predictor.curve.delay)
+            share = explained(model, samples, vehicle, predictor.curve)
             passed = model if share is None else with_changes(model, share_low=np.minimum(model.share_low, share))
             tested[id(model)] = passed
-            lines += _torque_lines(model, share)
-        result.append(one if model is None else replace(one, torque=tested[id(model)]))
+            for i, line in enumerate(torque_lines(model)):
+                here = "" if share is None else f"; {100 * share[i]:.0f} % of it here"
+                rejected = model.used[i] and share is not None and share[i] <= 0
+                lines.append(line + here + (": not better than zero, rejected" if rejected else ""))
+        result.append(predictor if model is None else replace(predictor, torque=tested[id(model)]))
     return result, lines
-
-
-def _torque_lines(model: TorqueModel, share: np.ndarray | None) -> list[str]:
-    lines = []
-    for i, line in enumerate(torque_lines(model)):
-        here = "" if share is None else f"; {100 * share[i]:.0f} % of it here"
-        rejected = model.used[i] and share is not None and share[i] <= 0
-        lines.append(line + here + (": not better than zero, rejected" if rejected else ""))
-    return lines
 
 
 def refitted(
@@ -179,24 +148,20 @@ def refitted(
 
     A GP is fitted with the first identified vehicle's thrust curve, or with one fitted here.
     """
-    made: list[tuple[str, Any]] = []
+    fresh: list[tuple[str, Any]] = []
     curve: ThrustCurve | None = None
+    names, given = list(flights), list(flights.values())
     for label, model in loaded:
         if isinstance(model, VehicleModel):
-            fresh: Any = fit_vehicle_model(
-                list(flights.values()),
-                vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None,
-                _settings(model, len(flights)),
-                names=list(flights),
-            )
-            curve = curve or fresh.thrust
+            known = vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None
+            again: Any = fit_vehicle_model(given, known, _settings(model, len(flights)), names=names)
+            curve = curve or again.thrust
         else:
             if curve is None:
-                curve = fit_vehicle_model(list(flights.values()), None, names=list(flights)).thrust
-            rows = recorded_dataset(list(flights.values()), vehicle, curve, names=list(flights))
-            fresh = model.refitted(rows)
-        made.append((label, fresh))
-    return made
+                curve = fit_vehicle_model(given, None, names=names).thrust
+            again = model.refitted(recorded_dataset(given, vehicle, curve, names=names))
+        fresh.append((label, again))
+    return fresh
 
 
 def _settings(model: VehicleModel, flights: int) -> FitSettings:
@@ -213,44 +178,15 @@ def _settings(model: VehicleModel, flights: int) -> FitSettings:
     )  # fmt: skip
 
 
-def _seen(made: Sequence[Predictor], tested: Sequence[str]) -> list[str]:
-    """A warning for every flight that a model was fitted to."""
-    notes = []
-    for one in made:
-        fitted = {Path(name).stem for name in one.seen}
-        for name in tested:
-            if name in fitted:
-                notes.append(
-                    f"warning: {name} is one of the flights that {one.name} was fitted to, so this is not a test"
-                )
-    return notes
-
-
 def _rollouts(
     predicted: Sequence[tuple[Predictor, FlightRows]], horizons: Sequence[float], vehicle: Vehicle
 ) -> list[dict[str, Any]]:
     """Open loop with measured attitude; with all 13 states too where the log has a signal per rotor."""
-    tracks = [Track(one, predictor, vehicle.gravity) for predictor, one in predicted]
-    records = [row for tracked in (False, True) for row in rollout_errors(tracks, horizons, tracked=tracked)]
+    tracks = [Track(rows, predictor, vehicle.gravity) for predictor, rows in predicted]
+    records = [row for tracked in (False, True) for row in validation.rollout_errors(tracks, horizons, tracked=tracked)]
     curves = [predictor.curve for predictor, _ in predicted]
     if all(curve.signal != "thrust_acceleration" and curve.rotors == vehicle.n_rotors for curve in curves):
-        for mode in TURNING:
+        for mode in validation.TURNING:
             turned = [track for track in tracks if mode != "torque" or track.predictor.torque is not None]
-            records += rollout_errors(turned, horizons, tracked=True, vehicle=vehicle, mode=mode)
+            records += validation.rollout_errors(turned, horizons, tracked=True, vehicle=vehicle, mode=mode)
     return records
-
-
-def _write(report: dict[str, Any], found: Sequence[Residuals], out: Path, figures: bool, force: bool) -> dict[str, str]:
-    import json
-
-    record = {key: value for key, value in report.items() if key not in ("lines", "files")}
-    files = {"report": str(out / REPORT_FILE)}
-    write_text(out / REPORT_FILE, json.dumps(record, indent=1, default=str) + "\n", force=force)
-    if figures:
-        from quadexp.report.model_figures import validation_figures
-        from quadexp.report.style import save
-
-        files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report).items()}
-    if not record["rows"]:
-        raise DataError("validate: no rows")
-    return files

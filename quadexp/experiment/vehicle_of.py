@@ -17,7 +17,7 @@ from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
 def own_vehicle(flight: Flight, conf: Path | None = None) -> Vehicle | None:
     """The vehicle described in a flight's metadata, or named there if the configuration's is identical; else None."""
     if (flight.metadata.get("config") or {}).get("vehicle"):
-        return recorded_vehicle(flight, Path(str(flight.metadata.get("name", "flight"))))
+        return recorded_vehicle(flight, Path("flight"))
     record = flight.metadata.get("vehicle") or {}
     try:
         named = vehicle_named(str(record["name"]), conf) if record.get("name") else None
@@ -51,21 +51,18 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Pat
 
     flown = {str(path): dict(read_metadata(path).get("vehicle") or {}) for path in flights}
     named = {path: record for path, record in flown.items() if record.get("fingerprint")}
-    fingerprints = {record["fingerprint"] for record in named.values()}
-    if len(fingerprints) > 1:
-        names = ", ".join(sorted({f"{record.get('name')} ({record['fingerprint']})" for record in named.values()}))
-        raise DataError(f"the flights are of different vehicles: {names}")
+    words = sorted({f"{record.get('name')} ({record['fingerprint']})" for record in named.values()})
+    if len({record["fingerprint"] for record in named.values()}) > 1:
+        raise DataError(f"the flights are of different vehicles: {', '.join(words)}")
     values = list(overrides)
+    path, record = next(iter(named.items()), ("", {}))
     if named and not any(text.startswith("vehicle=") for text in values):
-        values.insert(0, f"vehicle={next(iter(named.values()))['name']}")
+        values.insert(0, f"vehicle={record['name']}")
     config = compose(values, conf)
     vehicle = build_vehicle(config.vehicle)
-    if fingerprints and vehicle.fingerprint not in fingerprints:
-        path, record = next(iter(named.items()))
-        raise DataError(
-            f"{path}: flown by vehicle {record.get('name')} ({record['fingerprint']}), the configuration has"
-            f" {vehicle.name} ({vehicle.fingerprint}): pass the vehicle=... it was imported with"
-        )
+    if named and vehicle.fingerprint != record["fingerprint"]:
+        has = f"the configuration has {vehicle.name} ({vehicle.fingerprint})"
+        raise DataError(f"{path}: flown by vehicle {words[0]}, {has}: pass the vehicle=... it was imported with")
     return config
 
 

@@ -83,8 +83,7 @@ def _record(flight: Flight, path: Path, rr: Any) -> None:
         index = [rr.TimeColumn("t", duration=flight.t)]
         poses = rr.Transform3D.columns(translation=flown, quaternion=flight.stack(POSE[3:]))
         stream.send_columns("world/drone", index, poses)
-        rotors = flight.metadata.get("config", {}).get("vehicle", {}).get("rotor_position")
-        arm = float(np.linalg.norm(rotors, axis=1).max()) if rotors else 0.25  # m
+        arm = float(np.linalg.norm(flight.rotor_position, axis=1).max())  # m
         body = [[[arm, 0, 0], [-arm, 0, 0]], [[0, arm, 0], [0, -arm, 0]], [[0, 0, 0], [0, 0, arm]]]
         stream.log("world/drone/body", rr.LineStrips3D(body, colors=[BLUE]), static=True)
         if "ref_p_x" in flight.columns:
@@ -123,9 +122,8 @@ def export_flight(
     if form not in FORMATS:
         raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
     suffix, write = FORMATS[form]
-    source = Path(flight)
+    source, loaded = Path(flight), read_flight(flight)
     target = Path(out) if out is not None else source.with_suffix(suffix)
-    loaded = read_flight(source)
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
     check_output(target, force=force)

@@ -25,6 +25,7 @@ class Column(NamedTuple):
 
 
 Columns = dict[str, Column]
+SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]  # m, unless recorded
 _AXES = "xyz"
 
 
@@ -76,6 +77,7 @@ FLIGHT_COLUMNS: Columns = {
     **_each("load", "m", "world", "position of the payload on its cable"),
     "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
     "battery_voltage": Column("V", "", "voltage of the battery"),
+    "est_battery_voltage": Column("V", "", "voltage of the battery, as a sensor reads it"),
     "battery_current": Column("A", "", "current that is drawn from the battery"),
     "state_of_charge": Column("1", "", "charge left in the battery, of the full one"),
 }
@@ -213,6 +215,7 @@ _OF_ROTORS = {  # of columns with the number of a rotor behind
     "u": Column("N", "body", "commanded static rotor thrust"),
     "ref_u": Column("N", "body", "reference static rotor thrust"),
     "rotor_speed": Column("rad/s", "", "rotor speed"),
+    "est_rotor_speed": Column("rad/s", "", "rotor speed, as the controller was told it"),
     "delivered": Column("N", "body", "static thrust that the rotor delivers"),
     "motor_command": Column("1", "", "normalised command of the motor, 0 to 1"),
     "induced_velocity": Column("m/s", "body", "induced velocity through the rotor, downwards"),
@@ -224,6 +227,8 @@ def describe(name: str, kind: str = "flight") -> Column:
     known = _BY_KIND.get(kind, {}).get(name)
     if known is not None:
         return known
+    if name.startswith("taken_"):
+        return Column("s", "", f"when the reading of the {name.removeprefix('taken_')} was taken that is told")
     quantity, _, rotor = name.rpartition("_")
     return _OF_ROTORS.get(quantity if rotor.isdecimal() else "", Column("", "", ""))
 
@@ -289,6 +294,12 @@ class Flight:
 
         attitude, velocity = (tuple(f"{name}_{axis}" for axis in axes) for name, axes in (("q", "wxyz"), ("v", _AXES)))
         return np.asarray(air_velocity(self.stack(attitude), self.stack(velocity), self.wind))
+
+    @property
+    def rotor_position(self) -> np.ndarray:
+        """Of the rotors in the body, (n, 3) (m), as the vehicle's record has them; else of any small vehicle."""
+        vehicle = self.metadata.get("config", {}).get("vehicle") or {}
+        return np.array(vehicle.get("rotor_position") or SOME_ROTORS, float)
 
     @property
     def reference_state(self) -> np.ndarray:

@@ -23,7 +23,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, get_type_hints
 import msgspec
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, UsageError
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import Adapting
 from quadexp.models.residual import VELOCITY, Residual
@@ -32,7 +32,6 @@ from quadexp.physics.vehicle import Vehicle
 
 Callback = Callable[[str, float], None]  # told a message and the completed share, 0 .. 1
 SPEED = "speed"  # norm of the body velocity, m/s
-REPORTED_SHARE = 0.01  # least share of samples outside that is reported for a flight
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0)]
@@ -42,21 +41,16 @@ HOLDOUT = Setting("share of the flights held out of the fit, on which it is repo
 
 
 class Shape(NamedTuple):
-    """Shape of an array, such as "alpha features" or "powers | rotors powers", as an annotation of its field.
+    """Shape of an array, such as "alpha features", as an annotation of its field.
 
-    A word is a number, or a field of the same record: its value if it is a number, else its length.
+    A word is a number, or a field of the same record: its length.
     """
 
     text: str
 
-    def of(self, record: Any) -> list[tuple[int, ...]]:
-        """The shapes that are allowed."""
-
-        def length(word: str) -> int:
-            value = int(word) if word.isdigit() else getattr(record, word)
-            return value if isinstance(value, int) else len(value)
-
-        return [tuple(map(length, shape.split())) for shape in self.text.split("|")]
+    def of(self, record: Any) -> tuple[int, ...]:
+        """The shape that is needed."""
+        return tuple(int(word) if word.isdigit() else len(getattr(record, word)) for word in self.text.split())
 
 
 Three = Annotated[np.ndarray, Shape("3")]  # one number per axis
@@ -75,8 +69,8 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         for name, shape in _shapes(type(self)).items():
             array = getattr(self, name)
-            if array is not None and np.shape(array) not in (allowed := shape.of(self)):
-                raise ValueError(f"{name} is of shape {np.shape(array)}; {' or '.join(map(str, allowed))} is needed")
+            if array is not None and np.shape(array) != (needed := shape.of(self)):
+                raise ValueError(f"{name} is of shape {np.shape(array)}; {needed} is needed")
 
 
 def quiet(message: str, done: float) -> None:
@@ -147,6 +141,11 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         Raises UsageError where it holds no such part.
         """
         raise NotImplementedError
+
+    def require(self, part: str, source: str) -> None:
+        """Raise UsageError where a part is asked for that is not the only one."""
+        if part not in ("best", self.kind, self.kind.removesuffix("_drag")):
+            raise UsageError(f"{source}: holds {self.kind}, not '{part}'")
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
         """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit."""

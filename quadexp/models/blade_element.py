@@ -205,10 +205,8 @@ def _force_function(vehicle: Vehicle) -> ca.Function:
     equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
     slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), equation.derivative(induced, theta))
-    solved = ca.substitute(
-        [force / vehicle.mass, ca.densify(slope) / vehicle.mass], [induced], [safe_newton(equation, SAFE_ITERATIONS)]
-    )
-    return ca.Function("specific_force", [v, w, theta], ca.cse(solved))
+    results, solution = [force / vehicle.mass, ca.densify(slope) / vehicle.mass], safe_newton(equation, SAFE_ITERATIONS)
+    return ca.Function("specific_force", [v, w, theta], ca.cse(ca.substitute(results, [induced], [solution])))
 
 
 @dataclass(frozen=True)
@@ -259,13 +257,12 @@ class Identification:
             offset = ", ".join(f"{value:.4f}" for value in self.fit.offset)
             lines.append(f"  all samples at once, with the accelerometer bias ({offset} m/s^2)")
         for name, value in record["estimates"].items():
-            text = f"  {name:<5} {value:9.5f}, no interval"
+            about = ", no interval"
             if self.fit is not None:
                 low, high = self.fit.interval(name)
-                ends = f"recursion ends at {record['recursion'][name]:.5f}"
-                text = f"  {name:<5} {value:9.5f}   95 % interval {low:.5f} to {high:.5f}   {ends}"
+                about = f"   95 % interval {low:.5f} to {high:.5f}   recursion ends at {record['recursion'][name]:.5f}"
             clips = record["clips"][name]
-            lines.append(f"{text}   clipped on {clips} samples" if clips else text)
+            lines.append(f"  {name:<5} {value:9.5f}{about}" + (f"   clipped on {clips} samples" if clips else ""))
         if self.note:
             lines.append(f"  no intervals: {self.note}")
         if self.skipped:

@@ -45,26 +45,19 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     return write_folder(path, files, force=force)
 
 
-def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
+def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: bool = False) -> Any:
     """Read a checkpoint directory (or its model.json).
 
-    vehicle: for which it must have been fitted; None: any.
+    vehicle: for which it must have been fitted; None: any. unknown: also one of flights that do not say their vehicle.
     Raises UsageError where there is none, DataError where it is damaged, of another schema, or for another vehicle.
     """
     path = Path(path)
     file = path / MODEL_FILE if path.is_dir() or path.suffix != ".json" else path
     if not file.is_file():
         raise UsageError(f"{path}: no model there; make one with {COMMANDS.format(path=path)}")
-    try:
-        size = file.stat().st_size
-        if size > LARGEST:
-            raise DataError(f"{file}: has {size / 1e6:.0f} MB, a model has {LARGEST / 1e6:.0f} MB at most")
-        document = msgspec.json.decode(file.read_bytes())
-        schema, digest, payload = document["schema"], document["sha256"], document["payload"]
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DataError(f"{file}: damaged, or not a model of quadexp ({_line(error)}); fit it again") from None
+    document = _decoded(file)
+    schema, digest = document.get("schema"), document.get("sha256")
+    payload: Any = document.get("payload")
     if schema not in (1, SCHEMA):
         raise DataError(f"{file}: has schema {schema}, this program reads schema {SCHEMA}; fit it again")
     if _hash(payload) != digest:
@@ -79,10 +72,10 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
         raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None
     if vehicle is not None:
         fitted = model.vehicle.get("fingerprint")
-        if fitted != vehicle.fingerprint:
+        if fitted != vehicle.fingerprint and not (unknown and fitted is None):
             raise DataError(
-                f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({fitted}), not for"
-                f" '{vehicle.name}' ({vehicle.fingerprint}); fit it again from this vehicle's flights"
+                f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({fitted}), not for '{vehicle.name}'"
+                f" ({vehicle.fingerprint}): pass the vehicle=... of its flights, or fit it again from this vehicle's"
             )
     return model
 
@@ -90,12 +83,20 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
 def load_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a checkpoint directory, {} if it has none."""
     file = Path(path) / REPORT_FILE
+    return _decoded(file) if file.is_file() else {}
+
+
+def _decoded(file: Path) -> dict[str, Any]:
+    """What a JSON file holds. Raises UsageError where it cannot be read, DataError where it is damaged."""
     try:
-        return msgspec.json.decode(file.read_bytes(), type=dict[str, Any]) if file.is_file() else {}
-    except (ValueError, RecursionError) as error:
-        raise DataError(f"{file}: damaged ({_line(error)})") from None
+        size = file.stat().st_size
+        if size > LARGEST:
+            raise DataError(f"{file}: has {size / 1e6:.0f} MB, a model has {LARGEST / 1e6:.0f} MB at most")
+        return msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{file}: damaged, or not a model of quadexp ({_line(error)}); fit it again") from None
 
 
 def _line(error: Exception) -> str:

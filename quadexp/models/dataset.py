@@ -122,13 +122,13 @@ class ResidualDataset(NamedTuple):
     def summary(self) -> dict[str, Any]:
         """Record of the data for a checkpoint: hash, rows, flights, seconds, frame; timing and known noise where they
         are not those of a clean flight; for recorded flights also names, target and thrust curve."""
-        recorded = {key: self.metadata[key] for key in ("target", "thrust") if key in self.metadata}
-        timing = {key: self.metadata[key] for key in ("timing", "known_noise") if self.metadata.get(key)}
-        if recorded:
-            recorded["names"] = sorted(set(map(str, self.columns["flight_name"])))
+        names = ("timing", "known_noise", "target", "thrust")
+        record = {key: self.metadata[key] for key in names if self.metadata.get(key)}
+        if "target" in record:
+            record["names"] = sorted(set(map(str, self.columns["flight_name"])))
         duration = float(np.sum(self.columns["dt"])) if "dt" in self.columns else None
-        record = {"sha256": self.sha256, "rows": self.n_rows, "flights": len(self.flights), "duration": duration}
-        return timing | recorded | record | {"frame": self.metadata.get("frame")}
+        record |= {"sha256": self.sha256, "rows": self.n_rows, "flights": len(self.flights), "duration": duration}
+        return record | {"frame": self.metadata.get("frame")}
 
 
 def transitions(
@@ -176,11 +176,14 @@ def transitions(
         torque = torque + dt[:, None] / 2 * gyroscopic
 
     columns = {"t": (t[k] + dt / 2 if frame == "midpoint" else t[k]), "dt": dt}
-    for prefix, values in (("v", velocity), ("w", point[:, RATE]), ("a", acceleration), ("tau", torque)):
-        columns |= {f"{prefix}_{axis}": values[:, i].copy() for i, axis in enumerate(AXES)}
+    columns |= by_axis(v=velocity, w=point[:, RATE], a=acceleration, tau=torque)
     columns |= {column: u[:, i].copy() for i, column in enumerate(inputs)}
-    columns[THRUST] = u.sum(axis=1)
-    return columns
+    return columns | {THRUST: u.sum(axis=1)}
+
+
+def by_axis(**vectors: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns NAME_x, NAME_y, NAME_z, (k,) each, of vectors (k, 3) by name."""
+    return {f"{name}_{a}": values[:, i].copy() for name, values in vectors.items() for i, a in enumerate(AXES)}
 
 
 def residual_dataset(
@@ -192,7 +195,7 @@ def residual_dataset(
     names: see `joined`. thrusts: of every flight those between its samples, see `transitions`; None: as commanded.
     Raises DataError for a flight of another vehicle, and where there is no transition.
     """
-    delivered = iter(thrusts if thrusts is not None else repeat(None, len(flights)))
+    delivered = iter(thrusts) if thrusts else repeat(None)
 
     def table_of(flight: Flight, name: str) -> dict[str, np.ndarray]:
         try:
@@ -206,14 +209,14 @@ def residual_dataset(
     for record, flight in zip(records, flights, strict=True):
         record["left_out"] = max(len(np.asarray(flight.columns["t"])) - 1, 0) - record["rows"]
         record["seed"] = flight.metadata.get("seed")
-    vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
-    return ResidualDataset(columns, {"vehicle": vehicle_record, "frame": frame, "flights": records})
+    return ResidualDataset(columns, {"vehicle": vehicle.record, "frame": frame, "flights": records})
 
 
 def as_told(flight: Flight) -> Flight:
     """The flight with the estimate that its controller was told, est_p_x .., in place of the truth where it has one."""
-    told = {name: flight.columns[f"est_{name}"] for name in STATE_COLUMNS if f"est_{name}" in flight.columns}
-    return replace(flight, columns={**flight.columns, **told}) if told else flight
+    columns = flight.columns
+    estimate = {name: columns[f"est_{name}"] for name in STATE_COLUMNS if f"est_{name}" in columns}
+    return replace(flight, columns={**columns, **estimate}) if estimate else flight
 
 
 def joined(
@@ -235,8 +238,8 @@ def joined(
         rows = len(table["t"])
         tables.append({"flight": np.full(rows, index, np.int32), "flight_name": np.full(rows, name, object)} | table)
         records.append({"name": name, "rows": rows})
-    names_of_columns = tables[0] if tables else ()
-    return {column: np.concatenate([table[column] for table in tables]) for column in names_of_columns}, records
+    columns = tables[0] if tables else ()
+    return {column: np.concatenate([table[column] for table in tables]) for column in columns}, records
 
 
 def name_of(flight: Flight, index: int) -> str:
@@ -324,10 +327,8 @@ def read_dataset(path: str | Path) -> ResidualDataset:
 
 def feature_rows(velocity: np.ndarray, rate: np.ndarray, thrust: np.ndarray) -> ResidualDataset:
     """Features as a data set: velocity (m/s) and rate (rad/s), (k, 3), rotor thrusts, (k, n) (N)."""
-    columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate(AXES)}
-    columns |= {f"w_{axis}": rate[:, i] for i, axis in enumerate(AXES)}
-    columns |= {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
-    return ResidualDataset(columns | {"thrust": thrust.sum(axis=1), "flight": np.zeros(len(velocity), int)}, {})
+    columns = by_axis(v=velocity, w=rate) | {f"u_{i}": u for i, u in enumerate(thrust.T)}
+    return ResidualDataset(columns | {THRUST: thrust.sum(axis=1), "flight": np.zeros(len(velocity), int)}, {})
 
 
 def known_noise(

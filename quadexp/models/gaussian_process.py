@@ -45,16 +45,10 @@ from quadexp.models.base import (
     require_variation,
 )
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.linear_drag import (
-    N_PARAMETERS,
-    LinearDrag,
-    constant_mean,
-    fit_linear_drag,
-    linear_drag_acceleration,
-)
+from quadexp.models.linear_drag import N_PARAMETERS, LinearDrag, baseline, constant_mean, linear_drag_acceleration
 from quadexp.models.neural import one_thread
 from quadexp.models.online import Adapting, Block
-from quadexp.models.recorded import has_thrust_scale, with_common_scale
+from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, check_features, feature_names, feature_places
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
@@ -102,9 +96,6 @@ class GPFeatures(Settings):
     def of_output(self) -> dict[str, tuple[str, ...]]:
         """Output -> features (B_z), of the outputs that are corrected (B_d)."""
         return {output: getattr(self, output) for output in OUTPUTS if getattr(self, output)}
-
-
-DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
 
 
 DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
@@ -222,8 +213,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         return value
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        if part not in ("best", "gaussian_process"):
-            raise UsageError(f"{source}: holds a Gaussian process, not '{part}'")
+        self.require(part, source)
         parameters = None if self.mean is None else self.mean.parameters
         terms = self.mean.structure if isinstance(self.mean, TermMean) else None
         return gaussian_process_residual(vehicle, self.outputs, parameters, source, mean_terms=terms)
@@ -285,8 +275,7 @@ def gaussian_process_residual(
         results = assemble(z_, mean_, scale_, ca.vertcat(*values), ca.vertcat(*slopes))
         return ca.Function("residual_gaussian_process", [z_, theta_], [*results], ["z", "theta"], ["y", "dy_dz"])
 
-    function, to_compile = posterior_mean(_matrix_sums), posterior_mean(_compiled_sums)
-    return Residual("gaussian_process", function, theta, source, to_compile)
+    return Residual("gaussian_process", posterior_mean(_matrix_sums), theta, source, posterior_mean(_compiled_sums))
 
 
 def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
@@ -303,20 +292,18 @@ def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, a
 
 def _compiled_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
     """As _matrix_sums, by gp_sums.c, one call per output."""
-    shapes = [(m, len(features)) for _, features, m in structure]
+    shapes, dense = [(m, len(features)) for _, features, m in structure], ca.Sparsity.dense
+    kernels = {
+        (m, d): handwritten(
+            f"gp_sums_{m}_{d}", SUMS, {"POINTS": m, "FEATURES": d},
+            {"feature": dense(d), "points": dense(m * d), "alpha": dense(m)}, {"value": dense(1), "slope": dense(d)},
+        )
+        for m, d in shapes
+    }  # fmt: skip
     sizes = [d for _, d in shapes], [m * d for m, d in shapes], [m for m, _ in shapes]
     arguments = zip(*map(_split, (scaled, points, alpha), sizes), strict=True)
-    kernels = {shape: _sums_function(*shape) for shape in shapes}
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
     return [value for value, _ in results], [slope for _, slope in results]
-
-
-def _sums_function(m: int, d: int) -> ca.Function:
-    """(scaled features (d,), scaled points (m d,), alpha (m,)) -> (alpha k) 1, (alpha k)^T d of one output."""
-    scalar, feature, alpha, points = (ca.Sparsity.dense(size, 1) for size in (1, d, m, m * d))
-    inputs = {"feature": feature, "points": points, "alpha": alpha}
-    sizes = {"POINTS": m, "FEATURES": d}
-    return handwritten(f"gp_sums_{m}_{d}", SUMS, sizes, inputs, {"value": scalar, "slope": feature})
 
 
 def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
@@ -379,11 +366,13 @@ def fit_gp(
     if dataset.n_rows < settings.inducing:
         few = f"gp.inducing: {settings.inducing} points from {dataset.n_rows} rows"
         raise DataError(f"{few}; collect more, or ask for fewer points")
-    scaled = with_common_scale(dataset)
+    drag, scaled = baseline(dataset, intervals=intervals), with_common_scale(dataset)
     dataset = scaled.dataset
-    # Under a thrust curve the thrust term would duplicate the curve's scale.
-    drag = fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=intervals)
-    mean = _prior_mean(dataset, settings, drag)
+    mean: LinearDrag | TermMean | None = drag if settings.mean == "linear_drag" else None
+    if settings.mean in MEANS:
+        mean = fit_term_mean(dataset, settings.mean)
+    elif settings.mean == "constant":
+        mean = constant_mean(dataset.matrix(list(AXIS)).mean(axis=0))
     prior = None if mean is None else mean.acceleration(dataset)
     earlier = {posterior.output: posterior for posterior in start.outputs} if start else {}
     posteriors: list[OutputPosterior] = []
@@ -399,18 +388,9 @@ def fit_gp(
             before = earlier.get(output)
             fitted = fit_output(dataset.matrix(features), target, settings, iterations, rng, before, report)
             posterior = OutputPosterior(output, features, *fitted)
-            if output == "a_z":
-                posterior = replace(posterior, noise_variance=posterior.noise_variance + scaled.variance)
-            posteriors.append(posterior)
+            spread = scaled.variance if output == "a_z" else 0.0
+            posteriors.append(replace(posterior, noise_variance=posterior.noise_variance + spread))
     callback("fit done", 1.0)
     stated = origin(dataset, [name for names in chosen.values() for name in names], settings, LIBRARIES)
     stated["settings"]["features"] = lists(chosen)
     return GPModel(tuple(posteriors), mean, drag, **stated)
-
-
-def _prior_mean(dataset: ResidualDataset, settings: GPConfig, drag: LinearDrag) -> LinearDrag | TermMean | None:
-    if settings.mean in MEANS:
-        return fit_term_mean(dataset, settings.mean)
-    if settings.mean == "constant":
-        return constant_mean(dataset.matrix(["a_x", "a_y", "a_z"]).mean(axis=0))
-    return drag if settings.mean == "linear_drag" else None

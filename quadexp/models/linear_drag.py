@@ -23,11 +23,10 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
-from quadexp.errors import UsageError
 from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
-from quadexp.models.recorded import with_common_scale
+from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Part
@@ -104,8 +103,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         return {output: Prediction(mean[:, i], None, self.residual_std[i] ** 2) for output, i in AXIS.items()}
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        if part not in ("best", "linear"):
-            raise UsageError(f"{source}: holds linear drag, not '{part}'")
+        self.require(part, source)
         return linear_drag_residual(vehicle, self.drag, self.intercept, self.thrust_gain, source=source)
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
@@ -114,13 +112,12 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
 
     @classmethod
     def fit(cls, rows: ResidualDataset, settings: DragConfig, *, intervals: bool = True, **_: Any) -> LinearDrag:
-        return fit_linear_drag(
-            rows, intercept=settings.intercept, thrust=settings.thrust, loss=settings.loss, intervals=intervals
-        )
+        how = {name: getattr(settings, name) for name in ("intercept", "thrust", "loss")}
+        return fit_linear_drag(rows, **how, intervals=intervals)
 
     def refitted(self, rows: ResidualDataset) -> LinearDrag:
-        """See Model.refitted; without the thrust, whose scale the flights have in common."""
-        return fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=self.loss, intervals=False)
+        """See Model.refitted."""
+        return baseline(rows, loss=self.loss, intervals=False)
 
     @property
     def summary(self) -> str:
@@ -150,15 +147,14 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         return "no interval: fitted by an older version, which treated rows as independent; fit it again"
 
     def __str__(self) -> str:
+        def term(name: str, value: float, half: float, digits: int, unit: str) -> str:
+            ends = f" [{value - half:.{digits}f}, {value + half:.{digits}f}]" if np.isfinite(half) else ""
+            return f"{name} {value:.{digits}f}{ends} {unit}"
+
         half = self.half_width
-        terms = [f"d_{a} {self.drag[i]:.4f}{_ends(self.drag[i], half[i], 4)} 1/s" for i, a in enumerate(AXES)]
-        if self.thrust_gain:
-            terms.append(f"kappa {self.thrust_gain:.5f}{_ends(self.thrust_gain, half[6], 5)} 1/kg")
+        terms = [term(f"d_{axis}", self.drag[i], half[i], 4, "1/s") for i, axis in enumerate(AXES)]
+        terms += [term("kappa", self.thrust_gain, half[6], 5, "1/kg")] if self.thrust_gain else []
         return f"{', '.join(terms)} ({self.label})"
-
-
-def _ends(value: float, half: float, digits: int) -> str:
-    return f" [{value - half:.{digits}f}, {value + half:.{digits}f}]" if np.isfinite(half) else ""
 
 
 def linear_drag_acceleration(features: Expression, theta: Expression) -> Expression:
@@ -180,12 +176,10 @@ def linear_drag_residual(
 
 def adapting_drag(vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
     """The residual of linear drag with parameters that adapt. deviation: s of quadexp.models.online, m/s^2."""
-    thrust = vehicle.mass * vehicle.gravity
-    typical = {0: [TYPICAL_SPEED, 1.0], 1: [TYPICAL_SPEED, 1.0], 2: [TYPICAL_SPEED, 1.0, thrust]}
-    blocks = []
-    for axis, sizes in typical.items():
-        at = np.array([axis, 3 + axis, 6])[: len(sizes)]
-        blocks.append(Block(axis, at, residual.theta[at], deviation * np.diag(1 / np.array(sizes))))
+    typical, blocks = np.array([TYPICAL_SPEED, 1.0, vehicle.mass * vehicle.gravity]), []
+    for axis, count in enumerate((2, 2, 3)):
+        at = np.array([axis, 3 + axis, 6])[:count]
+        blocks.append(Block(axis, at, residual.theta[at], deviation * np.diag(1 / typical[:count])))
     return Adapting(residual, tuple(blocks))
 
 
@@ -193,6 +187,13 @@ def constant_mean(value: np.ndarray) -> LinearDrag:
     """A constant acceleration, (3,) (m/s^2), as a drag model with zero drag."""
     zero = np.zeros(3)
     return LinearDrag(zero, np.asarray(value, float), 0.0, zero, zero, 0.0, zero, zero, 0, "none")
+
+
+def baseline(rows: ResidualDataset, **options: Any) -> LinearDrag:
+    """Linear drag of the rows, with which every model is compared; options: see fit_linear_drag. Under a thrust curve
+    without the thrust, whose scale the flights have in common: the term would duplicate the curve's."""
+    options = {"thrust": not has_thrust_scale(rows)} | options
+    return fit_linear_drag(with_common_scale(rows).dataset, **options)
 
 
 def fit_linear_drag(

@@ -48,9 +48,9 @@ from quadexp.models.base import (
     require_variation,
 )
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
+from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.online import Adapting, Block
-from quadexp.models.recorded import has_thrust_scale, with_common_scale
+from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
@@ -167,8 +167,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         return {output: Prediction(mean, None, float(variance)) for output, mean, variance in parts}
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
-        if part not in ("best", "neural"):
-            raise UsageError(f"{source}: holds a network, not '{part}'")
+        self.require(part, source)
         return neural_residual(vehicle, self.network, source)
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
@@ -176,9 +175,24 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         return adapting_network(residual, self.network, deviation)
 
     @classmethod
-    def fit(cls, rows: ResidualDataset, settings: NNConfig, **options: Any) -> NeuralModel:
+    def fit(cls, rows: ResidualDataset, settings: NNConfig, *, callback: Callback = quiet, **_: Any) -> NeuralModel:
         """See Model.fit; always from the start that the seed gives."""
-        return fit_network(rows, settings, callback=options.get("callback", quiet))
+        require_variation(rows, settings.features, (), "nn.features")
+        drag, rows = baseline(rows, intervals=False), with_common_scale(rows).dataset
+        x, y = rows.matrix(settings.features), rows.matrix(settings.outputs)
+        centre, spread = x.mean(axis=0), x.std(axis=0)
+        unit = np.sqrt(np.mean(y**2, axis=0))
+        unit[unit == 0] = 1.0
+        with one_thread():
+            weights, biases = _train((x - centre) / spread, y / unit, settings, callback)
+        lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
+        weights[0] = weights[0] / spread
+        biases[0] = biases[0] - weights[0] @ centre
+        weights[-1], biases[-1] = unit[:, None] * weights[-1], unit * biases[-1]
+        network = Network(settings.features, settings.outputs, tuple(weights), tuple(biases))
+        error = np.sqrt(np.mean((y - network(x)) ** 2, axis=0))
+        about = origin(rows, settings.features, settings, ("numpy", "scipy", "torch"))
+        return cls(*network, error, lipschitz, drag, **about)
 
     @property
     def summary(self) -> str:
@@ -269,34 +283,6 @@ def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -
     given = {"gradient": dense(outputs, rows), "slope": dense(rows), "weight": dense(rows, columns)}
     name, results = "_".join(map(str, ["neural_backward", *sizes.values()])), {"product": dense(outputs, columns)}
     return handwritten(name, BACKWARD, sizes, given, results)(gradient, slope, w)
-
-
-def fit_network(
-    dataset: ResidualDataset, settings: NNConfig | None = None, *, callback: Callback = quiet
-) -> NeuralModel:
-    """Train a network on all rows of the dataset; callback: see Model.fit.
-
-    Raises DataError where the dataset is empty or lacks a feature or output, or where a feature is constant.
-    """
-    settings = settings or NNConfig()
-    dataset = with_common_scale(dataset).dataset
-    require_variation(dataset, settings.features, (), "nn.features")
-    x, y = dataset.matrix(settings.features), dataset.matrix(settings.outputs)
-    centre, spread = x.mean(axis=0), x.std(axis=0)
-    unit = np.sqrt(np.mean(y**2, axis=0))
-    unit[unit == 0] = 1.0
-    with one_thread():
-        weights, biases = _train((x - centre) / spread, y / unit, settings, callback)
-    lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
-    weights[0] = weights[0] / spread
-    biases[0] = biases[0] - weights[0] @ centre
-    weights[-1], biases[-1] = unit[:, None] * weights[-1], unit * biases[-1]
-    network = Network(settings.features, settings.outputs, tuple(weights), tuple(biases))
-    return NeuralModel(
-        *network, np.sqrt(np.mean((y - network(x)) ** 2, axis=0)), lipschitz,
-        fit_linear_drag(dataset, thrust=not has_thrust_scale(dataset), intervals=False),
-        **origin(dataset, settings.features, settings, ("numpy", "scipy", "torch")),
-    )  # fmt: skip
 
 
 @contextmanager

@@ -203,19 +203,17 @@ def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Exp
     """As _block, by adapt_block.c."""
     h, dense = len(block.at), ca.Sparsity.dense
     chosen = {"RLS": law.name == "rls", "FITC": law.fitc, "COMPOSITE": law.name == "composite"}
-    one, many, all_of_it = dense(1), dense(h), dense(block.size)
-    kernel = handwritten(
-        "_".join(["adapt", str(h), *(name.lower() for name, on in chosen.items() if on)]),
-        BLOCK,
-        {"SIZE": h} | {name: int(on) for name, on in chosen.items()},
-        {"belief": all_of_it, "row": many, "sample": one, "variance": one, "decay": one, "push": one}
-        | {"root": dense(h, h), "mean": many, "signal": one},
-        {"next": all_of_it, "weights": many, "innovation": one},
-    )
+    name = "_".join(["adapt", str(h), *(word.lower() for word, on in chosen.items() if on)])
+    sizes = {"SIZE": h} | {word: int(on) for word, on in chosen.items()}
+    given = {"belief": block.size, "row": h, "sample": 1, "variance": 1, "decay": 1, "push": 1}
+    inputs = {word: dense(size) for word, size in given.items()}
+    inputs |= {"root": dense(h, h), "mean": dense(h), "signal": dense(1)}
+    results = {"next": dense(block.size), "weights": dense(h), "innovation": dense(1)}
+    kernel = handwritten(name, BLOCK, sizes, inputs, results)
     return tuple(kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance))
 
 
 def prior_belief(adapting: Adapting) -> np.ndarray:
     """The belief without data: b = 0 and P = I of every block, one after the other, matrices by columns."""
-    parts = [part for block in adapting.blocks for part in (np.zeros(len(block.at)), np.eye(len(block.at)).ravel())]
-    return np.concatenate(parts)
+    sizes = [len(block.at) for block in adapting.blocks]
+    return np.concatenate([part for h in sizes for part in (np.zeros(h), np.eye(h).ravel())])

@@ -29,15 +29,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import plain
-from quadexp.models.dataset import ResidualDataset, joined, transitions
-from quadexp.models.residual import AXES, THRUST
+from quadexp.models.dataset import ResidualDataset, by_axis, joined, transitions
+from quadexp.models.residual import THRUST
 from quadexp.models.samples import choose_signal, read_rows, rotor_columns
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.physics.vehicle import Vehicle
@@ -79,7 +79,7 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
     Raises DataError for a column that is missing or not finite, and for another number of rotors than the vehicle's.
     """
     row = read_rows(flight, name, curve.signal, curve.delay)
-    samples, rate = row.samples, row.rate
+    samples = row.samples
     rotors = curve.of_signal(samples.signal, samples.voltage)
     if rotors.shape[1] != vehicle.n_rotors:
         raise DataError(f"{name}: {rotors.shape[1]} rotors, vehicle '{vehicle.name}' has {vehicle.n_rotors}")
@@ -89,18 +89,9 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
     together = samples.segment[1:] == samples.segment[:-1]
     usual = float(np.median(steps[together])) if together.any() else 0.0
     columns = {"t": samples.time, "dt": np.append(np.where(together, steps, usual), usual)}
-    for prefix, values in (("v", samples.velocity), ("w", rate), ("a", residual)):
-        columns |= {f"{prefix}_{axis}": values[:, i].copy() for i, axis in enumerate(AXES)}
+    columns |= by_axis(v=samples.velocity, w=row.rate, a=residual)
     columns |= {f"u_{i}": vehicle.mass * rotors[:, i] for i in range(vehicle.n_rotors)}
-    columns[THRUST] = vehicle.mass * rotors.sum(axis=1)
-    return columns
-
-
-def velocity_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, *, frame: str) -> dict[str, np.ndarray]:
-    """The same columns from the change of the velocity over each step: transitions under the curve's thrusts."""
-    thrust = vehicle.mass * curve.rotor_acceleration(flight)
-    commanded = {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
-    return transitions(replace(flight, columns=dict(flight.columns) | commanded), vehicle, frame=frame)
+    return columns | {THRUST: vehicle.mass * rotors.sum(axis=1)}
 
 
 def recorded_dataset(
@@ -116,24 +107,18 @@ def recorded_dataset(
         raise UsageError(f"collect.target: '{target}' is none of {', '.join(TARGETS)}")
 
     def table_of(flight: Flight, name: str) -> dict[str, np.ndarray]:
-        if target == "velocity":
-            return velocity_rows(flight, vehicle, curve, frame=frame)
-        return force_rows(flight, vehicle, curve, name)
+        if target == "specific_force":
+            return force_rows(flight, vehicle, curve, name)
+        thrust = vehicle.mass * curve.rotor_acceleration(flight)  # transitions under the curve's thrusts
+        commanded = {f"u_{i}": u for i, u in enumerate(thrust.T)}
+        return transitions(replace(flight, columns=dict(flight.columns) | commanded), vehicle, frame=frame)
 
     columns, records = joined(flights, vehicle, names, table_of)
     for record, flight in zip(records, flights, strict=True):
         record |= {"left_out": len(flight) - record["rows"], "seed": None}
-    return ResidualDataset(
-        columns,
-        {
-            "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass},
-            "frame": "sample" if target == "specific_force" else frame,
-            "target": target,
-            "flights": records,
-            "recorded": True,
-            "thrust": plain(curve),
-        },
-    )
+    metadata: dict[str, Any] = {"vehicle": vehicle.record, "frame": "sample" if target == "specific_force" else frame}
+    metadata |= {"target": target, "flights": records, "recorded": True, "thrust": plain(curve)}
+    return ResidualDataset(columns, metadata)
 
 
 class CommonScale(NamedTuple):

@@ -153,7 +153,7 @@ def sum_residual(parts: Sequence[Residual]) -> Residual:
 def _sum(functions: Sequence[ca.Function], parts: Sequence[Residual]) -> ca.Function:
     ends = np.cumsum([0, *(len(part.theta) for part in parts)]).tolist()
     z, theta = ca.MX.sym("z", functions[0].size1_in(0)), ca.MX.sym("theta", ends[-1])
-    values = [function(z, own) for function, own in zip(functions, ca.vertsplit(theta, ends), strict=True)]
+    values = [function(z, given) for function, given in zip(functions, ca.vertsplit(theta, ends), strict=True)]
     results = [sum(terms[1:], terms[0]) for terms in zip(*values, strict=True)]
     return ca.Function("residual_sum", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
 

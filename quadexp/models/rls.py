@@ -100,18 +100,13 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     speed = ca.fabs(v[0]) + ca.fabs(v[1])
     weight = ca.if_else(speed > 0, ca.fabs(v[0]) / (speed + (speed <= 0)), 0.5)
     raw = _combine(new_thetas, weight, lift_weight)
-    return ca.Function(
-        "rls_step",
-        [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight],
-        ca.cse(
-            [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]
-            + [safe_newton(equation, ITERATIONS), ca.densify(regressors), weight]
-        ),
-        ["v", "w", "y", "used", *(f"theta_{a}" for a in "xyz"), *(f"P_{a}" for a in "xyz")]
-        + [*(f"prior_{a}" for a in "xyz"), "sigma", "forgetting", "lift_weight"],
-        [*(f"new_theta_{a}" for a in "xyz"), *(f"new_P_{a}" for a in "xyz")]
-        + ["raw", "error", "induced", "regressors", "weight"],
-    )
+    given = [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight]
+    results = [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]
+    results += [safe_newton(equation, ITERATIONS), ca.densify(regressors), weight]
+    states = [f"{name}_{axis}" for name in ("theta", "P", "prior") for axis in "xyz"]
+    names_in = ["v", "w", "y", "used", *states, "sigma", "forgetting", "lift_weight"]
+    names_out = [*(f"new_{name}" for name in states[:6]), "raw", "error", "induced", "regressors", "weight"]
+    return ca.Function("rls_step", given, ca.cse(results), names_in, names_out)
 
 
 def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expression) -> Expression:

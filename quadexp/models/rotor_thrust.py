@@ -203,9 +203,8 @@ class TimingFit:
         timing = self.timing
         if timing.is_ideal:
             return "commands act at once, as far as these flights tell: no motor lag, no delay"
-        lags = f"{1e3 * timing.lag_up:.1f} ms"
-        if timing.lag_up != timing.lag_down:
-            lags += f" up and {1e3 * timing.lag_down:.1f} ms down"
+        down = f" up and {1e3 * timing.lag_down:.1f} ms down" if timing.lag_up != timing.lag_down else ""
+        lags = f"{1e3 * timing.lag_up:.1f} ms{down}"
         known = f"motor lag {lags} of the {timing.lag_of.replace('_', ' ')}, commands {1e3 * timing.delay:.1f} ms late"
         source = "by the rotor speeds" if timing.measured else "by the residual that remains"
         behind = f", state {1e3 * timing.state_delay:.1f} ms behind the rotors" if timing.measured else ""
@@ -225,9 +224,8 @@ def fit_timing(
     noise: known standard deviations of the targets, which no timing can take away; None: not known.
     """
     score = _Score(flights, vehicle, tables, noise or {})
-    measured = [
-        (flight, thrust) for flight in score.flights if (thrust := measured_thrust(flight, vehicle)) is not None
-    ]
+    thrusts = [measured_thrust(flight, vehicle) for flight in score.flights]
+    measured = [(flight, thrust) for flight, thrust in zip(score.flights, thrusts, strict=True) if thrust is not None]
     by_speed = measured and len(measured) == len(score.flights)
     timing = _by_rotor_speed(measured, vehicle, score) if by_speed else _search(score)
     return TimingFit(timing, score.rms(Timing()), score.rms(timing))

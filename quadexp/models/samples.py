@@ -26,7 +26,8 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
-from quadexp.models.dataset import name_of
+from quadexp.models.dataset import WIND, name_of
+from quadexp.models.residual import VELOCITY
 
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
@@ -71,8 +72,7 @@ class Samples:
 
     def rows(self, selection: np.ndarray) -> Samples:
         """The samples of a mask or index array; the flights keep their numbers."""
-        arrays = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
-        chosen: dict[str, Any] = {name: values[selection] for name, values in arrays.items()}
+        chosen: dict[str, Any] = {k: part[selection] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
         return replace(self, **chosen)
 
     def delayed(self, delay: float) -> Samples:
@@ -127,8 +127,7 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
     segments = 0
     for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
         rotors = rotor_columns(flight, kind)
-        columns = ["t", *QUATERNION, "v_x", "v_y", "v_z", *READINGS, *rotors]
-        columns += [f"wind_{a}" for a in "xyz"] if "wind_x" in flight.columns else []
+        columns = ["t", *QUATERNION, *VELOCITY, *READINGS, *rotors, *(WIND if "wind_x" in flight.columns else ())]
         columns += ["battery_voltage"] if with_voltage else []
         simulated = not flight.metadata.get("recorded", False)
         check_columns(flight, name, columns, first=int(simulated))
@@ -140,9 +139,8 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
         number = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[k]
         segment = segments + np.concatenate([[0], np.cumsum(number[1:] != number[:-1])]).astype(int)
         segments = segment[-1] + 1
-        part = {"time": flight.t[k], "flight": np.full(len(k), index), "segment": segment}
-        part |= {"force": flight.stack(READINGS)[k], "velocity": flight.air_velocity[k], "signal": signal}
-        part["held"] = np.full(len(k), held)
+        part = {"time": flight.t[k], "flight": np.full(len(k), index), "segment": segment, "signal": signal}
+        part |= {"force": flight.stack(READINGS)[k], "velocity": flight.air_velocity[k], "held": np.full(len(k), held)}
         if with_voltage:
             voltage = part["voltage"] = flight["battery_voltage"][k]
             if not voltage.min() > 0:
@@ -168,13 +166,13 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
         return samples
     v, target = samples.velocity[rows], samples.force[rows, 2]
     beside = [np.ones(len(rows)), v[:, 2], np.abs(v[:, 2]) * v[:, 2], v[:, 0] ** 2 + v[:, 1] ** 2]
-    left = np.empty(most + 1)
+    error = np.empty(most + 1)
     for late in range(most + 1):
         sent = samples.signal[rows - late]
         design = np.stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)], axis=1)
-        left[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
-    late = int(np.argmin(left))
-    if left[late] > np.exp(-WORTH) * left[0]:
+        error[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
+    late = int(np.argmin(error))
+    if error[late] > np.exp(-WORTH) * error[0]:
         return samples
     known = np.arange(len(samples)) - late >= np.searchsorted(samples.segment, samples.segment)
     return samples.delayed(late * period).rows(known)

@@ -164,11 +164,8 @@ class GPRegression(gpytorch.models.ExactGP):
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        return Hyperparameters(
-            self.base.base_kernel.lengthscale.detach().numpy().reshape(-1).copy(),
-            self.base.outputscale.item(),
-            self.likelihood.noise.item(),
-        )
+        lengthscale = self.base.base_kernel.lengthscale.detach().numpy().reshape(-1).copy()
+        return Hyperparameters(lengthscale, self.base.outputscale.item(), self.likelihood.noise.item())
 
     def objective(self) -> torch.Tensor:
         """Log marginal likelihood or its bound, per row."""

@@ -51,14 +51,8 @@ an approximation. The coefficients of the terms are then (k in 1/m; sqrt(k) conv
     advance    k_2 / m                                   hub_square  h_3 sqrt(k) / m
     body       k_4 / m
 
-V_k follows from momentum theory (17) at the rotor's thrust, kappa V sqrt(V_h^2 + u^2) = T/m, kappa = 2 rho pi r^2/m,
-which takes the rotor's radius. T is the model's own thrust, so along z
-
-    f(theta) = sum_k a_k scale - loss sum_k w_k y_k(theta) + advance n V_h^2 - body v_z ||v||
-
-is fitted by Gauss-Newton with df/dtheta through y (`fit_inflow`). At the minimum f is linearised; its Jacobian gives
-the regressors whose coefficients, intervals and recursion are reported. (Holding y fixed would bias `body`; compare
-gauss_newton in quadexp.models.rls.)
+V_k follows from momentum theory (17) at the rotor's thrust, which takes the rotor's radius; the coefficients along z
+then decide V_k too (quadexp.models.inflow).
 
 WITHOUT_RADIUS: where the radius is unknown, V_k - V_hover is left out, its mean is absorbed by `climb` and `advance`,
 and hub_climb, -v_i n v_z, replaces the two terms in y. The rotors' own velocities (omega x r_k) cancel from the sums to
@@ -67,10 +61,9 @@ first order.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -81,7 +74,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
-from quadexp.models.regression import HUBER, MAD_TO_STD, Regression, half_width, regress
+from quadexp.models.regression import Regression, half_width, regress
 from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
@@ -102,11 +95,6 @@ QUADRATIC = (("linear", "quadratic", "offset"), ("linear", "quadratic", "offset"
 WITHOUT_RADIUS = (HUB, HUB, ("thrust", "climb", "advance", "body"))
 SELF_CONSISTENT = (HUB_INFLOW, HUB_INFLOW, Z_TERMS)
 ADAPTING = (*[("linear", "quadratic", "offset")] * 2, ("linear", "quadratic", "offset", "thrust"))
-
-AIR_DENSITY = 1.2  # kg/m^3, where the vehicle does not state one
-START = (0.0, 0.1, 0.0, 0.0)  # scale, loss, advance, body
-LEAST_LOSS = 1e-3
-SEARCH_SAMPLES = 8_000  # used by the search; more are thinned evenly. The linearisation uses all.
 
 
 class Inflow(NamedTuple):
@@ -232,12 +220,9 @@ class TermStructure(NamedTuple):
 
     def acceleration(self, features: Expression, theta: Expression) -> Expression:
         """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta, the coefficients of all axes one after the other."""
+        numbers = iter(range(self.n_parameters))
         phi = term_expressions(self.terms, features[:3], features[6:] / self.mass, self.momentum)
-        components, k = [], 0
-        for of_axis in phi:
-            components.append(sum((theta[k + j] * term for j, term in enumerate(of_axis)), ca.SX(0)))
-            k += len(of_axis)
-        return ca.vertcat(*components)
+        return ca.vertcat(*(sum((theta[next(numbers)] * term for term in axis), ca.SX(0)) for axis in phi))
 
 
 def term_residual(vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "") -> Residual:
@@ -253,11 +238,12 @@ def adapting_terms(vehicle: Vehicle, deviation: float) -> Adapting:
     structure = TermStructure(ADAPTING, vehicle.mass)
     residual = term_residual(vehicle, structure, np.zeros(structure.n_parameters), "adapted in flight")
     hover = np.full((1, vehicle.n_rotors), vehicle.gravity / vehicle.n_rotors)
-    blocks, first = [], 0
-    for axis, phi in enumerate(all_columns(ADAPTING, np.full((1, 3), TYPICAL_SPEED), hover)):
-        at = np.arange(first, first + phi.size)
-        blocks.append(Block(axis, at, np.zeros(len(at)), deviation * np.diag(1 / np.abs(phi[0]))))
-        first += phi.size
+    phi = all_columns(ADAPTING, np.full((1, 3), TYPICAL_SPEED), hover)
+    places = np.split(np.arange(structure.n_parameters), np.cumsum([columns.size for columns in phi])[:-1])
+    blocks = [
+        Block(axis, at, np.zeros(len(at)), deviation * np.diag(1 / np.abs(columns[0])))
+        for axis, (at, columns) in enumerate(zip(places, phi, strict=True))
+    ]
     return Adapting(replace(residual, name="terms"), tuple(blocks))
 
 
@@ -339,91 +325,20 @@ def fit_terms(
     targets = list(target.T)
     if isinstance(z, tuple):
         designs[2], targets[2] = z
-    fits = [
-        z if i == 2 and isinstance(z, Regression) else regress(
-            designs[i], targets[i], [f"{name}_{AXES[i]}" for name in names], stretch, flight,
-            what=f"{what} along {AXES[i]}", **options,
-        )
-        for i, names in enumerate(terms)
-    ]  # fmt: skip
-    last = [slice(len(fit.coefficients) - len(names), None) for fit, names in zip(fits, terms, strict=True)]
+    fits: list[Regression] = []
+    for axis, names, design, along in zip(AXES, terms, designs, targets, strict=True):
+        if axis == "z" and isinstance(z, Regression):
+            fits.append(z)
+        else:
+            named, where = [f"{name}_{axis}" for name in names], f"{what} along {axis}"
+            fits.append(regress(design, along, named, stretch, flight, what=where, **options))
+    last = [(fit, slice(len(fit.coefficients) - len(names), None)) for fit, names in zip(fits, terms, strict=True)]
     return TermModel(
-        kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in zip(fits, last, strict=True)),
-        tuple(fit.covariance[k, k] for fit, k in zip(fits, last, strict=True)),
-        tuple(int(fit.freedom) for fit in fits), np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]),
-        np.array([fit.condition for fit in fits]), rotors.shape[1], momentum, options.get("loss", "squares"),
+        kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in last),
+        tuple(fit.covariance[k, k] for fit, k in last), tuple(int(fit.freedom) for fit in fits),
+        np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]), np.array([fit.condition for fit in fits]),
+        rotors.shape[1], momentum, options.get("loss", "squares"),
     )  # fmt: skip
-
-
-class ThrustFit(NamedTuple):
-    """inflow: for the terms. design: df/dtheta, (k, 4). target: (k,), of the linear regression at the minimum."""
-
-    inflow: Inflow
-    design: np.ndarray
-    target: np.ndarray
-
-
-def momentum_of(vehicle: Vehicle | None, mass: float | None, radius: float | None) -> float:
-    """kappa = 2 rho pi r^2 / m (1/m), 0 where radius or mass is unknown; mass (kg), radius (m) override the vehicle."""
-    geometry = vehicle.rotor_geometry if vehicle and vehicle.rotor else None
-    mass = mass or (vehicle.mass if vehicle else None)
-    if radius is None:
-        return geometry.momentum_factor / mass if geometry and mass else 0.0
-    density = geometry.air_density if geometry else AIR_DENSITY
-    return 2 * density * math.pi * radius**2 / mass if mass else 0.0
-
-
-@cache
-def _force_function(rotors: int, kappa: float) -> ca.Function:
-    """(v (3,), a (n,), theta (4,)) -> f and df/dtheta, (5,)."""
-    v, a, theta = ca.SX.sym("v", 3), ca.SX.sym("a", rotors), ca.SX.sym("theta", len(Z_TERMS))
-    V = ca.SX.sym("V", rotors)
-    point = OperatingPoint(v, a, Inflow(kappa, theta[1], theta[2], theta[0]), V)
-    equation = point.balance
-    force = sum(theta[j] * TERMS[name].phi(point, 2) for j, name in enumerate(Z_TERMS))
-    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, V), equation.derivative(V, theta))
-    solved = ca.substitute(ca.vertcat(force, slope.T), V, safe_newton(equation, ITERATIONS))
-    return ca.Function("force", [v, a, theta], [ca.densify(ca.cse(solved))])
-
-
-def fit_inflow(
-    velocity: np.ndarray, rotor_acceleration: np.ndarray, target: np.ndarray, kappa: float, loss: str = "squares"
-) -> ThrustFit:
-    """Fit the four z coefficients to target (k,), the specific force along z beyond the thrust curve (m/s^2).
-
-    velocity: (k, 3) m/s. rotor_acceleration: (k, n) m/s^2. kappa: 1/m. loss: "squares" or "huber".
-    Raises DataError where the flights do not show that flow through the rotors costs thrust.
-    """
-    from scipy.optimize import least_squares
-
-    function = _force_function(rotor_acceleration.shape[1], float(kappa))
-
-    @lru_cache(maxsize=1)  # the search asks for the residuals and the Jacobian at the same theta
-    def evaluate(
-        theta: tuple[float, ...], every: int = -(-len(target) // SEARCH_SAMPLES)
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """f - target, (k,), and df/dtheta, (k, 4), at every so many samples."""
-        v, a = velocity[::every], rotor_acceleration[::every]
-        values = np.empty((len(v), 1 + len(Z_TERMS)))
-        evaluate_rows(function, (v, a, np.tile(theta, (len(v), 1))), values)
-        return values[:, 0] - target[::every], values[:, 1:].copy()
-
-    options = {
-        "jac": lambda theta: evaluate(tuple(theta))[1], "x_scale": "jac", "xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-10,
-        "bounds": ([-0.5, LEAST_LOSS, -np.inf, -np.inf], [1.0, np.inf, np.inf, np.inf]),
-    }  # fmt: skip
-    result = least_squares(lambda theta: evaluate(tuple(theta))[0], START, **options)
-    if loss == "huber":
-        limit = HUBER * MAD_TO_STD * float(np.median(np.abs(result.fun)))
-        result = least_squares(
-            lambda theta: evaluate(tuple(theta))[0], result.x, loss="huber", f_scale=max(limit, 1e-12), **options
-        )
-    theta = result.x
-    if theta[1] < 2 * LEAST_LOSS:
-        raise DataError("blade element along z: the flights do not show that flow through the rotors costs thrust")
-    error, design = evaluate(tuple(theta), 1)
-    inflow = Inflow(float(kappa), float(theta[1]), float(theta[2]), float(theta[0]))
-    return ThrustFit(inflow, design, design @ theta - error)
 
 
 class TermMean(Record, frozen=True, tag_field="kind", tag="terms"):

@@ -40,8 +40,8 @@ SEARCH_SAMPLES = 40_000  # used by the search for the exponent; more are thinned
 class ThrustCurve(Record, frozen=True):
     """Thrust of a rotor per vehicle mass as a function of its signal.
 
-    signal: a name in quadexp.models.samples.SIGNALS. powers: exponents. coefficients, errors: of all rotors, or one row
-    per rotor; m/s^2 per signal^power. reference_voltage: V, 0 where the voltage is not used. voltage_exponent: g;
+    signal: a name in quadexp.models.samples.SIGNALS. powers: exponents. coefficients, errors: the same for all rotors,
+    m/s^2 per signal^power. reference_voltage: V, 0 where the voltage is not used. voltage_exponent: g;
     voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
     drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.
     residual_std: root mean square residual along z, m/s^2. signal_range: smallest and largest signal of the fit. loss:
@@ -50,8 +50,8 @@ class ThrustCurve(Record, frozen=True):
 
     signal: Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(SIGNALS)})$")]
     powers: Annotated[np.ndarray, Shape("powers")]
-    coefficients: Annotated[np.ndarray, Shape("powers | rotors powers")]
-    errors: Annotated[np.ndarray, Shape("powers | rotors powers")]
+    coefficients: Annotated[np.ndarray, Shape("powers")]
+    errors: Annotated[np.ndarray, Shape("powers")]
     reference_voltage: float = 0.0
     voltage_exponent: float = 1.0
     voltage_exponent_error: float = 0.0
@@ -87,8 +87,7 @@ class ThrustCurve(Record, frozen=True):
             scaled = np.repeat(scaled / self.rotors, self.rotors, axis=1)
         elif scaled.shape[1] != self.rotors:
             raise DataError(f"{scaled.shape[1]} rotors in the flight, the thrust curve has {self.rotors}")
-        per_rotor = np.broadcast_to(self.coefficients, (self.rotors, len(self.powers)))
-        terms = [per_rotor[:, j] * scaled**power for j, power in enumerate(self.powers)]
+        terms = [c * scaled**power for c, power in zip(self.coefficients, self.powers, strict=True)]
         return np.sum(terms, axis=0) + self.intercept / self.rotors
 
     @property
@@ -99,10 +98,9 @@ class ThrustCurve(Record, frozen=True):
     @property
     def slope_range(self) -> tuple[float, float]:
         """Least and largest da/ds over the range of the fit; a negative one indicates a wrong curve."""
-        low, high = self.signal_range if self.signal_range is not None else (0.0, 1.0)
+        low, high = (0.0, 1.0) if self.signal_range is None else self.signal_range
         grid = np.linspace(low, high, 200)
-        rows = np.atleast_2d(self.coefficients)
-        slope = sum(rows[:, [j]] * power * grid ** (power - 1) for j, power in enumerate(self.powers))
+        slope = sum(c * p * grid ** (p - 1) for c, p in zip(self.coefficients, self.powers, strict=True))
         return float(np.min(slope)), float(np.max(slope))
 
     def __str__(self) -> str:
@@ -112,11 +110,8 @@ class ThrustCurve(Record, frozen=True):
             half = half_width(self.voltage_exponent_error, self.freedom)
             scaled = f"{self.signal} (V/{self.reference_voltage:g})^g"
             terms.append(f"g {self.voltage_exponent:.3g} +- {half:.2g}")
-        for row, error in zip(np.atleast_2d(self.coefficients), np.atleast_2d(self.errors), strict=True):
-            half = half_width(error, self.freedom)
-            terms.append(
-                ", ".join(f"c_{p:g} {c:.6g} +- {h:.2g}" for p, c, h in zip(self.powers, row, half, strict=True))
-            )
+        curve = zip(self.powers, self.coefficients, half_width(self.errors, self.freedom), strict=True)
+        terms.append(", ".join(f"c_{p:g} {c:.6g} +- {half:.2g}" for p, c, half in curve))
         if self.has_intercept:
             terms.append(f"b {self.intercept:.4g} +- {half_width(self.intercept_error, self.freedom):.2g}")
         late = f"; commands {1e3 * self.delay:.3g} ms late" if self.delay else ""

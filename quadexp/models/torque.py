@@ -15,7 +15,6 @@ over the next HORIZON seconds better than zero, that is, than constant rates; ot
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -66,23 +65,18 @@ class TorqueModel(Record, frozen=True):
     def driven(self, time: np.ndarray, segment: np.ndarray, geometric: np.ndarray) -> np.ndarray:
         """Angular acceleration by the rotors without the offset, (k, 3) rad/s^2; geometric: (k, 3), at time (k,)."""
         result = np.empty_like(geometric)
-        for rows in _segments(segment):
+        for rows in (segment == number for number in np.unique(segment)):
             result[rows] = _delayed(time[rows], geometric[rows], self.gain, self.lag)
         return result
 
     def tracked_offset(
-        self, time: np.ndarray, segment: np.ndarray, driven: np.ndarray, rate: np.ndarray, own: np.ndarray
+        self, time: np.ndarray, segment: np.ndarray, driven: np.ndarray, rate: np.ndarray, turned: np.ndarray
     ) -> np.ndarray:
-        """The offset, (k, 3) rad/s^2, at every sample from earlier ones. rate: (k, 3); own: gyroscopic, (k, 3)."""
+        """The offset, (k, 3) rad/s^2, at every sample from earlier ones. rate, turned: (k, 3), gyroscopic."""
         result = np.empty_like(driven)
-        for rows in _segments(segment):
-            result[rows] = _tracked(time[rows], rate[rows], driven[rows] - own[rows], self.offset)
+        for rows in (segment == number for number in np.unique(segment)):
+            result[rows] = _tracked(time[rows], rate[rows], driven[rows] - turned[rows], self.offset)
         return result
-
-
-def _segments(segment: np.ndarray) -> Iterator[np.ndarray]:
-    """Rows of every segment."""
-    return (np.flatnonzero(segment == number) for number in np.unique(segment))
 
 
 def _delayed(t: np.ndarray, geometric: np.ndarray, gain: np.ndarray, lag: np.ndarray) -> np.ndarray:
@@ -169,8 +163,7 @@ def fit_torque(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> Torque
 def explained(model: TorqueModel, samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> np.ndarray | None:
     """Share of the angular acceleration over HORIZON, (3,), that a fitted model predicts on flights."""
     parts = [_ahead(piece, model.gain, model.lag, model.offset) for piece in _cut(samples, vehicle, curve)]
-    parts = [part for part in parts if len(part[0])]
-    if not parts:
+    if not any(len(error) for error, _ in parts):
         return None
     error, change = (np.concatenate(blocks).sum(axis=0) for blocks in zip(*parts, strict=True))
     return np.asarray(1 - error / np.maximum(change, 1e-300))
@@ -195,7 +188,7 @@ def _cut(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> list[_Piece]
 
 def _sums(pieces: list[_Piece]) -> _Sums | None:
     """The sums of every block; None where an axis has no motion."""
-    parts = [(*one, np.array(piece.flight)) for piece in pieces for one in _blocks(piece)]
+    parts = [block for piece in pieces for block in _blocks(piece)]
     if not parts:
         return None
     sums = _Sums(*(np.stack(columns) for columns in zip(*parts, strict=True)))
@@ -213,7 +206,7 @@ def _pieces(time: np.ndarray, segment: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
-    """n, s, ss, sy, y, yy of every block of one stretch."""
+    """n, s, ss, sy, y, yy, flight of every block of one stretch."""
     reach = float(max(-LAGS[0], LAGS[-1]))
     t = piece.t
     if t[-1] - t[0] < WINDOW + 2 * reach + 0.5 * BLOCK:
@@ -237,7 +230,7 @@ def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
         a, b = late[:, part], y[part]
         da, db = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=0)
         sums = (a.sum(axis=1), (da**2).sum(axis=1), (da * db).sum(axis=1), b.sum(axis=0), (db**2).sum(axis=0))
-        blocks.append((np.array(float(len(part))), *sums))
+        blocks.append((np.array(float(len(part))), *sums, np.array(piece.flight)))
     return blocks
 
 
@@ -263,24 +256,21 @@ def _held_out(pieces: list[_Piece], sums: _Sums) -> tuple[np.ndarray, np.ndarray
     fold, block_fold = np.array([piece.flight for piece in pieces]), sums.flight
     if len(np.unique(sums.flight)) < 2:
         if len(pieces) < 2:
-            (t, w, geometric, own, flight), cut = pieces[0], len(pieces[0].t) // 2
+            (t, w, geometric, turned, flight), cut = pieces[0], len(pieces[0].t) // 2
             halves = (slice(0, cut), slice(cut, None))
-            pieces = [_Piece(t[half], w[half], geometric[half], own[half], flight) for half in halves]
+            pieces = [_Piece(t[half], w[half], geometric[half], turned[half], flight) for half in halves]
         fold, block_fold = ((np.arange(count) >= count / 2).astype(int) for count in (len(pieces), len(sums.n)))
-    errors, changes, flights = [], [], []
+    tested = []
     for number in np.unique(block_fold):
-        rest = _Sums(*(values[block_fold != number] for values in sums))
-        gain, lag, offset = rest.fit()[:, 0]
+        estimate = _Sums(*(values[block_fold != number] for values in sums)).fit()[:, 0]
         for piece in (pieces[i] for i in np.flatnonzero(fold == number)):
-            error, change = _ahead(piece, gain, lag, offset)
-            errors.append(error)
-            changes.append(change)
-            flights.append(np.full(len(error), piece.flight))
-    error, change = np.concatenate(errors), np.concatenate(changes)
+            error, change = _ahead(piece, *estimate)
+            tested.append((error, change, np.full(len(error), piece.flight)))
+    error, change, flights = map(np.concatenate, zip(*tested, strict=True))
     if not len(error):
         return np.zeros(3), np.zeros(3)
     share = 1 - error.sum(axis=0) / np.maximum(change.sum(axis=0), 1e-300)
-    weights = resampling_weights(np.concatenate(flights), DRAWS)
+    weights = resampling_weights(flights, DRAWS)
     return share, np.percentile(1 - (weights @ error) / np.maximum(weights @ change, 1e-300), 2.5, axis=0)
 
 
@@ -294,6 +284,5 @@ def torque_lines(model: TorqueModel) -> list[str]:
             f" offset {model.offset[i]:.3g} [{model.offset_low[i]:.3g}, {model.offset_high[i]:.3g}] rad/s^2;"
             f" predicts {100 * model.share[i]:.0f} % of the held-out angular acceleration"
         )
-        refused = "" if model.used[i] else ": not better than zero, rejected"
-        lines.append(f"torque        {axis}: {text}{refused}")
+        lines.append(f"torque        {axis}: {text}{'' if model.used[i] else ': not better than zero, rejected'}")
     return lines

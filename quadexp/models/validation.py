@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -99,8 +98,12 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     seen = tuple(model.dataset.get("names", ()))
     if isinstance(model, VehicleModel):
         curve, ranges, torque = model.thrust, model.feature_range, model.torque
+
+        def of(terms: TermModel) -> Acceleration:
+            return lambda v, w, a: terms.acceleration(v, a)
+
         return [nominal(curve, seen, torque)] + [
-            Predictor(_KIND_NAMES[kind], curve, partial(_of_terms, terms), seen, ranges, torque=torque)
+            Predictor(_KIND_NAMES[kind], curve, of(terms), seen, ranges, torque=torque)
             for kind, terms in model.models.items()
         ]
     record = model.dataset.get("thrust")
@@ -115,10 +118,6 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
 
 
-def _of_terms(terms: TermModel, v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
-    return terms.acceleration(v, a)
-
-
 @dataclass(frozen=True)
 class Residuals:
     """Errors of a predictor, (k, 3) m/s^2: as fitted (error), with tracked scale (tracked); others (k,)."""
@@ -126,7 +125,6 @@ class Residuals:
     predictor: str
     error: np.ndarray
     tracked: np.ndarray
-    scale: np.ndarray
     flight: np.ndarray
     block: np.ndarray
     speed: np.ndarray
@@ -143,29 +141,28 @@ def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
         collective = rotors.sum(axis=1)
         beyond = predictor.beyond(samples.velocity, row.rate, rotors)
         error = samples.force - beyond
-        scale = tracked_scale(collective, error[:, 2], row.dt)
         tracked = error.copy()
+        tracked[:, 2] -= tracked_scale(collective, error[:, 2], row.dt) * collective
         error[:, 2] -= collective
-        tracked[:, 2] -= scale * collective
         block = blocks + (np.arange(len(samples)) * row.dt // BLOCK).astype(int)
         blocks = int(block[-1]) + 1
-        parts.append((error, tracked, scale, np.full(len(samples), index), block, row.speed))
+        parts.append((error, tracked, np.full(len(samples), index), block, row.speed))
         if predictor.ranges:
             features = feature_rows(samples.velocity, row.rate, predictor.mass * rotors)
             outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
             rows += len(samples)
-    error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
+    error, tracked, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
     share = outside / rows if rows else None
-    return Residuals(predicted[0][0].name, error, tracked, scale, flight, block, speed, share)
+    return Residuals(predicted[0][0].name, error, tracked, flight, block, speed, share)
 
 
-def score_rows(results: Sequence[Residuals], baseline: str = NOMINAL) -> list[Row]:
+def score_rows(results: Sequence[Residuals]) -> list[Row]:
     """Per predictor one row as fitted and one tracked: RMS per axis and of the vector, with interval.
 
-    share: ratio to the baseline's RMS as fitted. share_alike: ratio to the baseline's RMS, tracked if this row is. Both
-    with the interval of the ratio over the same resamples.
+    share: ratio to the nominal RMS as fitted. share_alike: ratio to the nominal RMS, tracked if this row is. Both with
+    the interval of the ratio over the same resamples.
     """
-    base = next((result for result in results if result.predictor == baseline), None)
+    base = next((result for result in results if result.predictor == NOMINAL), None)
     rows = []
     for result in results:
         weights = resampling_weights(result.flight[np.unique(result.block, return_index=True)[1]], DRAWS)
@@ -333,36 +330,37 @@ def rollout_errors(
     """
     rows = []
     for horizon in horizons:
-        sums: dict[str, list[np.ndarray]] = {}
-        for track in tracks:
-            steps = max(1, round(horizon / track.dt))
-            starts = track.starts(steps)
-            if not len(starts):
-                continue
-            end = starts + steps
-            if vehicle is None:
-                position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
-            else:
-                last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
-                position, velocity = last[:, POSITION], last[:, VELOCITY]
-                level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
-                turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
-                angle = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
-                sums.setdefault("attitude", []).append(angle)
-                sums.setdefault("rate", []).append(np.linalg.norm(last[:, RATE] - track.rate[end], axis=1))
-            sums.setdefault("position", []).append(np.linalg.norm(position - track.position[end], axis=1))
-            sums.setdefault("velocity", []).append(np.linalg.norm(velocity - track.velocity[end], axis=1))
-            sums.setdefault("speed", []).append(track.speed[starts])
-        if not sums:
+        steps_of = [(track, max(1, round(horizon / track.dt))) for track in tracks]
+        flown = [(track, starts, steps) for track, steps in steps_of if len(starts := track.starts(steps))]
+        if not flown:
             continue
-        speed = np.concatenate(sums.pop("speed"))
-        row: dict[str, Any] = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
-        row |= {"horizon": float(horizon), "thrust_tracked": tracked, "starts": len(speed)}
-        for name, parts in sums.items():
-            values = np.concatenate(parts)
+        parts = [_end_errors(*each, vehicle, tracked=tracked, mode=mode) for each in flown]
+        mode_name = "attitude" if vehicle is None else mode
+        row: dict[str, Any] = {"predictor": tracks[0].predictor.name, "mode": mode_name, "horizon": float(horizon)}
+        row |= {"thrust_tracked": tracked, "starts": sum(len(starts) for _, starts, _ in flown)}
+        for name in parts[0]:
+            values = np.concatenate([part[name] for part in parts])
             finite = values[np.isfinite(values)]
             row["lost"] = float(1 - len(finite) / len(values))
             row[name] = float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
             row[f"{name}_median"] = float(np.median(finite)) if len(finite) else float("nan")
         rows.append(row)
     return rows
+
+
+def _end_errors(
+    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle | None, *, tracked: bool, mode: str
+) -> dict[str, np.ndarray]:
+    """Size of each error at the end of predictions from some starts, (starts,)."""
+    end, errors = starts + steps, dict[str, np.ndarray]()
+    if vehicle is None:
+        position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
+    else:
+        last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
+        position, velocity = last[:, POSITION], last[:, VELOCITY]
+        level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
+        turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
+        errors["attitude"] = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
+        errors["rate"] = np.linalg.norm(last[:, RATE] - track.rate[end], axis=1)
+    errors["position"] = np.linalg.norm(position - track.position[end], axis=1)
+    return errors | {"velocity": np.linalg.norm(velocity - track.velocity[end], axis=1)}

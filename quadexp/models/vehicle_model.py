@@ -25,6 +25,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Model, Prediction, feature_ranges, rms
 from quadexp.models.dataset import ResidualDataset
+from quadexp.models.inflow import fit_inflow, momentum_of
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.residual import AXES, VELOCITY, Residual
 from quadexp.models.samples import Samples, gather_to_fit
@@ -37,9 +38,7 @@ from quadexp.models.terms import (
     Momentum,
     TermMean,
     TermModel,
-    fit_inflow,
     fit_terms,
-    momentum_of,
     term_residual,
 )
 from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
@@ -89,7 +88,7 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
         return LinearDrag(
             value[0], value[1], 0.0, error[0], error[1], 0.0, self.linear.residual_std, np.zeros(3),
             int(self.dataset.get("rows", 0)), "blocks", self.linear.loss,
-            np.array([*map(float, self.linear.freedom)] * 2 + [0.0]), int(self.dataset.get("flights", 0)),
+            np.array([*self.linear.freedom, *self.linear.freedom, 0], float), int(self.dataset.get("flights", 0)),
             vehicle=dict(self.vehicle), dataset=dict(self.dataset),
         )  # fmt: skip
 
@@ -201,14 +200,15 @@ def fit_vehicle_model(
     """
     settings = settings or FitSettings()
     samples = samples or gather_to_fit(flights, settings.signal, names)
-    record = vehicle_record(flights, vehicle, settings.mass, samples.names)
+    record = _vehicle_record(flights, vehicle, settings.mass, samples.names)
     momentum = momentum_of(vehicle, settings.mass, settings.radius)
     linear = fit_level("linear", samples, settings)
     optional: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
     notes = []
     if linear.curve.slope_range[0] < 0:
-        where = "" if linear.curve.signal_range is None else f" {linear.curve.signal_range.round(3).tolist()}"
-        notes.append(f"the thrust curve decreases somewhere in the range of {linear.curve.signal}{where}")
+        assert linear.curve.signal_range is not None
+        where = f"{linear.curve.signal} {linear.curve.signal_range.round(3).tolist()}"
+        notes.append(f"the thrust curve decreases somewhere in the range of {where}")
     for kind in optional:
         if kind not in settings.kinds:
             continue
@@ -227,29 +227,27 @@ def fit_vehicle_model(
         linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
         best if best is not None and best in kinds else kinds[-1], tuple(notes),
         None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
-        vehicle=record, dataset=dataset_record(samples), feature_range=feature_ranges(velocity),
+        vehicle=record, dataset=_dataset_record(samples), feature_range=feature_ranges(velocity),
         settings={"loss": settings.loss, "signal": samples.kind, "momentum": momentum},
     )  # fmt: skip
 
 
-def vehicle_record(
+def _vehicle_record(
     flights: Sequence[Flight], vehicle: Vehicle | None, mass: float | None, names: Sequence[str]
 ) -> dict[str, Any]:
     """{name, fingerprint, mass}; raises DataError where the records of two flights name different vehicles."""
-    flown = [dict(flight.metadata.get("vehicle") or {}) for flight in flights]
-    recorded = [(name, one) for name, one in zip(names, flown, strict=True) if one.get("fingerprint")]
-    wanted = vehicle.fingerprint if vehicle else recorded[0][1]["fingerprint"] if recorded else None
-    for name, one in recorded:
-        if one["fingerprint"] != wanted:
-            other = vehicle.name if vehicle else recorded[0][1].get("name")
-            raise DataError(f"{name}: flown by vehicle {one.get('name')} ({one['fingerprint']}), not by {other}")
-    if vehicle:
-        return {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
-    first = recorded[0][1] if recorded else {}
-    return {"name": first.get("name"), "fingerprint": first.get("fingerprint"), "mass": mass}
+    flown = {name: dict(flight.metadata.get("vehicle") or {}) for name, flight in zip(names, flights, strict=True)}
+    flown = {name: record for name, record in flown.items() if record.get("fingerprint")}
+    first = next(iter(flown.values()), {})
+    wanted = vehicle.record if vehicle else {"name": None, "fingerprint": None, "mass": mass} | first | {"mass": mass}
+    for name, record in flown.items():
+        if record["fingerprint"] != wanted["fingerprint"]:
+            said = f"flown by vehicle {record.get('name')} ({record['fingerprint']}), not by {wanted['name']}"
+            raise DataError(f"{name}: {said}")
+    return {key: wanted[key] for key in ("name", "fingerprint", "mass")}
 
 
-def dataset_record(samples: Samples) -> dict[str, Any]:
+def _dataset_record(samples: Samples) -> dict[str, Any]:
     """Record of the data that a model was fitted to."""
     digest = hashlib.sha256()
     for part in (samples.time, samples.force, samples.velocity, samples.signal):
@@ -292,14 +290,14 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
         rows.append(row)
         try:
             row["in_sample"] = rmse(fit_level(level, samples, settings, momentum, intervals=False).residual(samples))
-            left = left_out(level, samples, settings, momentum)
+            held_out = left_out(level, samples, settings, momentum)
         except DataError as error:
             row["note"] = str(error)
             continue
-        if left:
-            row["per_flight"] = {name: rmse(residual)["norm"] for name, residual in left.items()}
-            row["held_out"] = rmse(np.concatenate(list(left.values())))
-            row["trimmed"] = rmse(np.concatenate([residual - residual.mean(axis=0) for residual in left.values()]))
+        if held_out:
+            row["per_flight"] = {name: rmse(residual)["norm"] for name, residual in held_out.items()}
+            row["held_out"] = rmse(np.concatenate(list(held_out.values())))
+            row["trimmed"] = rmse(np.concatenate([residual - residual.mean(axis=0) for residual in held_out.values()]))
     return rows
 
 
@@ -313,9 +311,9 @@ def left_out(level: str, samples: Samples, settings: FitSettings, momentum: floa
     residuals: dict[int, np.ndarray] = {}
     for fold in range(folds):
         out = samples.flight % folds == fold
-        rest, left = samples.rows(~out), samples.rows(out)
-        residual = fit_level(level, rest, settings, momentum, intervals=False).residual(left)
-        residuals |= {index: residual[left.flight == index] for index in range(fold, count, folds)}
+        fitted, tested = samples.rows(~out), samples.rows(out)
+        residual = fit_level(level, fitted, settings, momentum, intervals=False).residual(tested)
+        residuals |= {index: residual[tested.flight == index] for index in range(fold, count, folds)}
     return {name: residuals[index] for index, name in enumerate(samples.names) if index in residuals}
 
 
@@ -326,45 +324,38 @@ def compare_curves(samples: Samples, settings: FitSettings) -> list[dict[str, An
     held_out: on held-out flights. halves_out: with two flights, on held-out half flights, because the effect of the
     battery voltage cannot be learned from one flight alone.
     """
-    samples = samples.thinned(MOST_SAMPLES)
-    count = len(samples.names)
-    by_flight = samples.flight % min(count, MOST_FOLDS) if count > 1 else None
-    by_half = 2 * samples.flight + _second_half(samples.flight) if count == 2 else None
     if samples.kind != "motor_command":
         return []
+    samples = samples.thinned(MOST_SAMPLES)
+    flight, sizes = samples.flight, np.bincount(samples.flight)
+    within = np.arange(len(flight)) - (np.cumsum(sizes) - sizes)[flight]
+    by_half = 2 * flight + (2 * within >= sizes[flight]) if len(samples.names) == 2 else None
+    by_flight = flight % min(len(samples.names), MOST_FOLDS) if len(samples.names) > 1 else None
     rows = []
     for powers in CURVES:
         for voltage in ("unused", "V", "V^g") if samples.voltage is not None else ("unused",):
             exponent = None if voltage == "V^g" else 1.0
-            own = replace(settings, powers=powers, voltage_exponent=exponent, kinds=("linear",))
-            own = replace(own, reference_voltage=0.0) if voltage == "unused" else own
+            reference = 0.0 if voltage == "unused" else settings.reference_voltage
+            of_curve = replace(settings, powers=powers, voltage_exponent=exponent, reference_voltage=reference)
             row: dict[str, Any] = {"powers": list(powers), "voltage": voltage, "in_sample": None, "held_out": None}
             rows.append(row | {"halves_out": None, "exponent": None, "note": ""})
             try:
-                curve, residual = _curve_residual(samples, samples, own)
+                curve, residual = _curve_residual(samples, samples, of_curve)
                 rows[-1] |= {"in_sample": rms(residual), "exponent": curve.voltage_exponent}
                 for key, fold in (("held_out", by_flight), ("halves_out", by_half)):
-                    rows[-1][key] = None if fold is None else _curve_left_out(samples, own, fold)
+                    if fold is not None:
+                        parts = [(samples.rows(fold != i), samples.rows(fold == i)) for i in np.unique(fold)]
+                        errors = [_curve_residual(*part, of_curve)[1] for part in parts]
+                        rows[-1][key] = rms(np.concatenate(errors))
             except DataError as error:
                 rows[-1]["note"] = str(error)
     return rows
-
-
-def _second_half(flight: np.ndarray) -> np.ndarray:
-    """1 in the second half of each flight's rows, (k,), 0 in the first."""
-    sizes = np.bincount(flight)
-    return (2 * (np.arange(len(flight)) - (np.cumsum(sizes) - sizes)[flight]) >= sizes[flight]).astype(int)
 
 
 def _curve_residual(train: Samples, test: Samples, settings: FitSettings) -> tuple[ThrustCurve, np.ndarray]:
     """A curve fitted together with d_z to some samples, and its residual along z on others, (k,) (m/s^2)."""
     curve, regression = fit_thrust_samples(train, settings, intervals=False)
     return curve, test.force[:, 2] - thrust_columns(curve, test) @ regression.coefficients
-
-
-def _curve_left_out(samples: Samples, settings: FitSettings, fold: np.ndarray) -> float:
-    left = [_curve_residual(samples.rows(fold != i), samples.rows(fold == i), settings)[1] for i in np.unique(fold)]
-    return rms(np.concatenate(left))
 
 
 def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KINDS, HOVER_INFLOW)) -> str:

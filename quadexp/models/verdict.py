@@ -32,8 +32,9 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, Prediction, outside_shares, quiet, rms
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
-from quadexp.models.linear_drag import LinearDrag, fit_linear_drag
+from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.recorded import has_thrust_scale, with_common_scale
+from quadexp.models.regression import half_width
 from quadexp.models.terms import MEANS, fit_term_mean
 
 Row = dict[str, Any]
@@ -70,21 +71,17 @@ def fit_with_report(dataset: ResidualDataset, kind: type[Model], settings: Any, 
     train, test = split_by_flight(dataset, settings.holdout, settings.seed)
     refit = getattr(settings, "refit", True)
     share = 0.8 if refit else 1.0
-    first = model = kind.fit(
-        train, settings, callback=lambda message, done: callback(message, share * done), intervals=not refit
-    )
+
+    def progress(begin: float, length: float) -> Callback:
+        """The callback of a part of the work."""
+        return lambda message, done: callback(message, begin + length * done)
+
+    first = model = kind.fit(train, settings, callback=progress(0.0, share), intervals=not refit)
     if refit:
-        rest = 1.0 - share
-        model = kind.fit(
-            dataset, settings, start=first, callback=lambda message, done: callback(message, share + rest * done)
-        )
-    report = {
-        "rows": evaluate(first, train, test),
-        "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
-        "refitted": refit,
-        "out_of_range": outside_shares(first.feature_range, test),
-    }
-    return Fit(model, first, train, test, report)
+        model = kind.fit(dataset, settings, start=first, callback=progress(share, 1.0 - share))
+    held_out = sorted(set(map(str, test.columns["flight_name"])))
+    report: dict[str, Any] = {"rows": evaluate(first, train, test), "held_out_flights": held_out, "refitted": refit}
+    return Fit(model, first, train, test, report | {"out_of_range": outside_shares(first.feature_range, test)})
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
@@ -111,13 +108,13 @@ def evaluate(model: Model, train: ResidualDataset, test: ResidualDataset) -> lis
 
     train: rows that the baselines (linear drag, and the standard deviations) are fitted to.
     """
-    drag = model if isinstance(model, LinearDrag) else drag_baseline(train)
-    baseline = {} if drag is model else drag.predict(test)
+    drag = model if isinstance(model, LinearDrag) else baseline(train, intervals=False)
+    of_drag = {} if drag is model else drag.predict(test)
     rows = []
     for output, of_model in model.predict(test).items():
         target = test.matrix([output])[:, 0]
         zero = Prediction(np.zeros(len(target)), None, float(np.mean(train.matrix([output]) ** 2)))
-        for name, prediction in ((model.predictor, of_model), (drag.predictor, baseline.get(output)), ("zero", zero)):
+        for name, prediction in ((model.predictor, of_model), (drag.predictor, of_drag.get(output)), ("zero", zero)):
             if prediction is not None:
                 rows.append({"output": output, "predictor": name} | score(target, prediction.mean, prediction.std))
     return rows
@@ -136,12 +133,6 @@ def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
         raise UsageError(f"{label}: {error}; --after needs a checkpoint of fit-drag, fit-gp or fit-nn") from None
     columns = {output: data.matrix([output])[:, 0] - part.mean for output, part in predictions.items()}
     return ResidualDataset(dict(data.columns) | columns, dict(data.metadata) | {"after": label})
-
-
-def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
-    """Linear drag of the train rows, the baseline of every comparison; options go to `fit_linear_drag`."""
-    options = {"thrust": not has_thrust_scale(train), "intervals": False} | options
-    return fit_linear_drag(with_common_scale(train).dataset, **options)
 
 
 def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
@@ -182,16 +173,12 @@ class Ratio(NamedTuple):
 
 def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ratio:
     """Ratio of the RMSEs of two predictors' errors, (k,) or (k, 3) each, paired over flights (k,)."""
-    from scipy.stats import t as student_t
-
     logs = []
     for index in np.unique(flight):
         mean, base = (max(float(np.mean(values[flight == index] ** 2)), 1e-24) for values in (error, other))
         logs.append(0.5 * np.log(mean / base))
     n, middle = len(logs), float(np.mean(logs))
-    if n < 2:
-        return Ratio(float(np.exp(middle)), np.nan, np.nan, n)
-    half = student_t.ppf(0.5 + CONFIDENCE / 2, n - 1) * float(np.std(logs, ddof=1)) / np.sqrt(n)
+    half = float(half_width(np.std(logs, ddof=1), n - 1, CONFIDENCE)) / np.sqrt(n) if n > 1 else np.nan
     return Ratio(float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half)), n)
 
 
@@ -210,7 +197,7 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
     """Comparison that `fit-gp` reports, JSON-able: flights, outputs {a_x: {...}} and, for recorded flights, identified
     [...]: the same for the terms of `quadexp identify`, fitted to the same rows. model: fitted to train."""
     flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
-    of_drag, predictions = target - drag_baseline(train).acceleration(test), model.predict(test)
+    of_drag, predictions = target - baseline(train, intervals=False).acceleration(test), model.predict(test)
     of_model = of_drag.copy()
     outputs: dict[str, Any] = {}
     for output, axis in ((name, axis) for name, axis in AXIS.items() if name in predictions):

@@ -1,1 +1,39 @@
-"""What belongs to one publication alone."""
+"""What single publications and experiments draw of a sweep: a module here for each `evaluate.figures=NAME`.
+
+draw(rows, out) -> tables, figures  name -> Markdown, name -> figure, beside the standard ones; out: where flights lie
+overview(rows) -> Table             printed too; only where the table of all controllers has no room
+"""
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from types import ModuleType
+from typing import Any
+
+from quadexp.errors import UsageError
+from quadexp.writer import write_text
+
+STANDARD = "standard"  # no figures but the standard ones
+
+
+def check(name: str) -> None:
+    """Raise UsageError where there is no module of this name; nothing is imported."""
+    names = [STANDARD, *(module.name for module in iter_modules(__path__))]
+    if name not in names:
+        raise UsageError(f"evaluate.figures={name}: there are {', '.join(names)}")
+
+
+def paper(name: str) -> ModuleType | None:
+    """The module of a name that `check` lets pass; None for the standard figures."""
+    return None if name == STANDARD else import_module(f"{__name__}.{name}")
+
+
+def write(module: ModuleType, rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
+    """Write what a module draws into the folder of the results; returns name -> path."""
+    from quadexp.report.style import save
+
+    tables, figures = module.draw(rows, out)
+    files = {f"table_{name}": write_text(out / f"{name}.md", text) for name, text in tables.items()}
+    files |= {f"figure_{name}": save(figure, out / "figures" / name, out) for name, figure in figures.items()}
+    return {name: str(path) for name, path in files.items()}

@@ -104,10 +104,8 @@ class Cells(Combinations, Sequence[Cell]):
             return Cell(config, overrides, self._differing(overrides, config))
         except UsageError as error:
             kept = self._consistent(overrides)
-            config = self._compose(kept)
-            return Cell(
-                config, overrides, self._differing(overrides, config), error, frozenset(overrides).difference(kept)
-            )
+            config, refused = self._compose(kept), frozenset(overrides).difference(kept)
+            return Cell(config, overrides, self._differing(overrides, config), error, refused)
 
     def _differing(self, overrides: Sequence[str], config: Config) -> str:
         """The keys that vary with their values; that of a key that is not given here is what the configuration has."""
@@ -118,9 +116,8 @@ class Cells(Combinations, Sequence[Cell]):
     def sound(self) -> list[Cell]:
         """All cells; raises the UsageError of the first that is invalid."""
         cells = list(self)
-        for cell in cells:
-            if cell.error is not None:
-                raise cell.error
+        if error := next((cell.error for cell in cells if cell.error), None):
+            raise error
         return cells
 
     def _consistent(self, overrides: Sequence[str]) -> list[str]:

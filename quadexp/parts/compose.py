@@ -21,7 +21,7 @@ from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.former import FORMER_TARGET, refuse_former
-from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge
+from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge, nested
 from quadexp.parts.override import GROUPS, Override, OverrideReader
 from quadexp.parts.part import TARGET, import_from, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
@@ -280,11 +280,7 @@ def _set(content: Any, name: str, values: Sequence[Override]) -> Any:
     """A copy of a node's content with values set."""
     whole = {name: copy.deepcopy(content)}
     for override in values:
-        *way, last = override.key.split(".")
-        at = whole
-        for part in way:
-            at = at[part]
-        merge(at, {last: override.value})
+        merge(whole, nested(override.key, override.value))
     return whole[name]
 
 

@@ -107,13 +107,11 @@ class OptionFiles:
 
     def named(self, group: str, option: Any) -> str | None:
         """The option of this name; None where there is none. `none` is the one that does nothing."""
-        if option in self.options(group):
-            return str(option)
-        idle = (name for name in self.options(group) if option == "none" and self._does_nothing(f"{group}/{name}"))
-        return next(idle, None)
-
-    def _does_nothing(self, name: str) -> bool:
-        return name in self.entries and self.entries[name].sheet.stem == NOTHING
+        options = self.options(group)
+        if option in options or option != "none":
+            return str(option) if option in options else None
+        sheets = ((name, self.find(f"{group}/{name}")) for name in options)
+        return next((name for name, sheet in sheets if sheet and sheet.match(f"{SHEETS}/{NOTHING}.yaml")), None)
 
     def find(self, name: str) -> Path | None:
         """The file of a name such as "plant/ideal"; None where there is none."""
@@ -130,24 +128,19 @@ class OptionFiles:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path else []
         return " ".join(line.lstrip("# ") for line in lines if line.startswith("#") and "@package" not in line)
 
-    def read(self, group: str, option: str) -> tuple[Path, Mapping[str, Any]]:
-        """An option's file, and what it says; UsageError where it is none of settings."""
-        path, content = self._stated(group, option)
-        return path, {key: value for key, value in content.items() if key != LOOK}
-
-    def look(self, group: str, option: str) -> Mapping[str, Any]:
-        """How an option is drawn: hue, marker, dash; empty where it does not say."""
-        look = self._stated(group, option)[1].get(LOOK) or {}
-        return look if isinstance(look, Mapping) else {}
-
-    def _stated(self, group: str, option: str) -> tuple[Path, Mapping[str, Any]]:
+    def read(self, group: str, option: str, *, look: bool = False) -> tuple[Path, dict[str, Any]]:
+        """An option's file, and what it says; look: also how it is drawn. UsageError where it is none of settings."""
         name = f"{group}/{option}"
-        if name in self.entries:
-            return self.entries[name].sheet, self.entries[name].content
         path = self.find(name)
         if path is None:
             raise UsageError(f"{group}={option}: there is no file {name}.yaml")
-        return path, read_mapping(path)
+        content = self.entries[name].content if name in self.entries else read_mapping(path)
+        return path, {key: value for key, value in content.items() if look or key != LOOK}
+
+    def look(self, group: str, option: str) -> Mapping[str, Any]:
+        """How an option is drawn: hue, marker, dash; empty where it does not say."""
+        look = self.read(group, option, look=True)[1].get(LOOK)
+        return look if isinstance(look, Mapping) else {}
 
     def option(self, group: str, name: str) -> Option:
         """An option with those that it extends, read once; do not change it."""
@@ -163,8 +156,7 @@ class OptionFiles:
         stated = {str(key): value for key, value in content.items() if key != "defaults"}
         defaults = content.get("defaults") or []
         values: dict[str, Any] = {}
-        chosen: dict[str, str] = {}
-        inherited: dict[str, str] = {}
+        chosen, inherited = dict[str, str](), dict[str, str]()
         for entry in [*defaults, *([] if "_self_" in defaults else ["_self_"])]:
             text = str(entry)
             if "${" in text:
@@ -221,12 +213,12 @@ class OptionFiles:
         """Dotted keys that are the given one or end in it -> the options, chosen or not, that have it."""
         having: dict[str, list[str]] = {}
         for group in PARTS:
-            parts = self.parts(group)
-            names = {f"{group}.{name}" for part in parts.values() for name in declared(part)}
-            for name in ending_in(key, sorted(names)) + ([key] if key in names else []):
-                local = name.removeprefix(f"{group}.")
-                options = [f"{group}={option}" for option, part in parts.items() if local in declared(part)]
-                having[name] = options[:MOST_NAMED]
+            named: dict[str, list[str]] = {}
+            for option, part in self.parts(group).items():
+                for name in declared(part):
+                    named.setdefault(f"{group}.{name}", []).append(f"{group}={option}")
+            for name in ending_in(key, sorted(named)) + ([key] if key in named else []):
+                having[name] = named[name][:MOST_NAMED]
         return having
 
 
@@ -237,6 +229,11 @@ def merge(values: dict[str, Any], over: Mapping[str, Any]) -> None:
             merge(values[key], value)
         else:
             values[key] = copy.deepcopy(value)
+
+
+def nested(key: str, value: Any) -> dict[str, Any]:
+    """{A: {B: value}} of a dotted key A.B."""
+    return functools.reduce(lambda inner, part: {part: inner}, reversed(key.split(".")), value)
 
 
 @functools.cache
@@ -285,13 +282,9 @@ def _contents(group: str, option: str, values: dict[str, Any], extended: Any) ->
     if group not in BUNDLES:
         return {f"{group}/{option}": {"defaults": [*defaults, "_self_"], **values}}
     chosen = {key: value for key, value in values.items() if "." not in key}
-    nodes: dict[str, dict[str, Any]] = {}
+    nodes: dict[str, Any] = {}
     for key in (key for key in values if key not in chosen):
-        part, *parents, last = key.split(".")
-        node = nodes.setdefault(part, {})
-        for parent in parents:
-            node = node.setdefault(parent, {})
-        node[last] = values[key]
+        merge(nodes, nested(key, values[key]))
     contents: dict[str, dict[str, Any]] = {}
     for part in nodes.keys() & WORLD if group == "world" else ():
         contents |= _contents(part, option, {"name": option, **nodes.pop(part)}, chosen.get(part, CHOSEN[part]))

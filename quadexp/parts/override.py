@@ -1,8 +1,8 @@
 """Overrides, KEY=VALUE: read and checked. Is it a key of this program, is there such an option.
 
 They have Hydra's grammar. Its parser takes as long to import as all the rest of a plain command (.16 s of processor
-time), so a number, a word, a list of them, several with commas between and range(a, b) are read here, with the same
-result.
+time), so a number, a word, a path, a list of them, several with commas between and range(a, b) are read here, with the
+same result.
 """
 
 from __future__ import annotations
@@ -18,18 +18,15 @@ from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import CHOSEN
 
 GROUPS = {*CHOSEN, "experiment"}  # keys that choose an option
-# Keys that hold a path.
-PATHS = {
-    "model", "plant.model", "trajectory.path", "wind.path", "collect.identified", "engine.tls_ca",
-    "engine.tls_cert", "engine.tls_key",
-}  # fmt: skip
+PATHS = {"model", "plant.model", "trajectory.path", "wind.path", "collect.identified"}  # keys that hold a path
 RESERVED = {"hydra", "schema", "sweep"}  # names that mean something to Hydra, or in a file only
 KEPT = 50_000  # overrides that are remembered at most
 
 _KEY = re.compile(r"[a-z_]\w*(?:\.\w+)*", re.ASCII)
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}", re.ASCII)
 _DECIMAL = re.compile(r"-?(?:0|[1-9]\d{0,14})\.\d{1,15}", re.ASCII)
-_WORD = re.compile(r"[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
+_WORD = re.compile(r"(?:\.{0,2}/)*[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
+_PATHS = re.compile(r"[A-Za-z./][^,]*(?:,[A-Za-z./][^,]*)*", re.ASCII)  # none that may pass for a number
 _RANGE = re.compile(r"range\((?:(\d{1,9}), ?)?(\d{1,9})\)", re.ASCII)
 _ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
 _NO_WORDS = {"null", "true", "false", "nan", "inf"}  # in any case of their letters
@@ -63,13 +60,13 @@ class OverrideReader:
         key, equals, value = text.partition("=")
         if not equals:
             raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
-        override = None if key in PATHS and not re.match("[A-Za-z]", value) else plain_override(text)
+        override = None if key in PATHS and not _PATHS.fullmatch(value) else plain_override(text)
         override = override or self._by_grammar(text)
         if re.split(r"[/.]", override.key)[0] in RESERVED:
             raise UsageError(f"{text!r}: not a key of this program; where to write is said by --out, how by engine=")
         if override.sweep is None:
             if override.key in GROUPS and not (override.value is None and override.key == "experiment"):
-                option = self._option(override)
+                option = self._option(override.key, override.value)
                 override = Override(override.key, option, f"{override.key}={option}")
             if len(self._known) > KEPT:
                 self._known.clear()
@@ -83,13 +80,11 @@ class OverrideReader:
             self.read([f"{override.key}={option}" for option in override.sweep])
         return override
 
-    def _option(self, override: Override) -> str:
-        option = self._files.named(override.key, override.value)
+    def _option(self, key: str, value: Any) -> str:
+        option = self._files.named(key, value)
         if option is None:
-            text = f"{override.key}={override.value}"
-            refuse_former(text)
-            hint = suggestion(str(override.value), self._files.options(override.key))
-            raise UsageError(f"{text}: no such {override.key}{hint}")
+            refuse_former(f"{key}={value}")
+            raise UsageError(f"{key}={value}: no such {key}{suggestion(str(value), self._files.options(key))}")
         return option
 
     def _by_grammar(self, text: str) -> Override:
@@ -102,10 +97,8 @@ class OverrideReader:
         if parsed is None and (several := [word for word in text.split() if re.match(r"[\w.]+=", word)])[1:]:
             raise UsageError(f"{text!r}: {len(several)} settings within one pair of quotes; give each by itself")
         if parsed is None:
-            raise UsageError(
-                f"{text!r}: cannot be read as KEY=VALUE: a bracket or quote is left open,"
-                " or the value has signs that need quotes (KEY=\"'VALUE'\")"
-            )
+            open_or_sign = "a bracket or quote is left open, or the value has signs that need quotes (KEY=\"'VALUE'\")"
+            raise UsageError(f"{text!r}: cannot be read as KEY=VALUE: {open_or_sign}")
         content = parsed.value()
         values = getattr(content, "list", [content]) if "(" not in value else []
         if key in PATHS and any(isinstance(item, (int, float)) for item in values):  # 2024_01 is not the number 202401

@@ -22,9 +22,7 @@ class EvaluateConfig(Settings):
     metric: Literal["mean_error", "rmse", "max_error"] = key(
         "mean_error", "error in the table: mean, root mean square, or largest distance from the reference"
     )
-    figures: Literal["standard", "lei_li", "families", "adaptation", "ladder", "sun"] = key(
-        "standard", "figures drawn in addition to the standard ones"
-    )
+    figures: str = key("standard", "figures drawn in addition to the standard ones: a module of quadexp/papers")
     baseline: str = key("nominal_mpc", "controller with which the others are compared, seed by seed")
     confidence: float = key(0.95, "confidence level of every interval", "[0.5, 0.9999]")
     workers: int = key(0, "parallel processes; 0: one per core", "[0, 1024]", "processes")

@@ -13,11 +13,12 @@ Nothing heavy is imported here: worker processes and the completion of the comma
 
 from __future__ import annotations
 
+import contextlib
 import functools
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
+from math import isfinite
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -185,12 +186,13 @@ def _lacking(node: type, values: Mapping[str, Any], prefix: str) -> list[str]:
 def plain(node: type) -> dict[str, Any]:
     """The defaults of a class as a configuration file would state them; REQUIRED where there is none."""
     defaults: dict[str, Any] = {}
+    keys, others = declared(node), {f.name: f.default for f in fields(node)}
     for name in keys_of(node):
-        key = declared(node).get(name)
+        key = keys.get(name)
         if key and key.node and not key.optional:
             defaults[name] = plain(key.node)
         else:
-            default = key.default if key else next(f.default for f in fields(node) if f.name == name)
+            default = key.default if key else others[name]
             defaults[name] = REQUIRED if default is MISSING else lists(default)
     return defaults
 
@@ -234,58 +236,45 @@ def _checked(key: str, value: Any, about: Declared) -> Any:
 
 
 def _typed(key: str, value: Any, kind: Any) -> Any:
-    if get_origin(kind) is tuple:
-        if _is_rows(kind):
-            return _rows(key, value, kind)
-        if isinstance(value, (str, Mapping)) or not hasattr(value, "__iter__"):
-            length = "" if get_args(kind)[-1] is Ellipsis else f"{len(get_args(kind))} "
-            of = f" of {length}numbers" if get_args(kind)[0] is float else ""
-            raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list{of}")
-        return tuple(_typed(f"{key}[{i}]", item, get_args(kind)[0]) for i, item in enumerate(value))
-    if kind is bool:
-        return _truth(key, value)
     if kind in (int, float):
-        return _number(key, value, kind)
-    if kind is str or get_origin(kind) is Literal:
-        if value is None or isinstance(value, (list, tuple, Mapping)):
-            raise ForbiddenValueError(f"{key}={_shown(value)}: must be a text")
-        return value if isinstance(value, str) else str(value)
-    if isinstance(kind, type) and issubclass(kind, Settings) and not isinstance(value, kind):
+        needed = "a whole number" if kind is int else "a number"
+        try:
+            if not isinstance(value, bool) and (kind is float or not isinstance(value, float)):
+                return kind(value)
+        except (TypeError, ValueError, OverflowError):
+            value = _shown(value)
+    elif kind is bool:
+        needed = "true or false"
+        if str(value).lower() in _WORDS:
+            return _WORDS[str(value).lower()]
+    elif kind is str or get_origin(kind) is Literal:
+        needed = "a text"
+        if value is not None and not isinstance(value, (list, tuple, Mapping)):
+            return str(value)
+    elif _is_rows(kind):
+        arguments = get_args(kind)
+        count = None if arguments[-1] is Ellipsis else len(arguments)
+        needed = f"{count or 'some'} rows of 3 numbers each"
+        with contextlib.suppress(TypeError, ValueError):
+            rows = tuple(tuple(float(item) for item in row) for row in value)
+            if rows and count in (None, len(rows)) and all(len(row) == 3 and all(map(isfinite, row)) for row in rows):
+                return rows
+    elif get_origin(kind) is tuple:
+        arguments = get_args(kind)
+        if not isinstance(value, (str, Mapping)) and hasattr(value, "__iter__"):
+            return tuple(_typed(f"{key}[{i}]", item, arguments[0]) for i, item in enumerate(value))
+        length = "" if arguments[-1] is Ellipsis else f"{len(arguments)} "
+        needed = f"a list of {length}numbers" if arguments[0] is float else "a list"
+    elif not isinstance(kind, type) or not issubclass(kind, Settings) or isinstance(value, kind):
+        return value
+    else:
         raise ForbiddenValueError(f"{key}={_shown(value)}: must hold keys and values")
-    return value
-
-
-def _number(key: str, value: Any, kind: type) -> Any:
-    try:
-        if isinstance(value, bool) or (kind is int and isinstance(value, float)):
-            raise ValueError
-        return kind(value)
-    except (TypeError, ValueError, OverflowError):
-        words = "a whole number" if kind is int else "a number"
-        raise ForbiddenValueError(f"{key}={_shown(value)}: must be {words}") from None
-
-
-def _truth(key: str, value: Any) -> bool:
-    if str(value).lower() not in _WORDS:
-        raise ForbiddenValueError(f"{key}={_shown(value)}: must be true or false")
-    return _WORDS[str(value).lower()]
+    raise ForbiddenValueError(f"{key}={_shown(value)}: must be {needed}")
 
 
 def _is_rows(kind: Any) -> bool:
     """Whether a type is that of rows of numbers, such as a matrix."""
     return get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is tuple
-
-
-def _rows(key: str, value: Any, kind: Any) -> tuple[tuple[float, ...], ...]:
-    count = None if get_args(kind)[-1] is Ellipsis else len(get_args(kind))
-    try:
-        rows = tuple(tuple(float(item) for item in row) for row in value)
-    except (TypeError, ValueError):
-        rows = ()
-    right = all(len(row) == 3 and all(map(math.isfinite, row)) for row in rows)
-    if not rows or not right or (count is not None and len(rows) != count):
-        raise ForbiddenValueError(f"{key}={_shown(value)}: must be {count or 'some'} rows of 3 numbers each")
-    return rows
 
 
 def inside(value: float, interval: str) -> bool:

@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
-from quadexp.physics.motor import lagging_thrust
 
 LEAST_SLOPE = 0.05  # of the balance; it tends to 0 where the battery has no more power to give
 Exponent = float | Expression  # a whole number costs no exponential function
@@ -56,13 +55,6 @@ def open_circuit_tangent(charge: Expression, cells: Expression) -> tuple[Express
 def charge_after(charge: Expression, current: Expression, capacity: Expression, elapsed: Expression) -> Expression:
     """State of charge after a current (A) has flowed for a time (s); capacity: Ah."""
     return charge - current * elapsed / (3600 * capacity)
-
-
-def rc_voltage_after(
-    voltage: Expression, current: Expression, resistance: Expression, time_constant: Expression, elapsed: Expression
-) -> Expression:
-    """V_1 (V) after a held current (A) has flowed for a time (s); resistance R_1 (Ohm), time_constant tau_1 (s)."""
-    return lagging_thrust(voltage, resistance * current, elapsed, time_constant)
 
 
 def mean_share(time_constant: Expression, elapsed: Expression) -> Expression:

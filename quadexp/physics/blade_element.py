@@ -175,14 +175,9 @@ def aerodynamic_wrench(
     """
     geometry = vehicle.rotor_geometry
     flow = rotor_flow(vehicle, body_velocity, rate)
+    lift_slope, through_flow = theta[C_LA] * lift_scale, induced_velocity - flow.axial
     thrust, hub, torque = blade_forces(
-        geometry,
-        theta[C_D0],
-        theta[C_LA] * lift_scale,
-        rotor_speed,
-        induced_velocity - flow.axial,
-        flow.in_plane_squared,
-        terms,
+        geometry, theta[C_D0], lift_slope, rotor_speed, through_flow, flow.in_plane_squared, terms
     )
     in_plane = -ca.vertcat(ca.sum1(hub * flow.x), ca.sum1(hub * flow.y))
     force = ca.vertcat(in_plane, ca.sum1(thrust)) + body_drag(geometry, body_velocity, theta[C_DX : C_DZ + 1])

@@ -77,13 +77,8 @@ def balance(
     terms: CrossTerms = ADOPTED,
 ) -> Balance:  # fmt: skip
     """The thrust balance of rotors turning at w (rad/s), scalars or vectors (n,); see `Balance`."""
-    return Balance(
-        geometry.momentum_factor,
-        unloaded_thrust(geometry, lift_slope, w, in_plane_squared, terms),
-        thrust_loss_per_flow(geometry, lift_slope, w),
-        in_plane_squared,
-        axial,
-    )
+    a = unloaded_thrust(geometry, lift_slope, w, in_plane_squared, terms)
+    return Balance(geometry.momentum_factor, a, thrust_loss_per_flow(geometry, lift_slope, w), in_plane_squared, axial)
 
 
 def starting_point(equation: Balance) -> Expression:
@@ -160,10 +155,5 @@ def solution_function(geometry: RotorGeometry, terms: CrossTerms = ADOPTED) -> c
     status = ca.if_else(stopped, ca.if_else(moving, int(Defined.STOPPED), int(Defined.OK)), status)
     status = ca.if_else(finite, status, int(Defined.NOT_FINITE))
     induced = ca.if_else(ca.logic_and(stopped, ca.logic_not(moving)), 0, induced)
-    return ca.Function(
-        "induced_velocity",
-        [lift_slope, w, squared, axial],
-        ca.cse([induced, status]),
-        ["lift_slope", "w", "in_plane_squared", "axial"],
-        ["induced_velocity", "status"],
-    )
+    names = ["lift_slope", "w", "in_plane_squared", "axial"], ["induced_velocity", "status"]
+    return ca.Function("induced_velocity", [lift_slope, w, squared, axial], ca.cse([induced, status]), *names)

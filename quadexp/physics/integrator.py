@@ -9,11 +9,7 @@ from quadexp.physics.expression import Expression
 
 def rk4_step(f: Callable[[Expression], Expression], x: Expression, dt: Expression) -> Expression:
     """One classical Runge-Kutta step of x' = f(x) over dt (s); global error O(dt^4)."""
-    k1 = f(x)
-    k2 = f(x + dt / 2 * k1)
-    k3 = f(x + dt / 2 * k2)
-    k4 = f(x + dt * k3)
-    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return rk4_step_with_input(lambda x, _: f(x), x, (None, None, None), dt)
 
 
 def rk4_step_with_input(

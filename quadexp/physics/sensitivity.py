@@ -96,14 +96,10 @@ def rk4_sensitivity_function(
         x_next, A, by_inputs = outputs
         outputs = _with_thrusts(x_next, A, by_inputs, delivered, ca.exp(-dt / tau))
     outputs = ca.cse(outputs) if flat else outputs if scalar else [ca.densify(output) for output in outputs]
-    arguments, names = [start, u, theta, dt], ["x", "u", "theta", "dt"]
-    if lag:
-        arguments, names = [*arguments, tau], [*names, "tau"]
-    if added:
-        arguments, names = [*arguments, plus], [*names, "added"]
-    if disturbed:
-        arguments, names = [*arguments, disturbance], [*names, "disturbance"]
-    return ca.Function("node", arguments, outputs, names, ["x_next", "A", "B"])
+    given = {"x": start, "u": u, "theta": theta, "dt": dt}
+    further = {"tau": (lag, tau), "added": (added, plus), "disturbance": (disturbed, disturbance)}
+    given |= {name: symbol for name, (asked, symbol) in further.items() if asked}
+    return ca.Function("node", [*given.values()], outputs, [*given], ["x_next", "A", "B"])
 
 
 def _by_command(G: Expression, a: Expression | None = None) -> Expression:

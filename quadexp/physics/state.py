@@ -17,12 +17,7 @@ RATE = slice(10, 13)  # body, rad/s
 N_STATE = 13
 AT_REST = 1e-6  # m/s; a path that begins at rest is slower by rounding errors only
 
-STATE_COLUMNS = (
-    "p_x", "p_y", "p_z",
-    "q_w", "q_x", "q_y", "q_z",
-    "v_x", "v_y", "v_z",
-    "w_x", "w_y", "w_z",
-)  # fmt: skip
+STATE_COLUMNS = ("p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z", "v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 
 
 def input_columns(n_rotors: int) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -91,18 +91,17 @@ class Vehicle(Part):
                 f" {INERTIA_TOLERANCE:.0%})"
             )
         if len(self.rotor_spin) != self.n_rotors:
-            raise UsageError(
-                f"vehicle.rotor_spin: {len(self.rotor_spin)} signs for {self.n_rotors} rotors, one each is needed"
-            )
+            said = f"{len(self.rotor_spin)} signs for {self.n_rotors} rotors, one each is needed"
+            raise UsageError(f"vehicle.rotor_spin: {said}")
         if set(self.rotor_spin) - {1.0, -1.0}:
             raise UsageError(f"vehicle.rotor_spin={list(self.rotor_spin)}: each must be 1 or -1")
         if np.linalg.matrix_rank(self.allocation, tol=1e-9) < 4:
             raise UsageError("vehicle.rotor_position: thrust and the three torques cannot be set independently")
         if not self.thrust_min < self.hover_thrust < self.thrust_max:
             plausible(self)
+            allowed = f"({self.thrust_min:g}, {self.thrust_max:g}) N"
             raise UsageError(
-                f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
-                f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"
+                f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor, outside {allowed}"
             )
 
     @property
@@ -141,10 +140,8 @@ class Vehicle(Part):
         return self.thrust_coefficient
 
     def _without_rotor(self) -> UsageError:
-        return UsageError(
-            f"vehicle={self.name}: a blade-element model needs vehicle.rotor and vehicle.thrust_coefficient"
-            " (vehicle=lei_li has them)"
-        )
+        needed = "a blade-element model needs vehicle.rotor and vehicle.thrust_coefficient (vehicle=lei_li has them)"
+        return UsageError(f"vehicle={self.name}: {needed}")
 
     @property
     def hover_thrust(self) -> float:
@@ -154,12 +151,14 @@ class Vehicle(Part):
     @cached_property
     def fingerprint(self) -> str:
         """Short hash of all physical parameters, without the name: vehicles with equal fingerprints fly identically."""
-        physics = {
-            FORMER_NAMES.get(key, key): value
-            for key, value in asdict(self).items()
-            if key != "name" and value is not None
-        }
+        given = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
+        physics = {FORMER_NAMES.get(key, key): value for key, value in given.items()}
         return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What data sets and models keep of it."""
+        return {"name": self.name, "fingerprint": self.fingerprint, "mass": self.mass}
 
 
 class Ratio(NamedTuple):

@@ -86,11 +86,8 @@ class AirModel:
         values = np.ascontiguousarray(values.T)
         if self.share != 1:
             values *= self.share
-        split = N_OUTPUTS + N_OUTPUTS * N_VELOCITY
-        by_velocity, by_thrust = values[N_OUTPUTS:split], values[split:]
-        return AirResponse(
-            values[:N_OUTPUTS], by_velocity.reshape(N_OUTPUTS, N_VELOCITY, k), by_thrust.reshape(N_OUTPUTS, -1, k)
-        )
+        y, by_velocity, by_thrust = np.split(values, [N_OUTPUTS, N_OUTPUTS * (1 + N_VELOCITY)])
+        return AirResponse(y, by_velocity.reshape(N_OUTPUTS, N_VELOCITY, k), by_thrust.reshape(N_OUTPUTS, -1, k))
 
 
 def outputs_and_gradients(function: ca.Function, z: Expression, theta: Expression) -> Expression:
@@ -113,13 +110,9 @@ def predicted_and_next(
 
 
 def newton_step(
-    current: np.ndarray,
-    predicted: np.ndarray,
-    motion: Motion,
-    velocity: np.ndarray,
-    response: AirResponse,
+    current: np.ndarray, predicted: np.ndarray, motion: Motion, velocity: np.ndarray, response: AirResponse,
     vehicle: Vehicle,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """The next Y, (6, k).
 
     current: Y, of which `motion` is the motion; predicted: r(z(Y)); both (6, k), l in the tilt frame (m/s^2, N m).
@@ -147,7 +140,9 @@ def _gradients(
     motion: Motion, velocity: np.ndarray, response: AirResponse, vehicle: Vehicle
 ) -> tuple[np.ndarray, np.ndarray]:
     """dr/dl, (6, 2, k), and dr/d[a_air,z, tau_air], (6, 4, k); r's lateral part in the tilt frame."""
-    by_velocity, by_thrust = (_in_tilt_frame(d, motion.chi) for d in (response.by_velocity, response.by_thrust))
+    by_velocity, by_thrust = (  # lateral components, the first two, in the tilt frame
+        np.concatenate([untwisted(d[:2], motion.chi), d[2:]]) for d in (response.by_velocity, response.by_thrust)
+    )
     by_wrench = np.zeros((len(by_thrust), 4, by_thrust.shape[2]))
     if by_thrust.any():  # few models depend on the thrusts
         by_wrench = -np.einsum("onk,nw->owk", by_thrust, allocation_inverse(vehicle))
@@ -159,11 +154,6 @@ def _gradients(
         moved = twisted(cross(velocity, turn), motion.chi)
         columns.append((by_velocity * moved).sum(axis=1) + by_wrench[:, 0] * (force[axis] / force[2]))
     return np.stack(columns, axis=1), by_wrench
-
-
-def _in_tilt_frame(derivative: np.ndarray, chi: np.ndarray) -> np.ndarray:
-    """Derivatives of r, (6, d, k), with the lateral components (first two) in the tilt frame."""
-    return np.concatenate([untwisted(derivative[:2], chi), derivative[2:]])
 
 
 def _lateral_step(system: np.ndarray, right: np.ndarray, plain: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
+import numpy.typing as npt
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
@@ -144,6 +145,25 @@ def flat_output_held(position: np.ndarray, yaw: np.ndarray | float | None, insid
     headings = np.tile([yaw, 0.0, 0.0], (len(position), 1)) if np.ndim(yaw) == 0 else np.asarray(yaw)
     headings[~inside, 1:] = 0.0
     return FlatOutput(position, headings)
+
+
+def level_path(x: np.ndarray, y: np.ndarray, height: float) -> np.ndarray:
+    """Positions with their derivatives (k, 5, 3) of a path at a constant height (m), from x and y with theirs."""
+    position = np.stack([x, y, np.zeros_like(x)], axis=2)
+    position[:, 0, 2] = height
+    return position
+
+
+def standing(points: npt.ArrayLike, yaw: float = 0.0) -> FlatOutput:
+    """The flat output that holds points (k, 3) and a heading (rad): all derivatives are zero."""
+    position = np.zeros((len(np.asarray(points)), N_DERIVATIVES, 3))
+    position[:, 0] = points
+    return FlatOutput(position, np.tile([yaw, 0.0, 0.0], (len(position), 1)))
+
+
+def derivatives(function: Any) -> tuple[Any, ...]:
+    """A spline, or polynomials, with the derivatives up to the fourth."""
+    return tuple(function.derivative(order) if order else function for order in range(N_DERIVATIVES))
 
 
 def sampled_peak_speed(trajectory: Trajectory, step: float = 2e-3) -> float:

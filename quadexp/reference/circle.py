@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.base import FlatOutput, flat_output_held, hold_outside, level_path
 from quadexp.reference.phasor import phasor
-from quadexp.reference.profile import ProfiledPath
+from quadexp.reference.profile import OVERSHOOT, ProfiledPath
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,13 +25,10 @@ class Circle(ProfiledPath):
 
     @property
     def peak_speed(self) -> float:
-        return self.peak_angle_speed
+        """Largest speed, v + (4/pi - 1) a (m/s)."""
+        return self.speed + OVERSHOOT * self.acceleration
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         t, inside = hold_outside(t, self.duration)
         point = self.radius * phasor(self.angle(t))
-        position = np.zeros((len(t), N_DERIVATIVES, 3))
-        position[:, :, 0] = point.real
-        position[:, :, 1] = point.imag
-        position[:, 0, 2] = self.height
-        return flat_output_held(position, self.yaw, inside)
+        return flat_output_held(level_path(point.real, point.imag, self.height), self.yaw, inside)

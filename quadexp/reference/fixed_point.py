@@ -57,13 +57,9 @@ class Iterated:
 
 
 def consistent_air(
-    demand: Demand,
-    vehicle: Vehicle,
-    model: AirModel | None,
-    calculus: Calculus,
-    settings: Settings,
+    demand: Demand, vehicle: Vehicle, model: AirModel | None, calculus: Calculus, settings: Settings,
     start: np.ndarray | None = None,
-) -> tuple[Air, Motion]:
+) -> tuple[Air, Motion]:  # fmt: skip
     """The residual outputs consistent with the motion they cause, and the motion; model None: no residual.
 
     calculus: derivatives and integrals over the demand's times. start: initial guess of the outputs, (6, k).
@@ -89,21 +85,6 @@ def consistent_air(
     )
 
 
-class _Stall:
-    """Detects an iteration without progress."""
-
-    def __init__(self) -> None:
-        self._smallest, self._waited = np.inf, 0
-
-    def after(self, change: float) -> bool:
-        """Whether the largest change has not fallen to PROGRESS of its smallest value for PATIENCE iterations."""
-        if change < PROGRESS * self._smallest:
-            self._smallest, self._waited = change, 0
-        else:
-            self._waited += 1
-        return self._waited >= PATIENCE
-
-
 @dataclass(frozen=True)
 class _Iteration:
     """Newton steps at all times at once until convergence."""
@@ -119,7 +100,8 @@ class _Iteration:
         if decoupled:
             air = Air.of_outputs(air.outputs)
         change, share = np.full(len(self.demand.t), np.inf), np.ones(len(self.demand.t))
-        settled, stall, step = decoupled, _Stall(), self._step
+        settled, step = decoupled, self._step
+        smallest, waited = np.inf, 0  # change, and iterations since it fell to PROGRESS of its smallest value
         for i in range(self.settings.max_iterations):
             used, (predicted, outputs) = air, step(air)
             before, change = change, np.abs(predicted - air.outputs).max(axis=0)
@@ -128,14 +110,16 @@ class _Iteration:
                 share = np.where(change > FALLING * before, np.maximum(share / 2, SHORTEST), longer)
                 outputs = air.outputs + share * (outputs - air.outputs)
             if not settled and np.abs(outputs - air.outputs)[:2].max() < SETTLED:
-                settled, stall = True, _Stall()
+                settled, smallest, waited = True, np.inf, 0
             air = Air.of_outputs(outputs)
             if settled and not decoupled:
                 air = Air(outputs, *self.calculus.differentiate(outputs[:2]))
             result = Iterated(air, used, change, i + 1, "out of iterations")
             if settled and change.max() < self.settings.tolerance:
                 return replace(result, failure="")
-            if stall.after(change.max()):
+            falls = change.max() < PROGRESS * smallest
+            smallest, waited = (change.max(), 0) if falls else (smallest, waited + 1)
+            if waited >= PATIENCE:
                 return replace(result, failure="stalled")
         return result
 

@@ -58,13 +58,9 @@ class Reference:
 
 
 def flat_reference(
-    trajectory: Trajectory,
-    t: np.ndarray,
-    vehicle: Vehicle,
-    residual: Residual | None = None,
-    *,
+    trajectory: Trajectory, t: np.ndarray, vehicle: Vehicle, residual: Residual | None = None, *,
     backend: str = "interpreted",
-) -> Reference:
+) -> Reference:  # fmt: skip
     """Reference states and inputs of a trajectory, with the largest possible share of a residual model.
 
     t: (k,), s; outside 0 .. trajectory.duration the end is held, at rest.

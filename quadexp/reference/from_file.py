@@ -32,11 +32,11 @@ from quadexp.errors import DataError, UsageError
 from quadexp.parts.settings import REQUIRED, key
 from quadexp.reference.base import (
     MARGIN,
-    N_DERIVATIVES,
     SPEED,
     FlatOutput,
     LimitedTrajectory,
     Trajectory,
+    derivatives,
     flat_output_held,
     hold_outside,
     sampled_peak_speed,
@@ -239,5 +239,4 @@ class SampledTrack:
     @cached_property
     def _derivatives(self) -> tuple[BSpline, ...]:
         """The splines of the points with their derivatives up to the fourth."""
-        spline = make_interp_spline(self.times, self.points, k=DEGREE)
-        return tuple(spline.derivative(order) if order else spline for order in range(N_DERIVATIVES))
+        return derivatives(make_interp_spline(self.times, self.points, k=DEGREE))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadexp.parts.settings import Triple, key
-from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart
+from quadexp.reference.base import DURATION, FlatOutput, TrajectoryPart, standing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,9 +25,4 @@ class Hover(TrajectoryPart):
         return 0.0
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        k = np.size(t)
-        position = np.zeros((k, N_DERIVATIVES, 3))
-        position[:, 0] = self.position
-        yaw = np.zeros((k, 3))
-        yaw[:, 0] = self.yaw
-        return FlatOutput(position, yaw)
+        return standing(np.tile(self.position, (np.size(t), 1)), self.yaw)

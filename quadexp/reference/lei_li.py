@@ -28,6 +28,7 @@ from quadexp.reference.base import (
     TrajectoryPart,
     flat_output_held,
     hold_outside,
+    level_path,
 )
 
 HEIGHT = Setting("height of the path, world", "(0, 1000]", "m")
@@ -51,7 +52,16 @@ class LeiLiPath(TrajectoryPart):
     @property
     def start_state(self) -> np.ndarray | None:
         """Initial state (13,) of the flight; None: that of the reference."""
-        return resting(*self.printed_start) if self.start == "printed" else None
+        if self.start == "reference":
+            return None
+        from scipy.spatial.transform import Rotation
+
+        position, euler = self.printed_start  # ENU (m); roll, pitch, yaw of FLU in ENU (deg)
+        x = np.zeros(N_STATE)
+        x[POSITION] = position
+        turn = Rotation.from_euler("ZYX", euler[::-1], degrees=True)
+        x[ATTITUDE] = turn.as_quat(canonical=True, scalar_first=True)
+        return x
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,11 +86,10 @@ class Rectangle(LeiLiPath):
         corners = self.speed * leg * np.array([[0, 0], [0, 1], [1, 1], [1, 0], [0, 0]])
         side = np.minimum(np.floor(t / leg + 1e-9).astype(int), 3)
         velocity = (corners[side + 1] - corners[side]) / leg
-        position = np.zeros((len(t), N_DERIVATIVES, 3))
-        position[:, 0, :2] = corners[side] + velocity * (t - side * leg)[:, None]
-        position[:, 0, 2] = self.height
-        position[:, 1, :2] = velocity
-        return flat_output_held(position, NORTH, inside)
+        plane = np.zeros((2, len(t), N_DERIVATIVES))
+        plane[:, :, 0] = (corners[side] + velocity * (t - side * leg)[:, None]).T
+        plane[:, :, 1] = velocity.T
+        return flat_output_held(level_path(plane[0], plane[1], self.height), NORTH, inside)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,18 +119,4 @@ class LeiLiCircle(LeiLiPath):
         # north = -r cos a, east = r sin a: east + i north = -i r exp(i a)
         powers = np.arange(N_DERIVATIVES)
         point = -1j * self.radius * np.exp(1j * angle)[:, None] * (1j * rate[:, None]) ** powers
-        position = np.zeros((len(t), N_DERIVATIVES, 3))
-        position[:, :, 0], position[:, :, 1] = point.real, point.imag
-        position[:, 0, 2] = self.height
-        return flat_output_held(position, NORTH, inside)
-
-
-def resting(position: tuple[float, ...], euler: tuple[float, ...]) -> np.ndarray:
-    """State (13,) at rest. position: ENU (m). euler: roll, pitch, yaw of FLU in ENU (deg)."""
-    from scipy.spatial.transform import Rotation
-
-    x = np.zeros(N_STATE)
-    x[POSITION] = position
-    turn = Rotation.from_euler("ZYX", euler[::-1], degrees=True)
-    x[ATTITUDE] = turn.as_quat(canonical=True, scalar_first=True)
-    return x
+        return flat_output_held(level_path(point.real, point.imag, self.height), NORTH, inside)

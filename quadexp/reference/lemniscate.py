@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside, sampled_peak_speed
+from quadexp.reference.base import FlatOutput, flat_output_held, hold_outside, level_path, sampled_peak_speed
 from quadexp.reference.phasor import phasor
 from quadexp.reference.profile import ProfiledPath
 
@@ -34,8 +34,5 @@ class Lemniscate(ProfiledPath):
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         t, inside = hold_outside(t, self.duration)
         angle = self.angle(t)
-        position = np.zeros((len(t), N_DERIVATIVES, 3))
-        position[:, :, 0] = self.radius * phasor(angle).real
-        position[:, :, 1] = self.radius / 2 * phasor(2 * angle).imag
-        position[:, 0, 2] = self.height
-        return flat_output_held(position, self.yaw, inside)
+        x, y = self.radius * phasor(angle).real, self.radius / 2 * phasor(2 * angle).imag
+        return flat_output_held(level_path(x, y, self.height), self.yaw, inside)

@@ -16,14 +16,6 @@ def phasor(angle: np.ndarray) -> np.ndarray:
     angle: th and its derivatives, (k, 5) (rad, s).
     """
     x1, x2, x3, x4 = 1j * angle[:, 1:].T
-    bell = np.stack(
-        [
-            np.ones_like(x1),
-            x1,
-            x1**2 + x2,
-            x1**3 + 3 * x1 * x2 + x3,
-            x1**4 + 6 * x1**2 * x2 + 4 * x1 * x3 + 3 * x2**2 + x4,
-        ],
-        axis=1,
-    )
+    fourth = x1**4 + 6 * x1**2 * x2 + 4 * x1 * x3 + 3 * x2**2 + x4
+    bell = np.stack([np.ones_like(x1), x1, x1**2 + x2, x1**3 + 3 * x1 * x2 + x3, fourth], axis=1)
     return np.exp(1j * angle[:, :1]) * bell

@@ -27,7 +27,7 @@ from scipy.optimize import brentq
 
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, derivatives, flat_output_held, hold_outside
 from quadexp.reference.motion import Air, Demand, allocation_inverse, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
@@ -46,17 +46,11 @@ def minimum_snap(times: np.ndarray, points: np.ndarray) -> PPoly:
 
     Raises ValueError where there are no such polynomials, for instance for points too close for their times.
     """
-    rest, ends = np.zeros(points.shape[1]), (0, len(times) - 1)
     unit = (times[-1] - times[0]) / (len(times) - 1)  # a mean piece of length 1 keeps the linear system well scaled
-    pieces = generate_trajectory(
-        [
-            Waypoint((time - times[0]) / unit, point, jerk=rest if i in ends else None)
-            for i, (time, point) in enumerate(zip(times, points, strict=True))
-        ],
-        degree=DEGREE,
-        idx_minimized_orders=4,
-        num_continuous_orders=4,
-    )
+    rest = np.zeros(points.shape[1])
+    rows = zip((times - times[0]) / unit, points, [rest, *[None] * (len(times) - 2), rest], strict=True)
+    waypoints = [Waypoint(time, point, jerk=jerk) for time, point, jerk in rows]
+    pieces = generate_trajectory(waypoints, degree=DEGREE, idx_minimized_orders=4, num_continuous_orders=4)
     coefficients = pieces.coefficients[:, ::-1].transpose(1, 0, 2)
     if not np.all(np.isfinite(coefficients)):
         raise ValueError("coefficients that are not finite")
@@ -128,7 +122,7 @@ class ScaledPath:
 
     @cached_property
     def _derivatives(self) -> tuple[PPoly, ...]:
-        return tuple(self.path.derivative(order) if order else self.path for order in range(N_DERIVATIVES))
+        return derivatives(self.path)
 
 
 def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, margin: float) -> ScaledPath:
@@ -169,14 +163,11 @@ class _Demands:
 
     def worst(self, factor: float) -> tuple[float, str]:
         """The largest excess over a limit, relative to its range (below 0: within limits), and its name."""
-        grid, derivatives = self._sampled
-        values = derivatives / factor ** np.arange(N_DERIVATIVES)[:, None, None]
-        demand = Demand(
-            factor * grid.times,
-            np.ascontiguousarray(values[:, :3]),
-            values[2, :3] + [[0.0], [0.0], [self.vehicle.gravity]],
-            np.ascontiguousarray(values[:3, 3]) if values.shape[1] > 3 else None,
-        )
+        grid, sampled = self._sampled
+        values = sampled / factor ** np.arange(N_DERIVATIVES)[:, None, None]
+        force = values[2, :3] + [[0.0], [0.0], [self.vehicle.gravity]]
+        yaw = np.ascontiguousarray(values[:3, 3]) if values.shape[1] > 3 else None
+        demand = Demand(factor * grid.times, np.ascontiguousarray(values[:, :3]), force, yaw)
         calculus = TimeGrid(demand.t, factor * grid.spacing)
         try:
             motion = flat_motion(demand, self.vehicle, Air.still(len(demand.t)), calculus)
@@ -196,8 +187,7 @@ class _Demands:
         x, pieces = self.path.x, np.diff(self.path.x)
         spacing = max(min(pieces.mean() / STEPS, pieces.min() / FEWEST), (x[-1] - x[0]) / MOST)
         grid = TimeGrid.over(x[0], x[-1], spacing)
-        values = [self.path.derivative(n)(grid.times) if n else self.path(grid.times) for n in range(N_DERIVATIVES)]
-        return grid, np.stack([value.T for value in values])
+        return grid, np.stack([derivative(grid.times).T for derivative in derivatives(self.path)])
 
     @cached_property
     def _ranges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -61,11 +61,6 @@ class ProfiledPath(TrajectoryPart):
         return 2 * self._cruise + 2 * RAMP + TURN
 
     @property
-    def peak_angle_speed(self) -> float:
-        """Largest r th', v + (4/pi - 1) a (m/s)."""
-        return self.speed + OVERSHOOT * self.acceleration
-
-    @property
     def _cruise(self) -> float:
         """Length of one section of constant th'' (s)."""
         return max(self.speed / self.acceleration - RAMP, 0.0)
@@ -74,15 +69,13 @@ class ProfiledPath(TrajectoryPart):
         """Path angle and its derivatives up to the fourth at 0 <= t <= duration, (k,) (s): (k, 5) (rad, s)."""
         alpha = self.acceleration / self.radius
         # columns: length (s), c_0, c_1 (rad/s^2), k (rad/s)
-        length, c0, c1, k = np.array(
-            [
-                [RAMP, alpha / 2, -alpha / 2, np.pi / 2],
-                [self._cruise, alpha, 0.0, 1.0],
-                [TURN, 0.0, alpha, np.pi / 4],
-                [self._cruise, -alpha, 0.0, 1.0],
-                [RAMP, -alpha / 2, -alpha / 2, np.pi / 2],
-            ]
-        ).T
+        length, c0, c1, k = np.transpose([
+            [RAMP, alpha / 2, -alpha / 2, np.pi / 2],
+            [self._cruise, alpha, 0.0, 1.0],
+            [TURN, 0.0, alpha, np.pi / 4],
+            [self._cruise, -alpha, 0.0, 1.0],
+            [RAMP, -alpha / 2, -alpha / 2, np.pi / 2],
+        ])  # fmt: skip
         rate_gain = c0 * length + c1 * np.sin(k * length) / k
         rate = np.concatenate([[0.0], np.cumsum(rate_gain)[:-1]])
         angle_gain = rate * length + c0 * length**2 / 2 + c1 * (1 - np.cos(k * length)) / k**2

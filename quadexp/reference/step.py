@@ -11,7 +11,7 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Triple, key
-from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart
+from quadexp.reference.base import DURATION, FlatOutput, TrajectoryPart, standing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,5 @@ class Step(TrajectoryPart):
         return 0.0
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
-        t = np.atleast_1d(np.asarray(t, float))
-        position = np.zeros((len(t), N_DERIVATIVES, 3))
-        position[:, 0] = np.where((t >= self.step_time)[:, None], self.target, self.start)
-        return FlatOutput(position, np.zeros((len(t), 3)))
+        after = np.atleast_1d(np.asarray(t, float)) >= self.step_time
+        return standing(np.where(after[:, None], self.target, self.start))

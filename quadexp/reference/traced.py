@@ -35,10 +35,10 @@ class Symbols(np.ndarray):
             return _symbols(_BY_ELEMENT[ufunc].reduce(plain[0], **options))
         if ufunc is np.logical_or and method == "reduce":  # any(): what may not be zero
             return any(not (value.is_zero() if isinstance(value, ca.SX) else value == 0) for value in plain[0].ravel())
-        found = _symbols(getattr(_BY_ELEMENT.get(ufunc, ufunc), method)(*plain, **options))
+        result = _symbols(getattr(_BY_ELEMENT.get(ufunc, ufunc), method)(*plain, **options))
         if into is None:
-            return found
-        into[0][...] = found
+            return result
+        into[0][...] = result
         return into[0]
 
     def __array_function__(self, function: Callable[..., Any], types: Any, given: Any, options: Any) -> Any:
@@ -72,8 +72,10 @@ _FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
 
 
 def _solve(system: np.ndarray, right: np.ndarray) -> np.ndarray:
-    found = ca.solve(*(ca.vertcat(*(ca.horzcat(*row) for row in matrix)) for matrix in (system, right)))
-    return np.array([[found[i, j] for j in range(found.shape[1])] for i in range(found.shape[0])], dtype=object)
+    solution = ca.solve(*(ca.vertcat(*(ca.horzcat(*row) for row in matrix)) for matrix in (system, right)))
+    return np.array(
+        [[solution[i, j] for j in range(solution.shape[1])] for i in range(solution.shape[0])], dtype=object
+    )
 
 
 def _symbols(array: Any) -> Any:
@@ -117,8 +119,8 @@ class CompiledStep:
             self._demand.tilt(air.outputs[:2])  # says where
         if self._demand.yaw is None:
             rows[:, -1] = self._calculus.integrate(-o_z, -o_dot_z)
-        found = np.ascontiguousarray(self._step.each(rows).T)
-        return found[:N_OUTPUTS], found[N_OUTPUTS:]
+        both = np.ascontiguousarray(self._step.each(rows).T)
+        return both[:N_OUTPUTS], both[N_OUTPUTS:]
 
 
 @lru_cache(maxsize=64)

@@ -39,7 +39,6 @@ TRAIL = 1.5  # s of path behind a vehicle
 COLOURS = 64  # of a GIF
 HOLD = 1.2  # s that the last frame stays
 MOST_FRAMES = 3000
-SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]  # m, unless recorded
 SAME = 1e-6  # m; references that differ by more are not the same
 ALIKE = 1e-3  # m; the same of flights at different rates, whose references are compared between samples
 
@@ -195,7 +194,7 @@ class _Picture:
             (vehicle,) = path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
             (line,) = course.plot([], [], color=colour, label=f"{label}: {of_all}")
             body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
-            self._flown.append(_Flown(flight, error, rotors_of(flight), trail, vehicle, body, line))
+            self._flown.append(_Flown(flight, error, flight.rotor_position, trail, vehicle, body, line))
         shown = [flown.error[flown.sample(begin) : flown.sample(end) + 1].max() for flown in self._flown]
         size = max(float(np.linalg.norm(flown.rotors, axis=1).max()) for flown in self._flown)
         reach = 1.05 * float(max(shown)) + 1.6 * size
@@ -235,12 +234,6 @@ def _title(flight: Flight) -> str:
     speed = (config.get("trajectory") or {}).get("speed")
     name = flight.metadata.get("trajectory", "")
     return f"{name} at {speed_text(speed)}" if speed else str(name)
-
-
-def rotors_of(flight: Flight) -> np.ndarray:
-    """Rotor positions in the body frame, (n, 3) (m)."""
-    config = flight.metadata.get("config", {}).get("vehicle") or {}
-    return np.array(config.get("rotor_position") or SOME_ROTORS, float)
 
 
 def _body(flight: Flight, k: int, rotors: np.ndarray) -> list[np.ndarray]:

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import read_table
-from quadexp.report.metrics import ROW_COLUMNS, errors_none, from_columns
+from quadexp.report.metrics import ROW_COLUMNS, errors_none
 from quadexp.report.text import count
 
 MOST = 500  # files that are looked at
@@ -55,13 +54,6 @@ class Checked(NamedTuple):
         bad = len(self.missing) + len(self.unreadable) + len(self.other)
         what = "all" if not bad else str(self.looked - bad)
         return f"{self.looked} of {count(self.flights, 'file')} of flights checked: {what} hold what the table says"
-
-
-def rows_of(results: str | Path) -> tuple[Path, list[dict[str, Any]]]:
-    """Folder and rows of results."""
-    path = Path(results)
-    file = path / "results.parquet" if path.is_dir() else path
-    return file.parent, from_columns(read_table(file, "results")[0])
 
 
 def check_flights(root: str | Path, rows: Sequence[Row], most: int = MOST) -> Checked:
@@ -132,10 +124,9 @@ def differing_libraries(texts: Iterable[str | None], here: str) -> str:
     counts: Counter[str] = Counter()
     cells, now = 0, _versions(here)
     for text, rows in Counter(texts).items():
-        other = [(name, version) for name, version in _versions(text or "").items() if now.get(name) != version]
+        other = _versions(text or "").items() - now.items()
         cells += rows if other else 0
-        for name, version in other:
-            counts[f"{name} {version} (here {now.get(name, 'none')})"] += rows
+        counts.update({f"{name} {version} (here {now.get(name, 'none')})": rows for name, version in sorted(other)})
     parts = ", ".join(f"{rows} with {what}" for what, rows in counts.most_common())
     return f"{cells} cells were flown with other libraries: {parts}" if cells else ""
 

@@ -22,12 +22,12 @@ import numpy as np
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, read_metadata, read_table
-from quadexp.report.frame import flat
-from quadexp.report.metrics import METRICS, SHOWN, from_columns
+from quadexp.log.store import read_flight, read_metadata
+from quadexp.report.frame import flat, read_results
+from quadexp.report.metrics import METRICS, SHOWN
 from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.statistics import Statistic, corrected, overall
-from quadexp.report.summary import RESULTS_FILE, held_out_rows, kind_of, summarise
+from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES
 from quadexp.report.text import count, number, p_value, plain, relative, shown, speed_text
@@ -231,17 +231,17 @@ def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
     sides: list[dict[Key, Row]] = [{} for _ in tables]
     for rows, side in zip(tables, sides, strict=True):
         for row in rows:
-            controller, model, variant = contestant_of(row)
-            contestant = controller, model if (controller, variant) in several else "", variant
-            side[condition_of(row), contestant, row["seed"]] = row
+            who = contestant_of(row)
+            who = who if (who.controller, who.settings) in several else who._replace(model="")
+            side[condition_of(row), who, row["seed"]] = row
     return sides
 
 
 def _results(paths: Sequence[Path]) -> dict[str, Any]:
     """Results folders; see the module. The metric is the first one's."""
-    tables = [read_table(path / RESULTS_FILE, "results") for path in paths]
-    metric = tables[0][1].get("metric", "mean_error")
-    sides = matched(*(from_columns(columns) for columns, _ in tables))
+    _, tables, records = zip(*map(read_results, paths), strict=True)
+    metric = records[0].get("metric", "mean_error")
+    sides = matched(*tables)
     cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
     labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in cells)))
     completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
@@ -272,7 +272,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
         all(x[n] == y[n] or (x[n] != x[n] and y[n] != y[n]) for n in ("outcome", *EXACT)) for x, y in cells.values()
     )
     common_cells = {key for key in cells if key[1] in compared and key[::2] in shared}
-    metrics = _contestants(cells, labels, common_cells, tables[0][1])
+    metrics = _contestants(cells, labels, common_cells, records[0])
     lines += [*_setting_lines(settings), "", f"outcome  {changed}"]
     lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
     report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
@@ -324,8 +324,8 @@ def _contestants(
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
         kept = {key: pair for key, pair in pairs.items() if key in shared or not all(map(is_flown, pair))}
-        sides = [(at[4], side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
-        rows = [dict(row, controller=side, model="", variant=setting) for setting, side, row in sides]
+        sides = [(at, side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
+        rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
         pooled += overall(rows, metric=metric, baseline="a", confidence=confidence)
         beyond = f"{len(pairs) - len(kept)} not completed by all" if len(kept) < len(pairs) else ""
         means = (_mean([pair[i] for key, pair in pairs.items() if key in shared], metric) for i in (0, 1))

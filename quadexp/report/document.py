@@ -5,8 +5,8 @@ runs, a leaderboard, a table that sorts and filters. What a section holds is a r
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
@@ -15,7 +15,6 @@ from quadexp.report.table import Table
 from quadexp.report.text import typeset
 
 _NUMBER = re.compile(r"(\*\*)?(-?[\d.e+-]+)(?:\*\*)?(?: (\[[^\]]*\]))?(\*)?(?: \((.*)\))?")
-WIDE = 8  # columns; with more, a table is printed across the sheet
 
 
 @dataclass(frozen=True)
@@ -31,47 +30,27 @@ class Cell:
     replay: int | None = None
 
 
-def cell_of(text: str) -> Cell:
-    """A cell of a table of texts."""
-    if (parts := _NUMBER.fullmatch(text)) is None:
-        return Cell(text)
+def cell_of(text: str | Cell) -> Cell:
+    """A cell of a table; of a text such as `**1.2** [1.1, 1.3]* (1 lost)` the rest stands below the number."""
+    if isinstance(text, Cell) or (parts := _NUMBER.fullmatch(text)) is None:
+        return text if isinstance(text, Cell) else Cell(text)
     bold, value, limits, star, beside = parts.groups("")
     return Cell(value + star, (limits, beside), best=bool(bold))
 
 
 @dataclass(frozen=True)
-class PageTable:
-    """name: unique on the page. lines: the first cell of each is its heading. sorts: by a click on a heading, and lines
-    are filtered by words."""
-
-    name: str
-    title: str
-    heads: Sequence[Cell]
-    lines: Sequence[Sequence[Cell]]
-    notes: Sequence[str] = ()
-    sorts: bool = False
-
-    @classmethod
-    def of(cls, table: Table, name: str = "", *, sorts: bool = False) -> PageTable:
-        """A table of texts; of a cell such as `**1.2** [1.1, 1.3]* (1 lost)` the rest stands below the number."""
-        lines = [[cell_of(text) for text in row] for row in table.rows]
-        return cls(name, table.title, [*map(Cell, table.columns)], lines, table.notes, sorts)
-
-    @property
-    def wide(self) -> bool:
-        return len(self.heads) > WIDE
-
-
-@dataclass(frozen=True)
 class Block:
-    """What stands together in a section, or on one of its tabs. figures: HTML of `style.figure_html`. facts: (term,
-    text). folded: only its title is seen at first. progress: (flights that are there, of all, the same in words)."""
+    """What stands together in a section, or on one of its tabs. figures: HTML of `style.figure_html`. tables: by a name
+    that is unique on the page, with texts or `Cell`s, the first of a row its heading. sorts: they do, by a click on a
+    heading, and are filtered by words. facts: (term, text). folded: only its title is seen at first. progress: (flights
+    that are there, of all, the same in words)."""
 
     title: str = ""
     tab: str = ""
     lead: str = ""
     figures: Sequence[str] = ()
-    tables: Sequence[PageTable] = ()
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    sorts: bool = False
     facts: Sequence[tuple[str, str]] = ()
     code: Sequence[str] = ()
     notes: Sequence[str] = ()
@@ -97,8 +76,8 @@ def document(title: str, sections: Sequence[Section], **more: Any) -> str:
     from markupsafe import Markup
 
     environment = Environment(autoescape=True, finalize=_shown, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["typeset"] = typeset
-    acts = any(block.tab or any(table.sorts for table in block.tables) for part in sections for block in part.blocks)
+    environment.filters |= {"typeset": typeset, "cells": lambda texts: [*map(cell_of, texts)]}
+    acts = any(block.tab or block.sorts for part in sections for block in part.blocks)
     return environment.from_string(template_text("page.html.j2")).render(
         title=title,
         sections=sections,
@@ -110,7 +89,7 @@ def document(title: str, sections: Sequence[Section], **more: Any) -> str:
 
 def sortable_page(title: str, table: Table, *, figures: Sequence[str] = (), notes: Sequence[str] = ()) -> str:
     """A table whose lines are sorted by a click on a heading, and filtered by a text. figures: above it."""
-    block = Block(figures=figures, notes=notes, tables=[PageTable.of(table, "rows", sorts=True)])
+    block = Block(figures=figures, notes=notes, tables={"rows": table}, sorts=True)
     return document(title, [Section("rows", "", title, "", [block])])
 
 

@@ -15,9 +15,8 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +26,10 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
 from quadexp.errors import UsageError
-from quadexp.log.store import read_flight, read_table
+from quadexp.log.store import read_flight
 from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
-from quadexp.report.frame import SweepFrame
-from quadexp.report.metrics import ROW_COLUMNS, from_columns
+from quadexp.report.frame import SweepFrame, read_results
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,
@@ -45,7 +43,6 @@ from quadexp.report.style import (
     plain_log,
     save_figure,
 )
-from quadexp.report.summary import RESULTS_FILE
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
 from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text, view
@@ -66,22 +63,12 @@ LONGEST_TICK = 20  # letters, beside a map
 
 
 def figure_of(view: View) -> Figure:
-    """The matplotlib figure of a view."""
-    return FIGURES[view.kind](view)
-
-
-def _drawn(draw: Callable[[View], Figure]) -> Callable[[View], Figure]:
-    """Decorator of what draws a view: the style, with smaller letters on paper."""
-
-    @wraps(draw)
-    def drawn(view: View) -> Figure:
-        with matplotlib.rc_context({**STYLE, **(ON_PAPER if view.width else {})}):
-            figure = draw(view)
-            for panel in figure.axes if view.width else ():
-                panel.tick_params(labelsize=ON_PAPER["legend.fontsize"])
-        return figure
-
-    return drawn
+    """The matplotlib figure of a view, on paper with smaller letters."""
+    with matplotlib.rc_context({**STYLE, **(ON_PAPER if view.width else {})}):
+        figure = _heat_map(view) if view.kind == "heat" else _lines(view)
+        for panel in figure.axes if view.width else ():
+            panel.tick_params(labelsize=ON_PAPER["legend.fontsize"])
+    return figure
 
 
 def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, **share: Any) -> tuple[Figure, Any]:
@@ -116,9 +103,7 @@ def _across(view: View, size: float, most: int) -> tuple[int, float]:
     return across, max(5.6, 1.4 + size * across)
 
 
-@_drawn
-def line_figure(view: View) -> Figure:
-    """The figure of a view of kind "lines"."""
+def _lines(view: View) -> Figure:
     lines, look = view.lines(), looks_of(view)
     labels = {line: label_of(view, line, view.names) for line in lines}
     size = max(3.1, 0.42 * len(view.x.values)) if view.x.kind == "group" else 3.1
@@ -195,8 +180,8 @@ def _draw_line(
     look = dict(look) | ({"linestyle": "none"} if view.x.kind == "group" else {})
     each: list[Any] = [(slice(None), label, look)]
     if view.x.key == "controller" and not view.by:  # each with the look that it has everywhere
-        own = looks([str(value) for value in view.x.values])
-        each = [([i], "", own[str(value)].points()) for i, (value, _) in enumerate(there)]
+        look_of = looks([str(value) for value in view.x.values])
+        each = [([i], "", look_of[str(value)].points()) for i, (value, _) in enumerate(there)]
     for some, name, drawn in each:
         yerr = bars[:, some] if np.isfinite(bars[:, some]).any() else None
         panel.errorbar(x[some], mean[some], yerr=yerr, label=name, capsize=2.5, elinewidth=1.0, **drawn)
@@ -263,12 +248,12 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
     start = len(view.facet)
     for k, (line, label) in enumerate(labels.items()):
         cross = {"marker": "x", "markersize": 5, "color": look[line].colour, "linestyle": "none"}
-        own = {place: point for place, point in view.places.items() if place[start : start + len(line)] == line}
-        if not any(point.is_shown for point in own.values()):
-            what = "invalid" if all(point.invalid for point in own.values()) else "no flight was completed"
+        of_line = {place: point for place, point in view.places.items() if place[start : start + len(line)] == line}
+        if not any(point.is_shown for point in of_line.values()):
+            what = "invalid" if all(point.invalid for point in of_line.values()) else "no flight was completed"
             grid[0].plot([], [], label=f"{label} ({what})".strip(), **cross)
         for panel, facet in zip(grid, view.panels, strict=False):
-            gone = [(p[-1], point) for p, point in own.items() if p[:start] == facet and not point.is_shown]
+            gone = [(p[-1], point) for p, point in of_line.items() if p[:start] == facet and not point.is_shown]
             for value, point in gone:
                 at, edge = (
                     (place_of(view.x, value, k, len(labels)), 0.97 - 0.055 * (k % 5)),
@@ -280,9 +265,7 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
                 panel.annotate(text, at, xycoords=edge, color=look[line].colour, **beside)
 
 
-@_drawn
-def heat_figure(view: View) -> Figure:
-    """The figure of a view of kind "heat"."""
+def _heat_map(view: View) -> Figure:
     down_axis = replace(Axis.of(view.by[0], [line[0] for line in view.lines()]), names=view.names)
     cell = 0.62 if len(view.x.values) * len(down_axis.values) <= MOST_LETTERS else 0.2
     size = max(2.2, cell * len(view.x.values) + 1.0), max(1.6, 0.42 * len(down_axis.values) + 0.8)
@@ -324,18 +307,15 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
             panel.text(i, j, "\n".join(lines), ha="center", va="center", fontsize=7, color=colour)
 
 
-FIGURES = {"lines": line_figure, "heat": heat_figure}
-
-
 def records(view: View) -> list[dict[str, Any]]:
     """The numbers behind a view, a record a place: its keys, and mean, low, high in SI units."""
-    made = []
+    rows = []
     for place, point in view.places.items():
         keys = dict(zip(view.keys, place, strict=True))
         about = {"seeds": point.seeds, "flights": point.flights, "ended": point.ended, "trials": point.trials}
         numbers = {view.y: point.mean, "low": point.low, "high": point.high, "interval": point.method}
-        made.append({**keys, **numbers, **about, "invalid": point.invalid})
-    return made
+        rows.append({**keys, **numbers, **about, "invalid": point.invalid})
+    return rows
 
 
 def check_path(path: Path, force: bool, suffixes: Sequence[str] = SUFFIXES) -> Path:
@@ -379,12 +359,12 @@ def results_figure(paths: Sequence[Path]) -> Figure:
     rows: list[dict[str, Any]] = []
     record: dict[str, Any] = {}
     for path, name in zip(paths, names_of(paths), strict=True):
-        columns, about = read_table(path / RESULTS_FILE, "results")
+        _, flights, about = read_results(path)
         record = record or {key: about[key] for key in ("metric", "confidence") if key in about}
-        for row in from_columns(columns):
+        for row in flights:
             variant = f"{row.get('variant') or ''} {SOURCE}={name}".strip()
-            rows.append({**dict.fromkeys(ROW_COLUMNS), **row, "variant": variant})
+            rows.append({**row, "variant": variant})
     frame = SweepFrame(rows, paths[0], record)
     axes = [key for key in frame.swept if key not in (SOURCE, "controller", "model", "trajectory", "seed")]
     x = max(axes, key=lambda key: len(frame.values(key))) if axes else "controller"
-    return line_figure(view(frame, x=x, by=[SOURCE], y=str(record.get("metric", "mean_error"))))
+    return figure_of(view(frame, x=x, by=[SOURCE], y=str(record.get("metric", "mean_error"))))

@@ -19,6 +19,7 @@ from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
 from quadexp.log.signal.windows import Pair, cut, pairs, streams_of
 from quadexp.report.metrics import mean_error, position_error
+from quadexp.report.pairing import grouped
 from quadexp.report.style import COLOURS, ERROR_COLOURS, HUES, Figure, entries, error_bar, looks, plain_log, styled
 
 MS = 1e3
@@ -149,9 +150,7 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
 @styled
 def over_time(flight: Flight, columns: Sequence[str], units: Mapping[str, str]) -> Figure:
     """Columns over time; those that share a unit share a panel. units: by column."""
-    groups: dict[str, list[str]] = {}
-    for name in columns:
-        groups.setdefault(units.get(name, ""), []).append(name)
+    groups = grouped((units.get(name, ""), name) for name in columns)
     figure = Figure(figsize=(7.2, 0.6 + 1.8 * len(groups)), layout="constrained")
     panels = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (unit, names) in zip(panels, groups.items(), strict=True):

@@ -7,9 +7,8 @@ the overrides that asked for it are in the record of the results.
 Conditions, such as `controller == gp_mpc and speed > 6`, are evaluated by pandas as `DataFrame.query` does. A word that
 is a column of the results or a key of the configuration stands for its values, any other one for a text. A number may
 have a unit (5 mm); without one it has that of the tables beside a metric (`mean_error < 5` is in mm) and that of the
-configuration beside a key. Beside the signs of Python there are `like 'gp_*'` and `is null`. What pandas reads is put
-together from known columns, signs and literals: no name, call or attribute of the condition gets there. As in pandas, a
-missing value fulfils no comparison but `!=` and `not in`.
+configuration beside a key. What pandas reads is put together from known columns, signs and literals: no name, call or
+attribute of the condition gets there. As in pandas, a missing value fulfils no comparison but `!=` and `not in`.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -50,8 +48,6 @@ SIGNS = {"=": "==", "<>": "!=", "&&": "and", "||": "or"}
 LITERALS = {"true": "True", "false": "False"}
 _TOKEN = re.compile(
     r"""\s*(?:(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s?(?P<unit>mm|cm|us|ms|deg|m|s|%)?(?![\w.])
-    |is\s+(?P<there>not\s+)?(?P<null>null\b)
-    |(?P<unlike>not\s+)?like\s+(?P<like>'[^']*'|"[^"]*"|[^\s()]+)
     |(?P<joint>(?:and|or|not|in)\b)
     |(?P<word>[^\W\d][\w.+/:*?-]*)|(?P<text>'[^']*'|"[^"]*")
     |(?P<sign>==|!=|<>|<=|>=|&&|\|\||[=<>()\[\],]))""",
@@ -82,15 +78,10 @@ class SweepFrame:
     @classmethod
     def read(cls, folder: str | Path) -> SweepFrame:
         """The last sweep of a folder; UsageError where it holds no results."""
-        path = Path(folder)
-        file = path / RESULTS if path.is_dir() else path
-        if not file.is_file():
-            raise UsageError(f"{folder}: holds no results (made by `quadexp evaluate`)")
-        columns, record = read_table(file, "results", required=("key", "outcome"))
-        rows = [{**dict.fromkeys(ROW_COLUMNS), **row} for row in from_columns(columns)]
+        root, rows, record = read_results(folder)
         if not rows:
-            raise DataError(f"{file}: holds no flights; run the sweep again")
-        return cls(rows, file.parent, record)
+            raise DataError(f"{folder}: holds no flights; run the sweep again")
+        return cls(rows, root, record)
 
     def where(self, kept: Sequence[bool]) -> SweepFrame:
         """The frame of some of its rows."""
@@ -212,6 +203,18 @@ class SweepFrame:
         return self._configs.get(group, {})
 
 
+def read_results(path: str | Path) -> tuple[Path, list[dict[str, Any]], dict[str, Any]]:
+    """Folder, rows and record of the last sweep of a folder, or of its table; None for a column that it does not have.
+
+    Raises UsageError where it holds no results.
+    """
+    file = Path(path) / RESULTS if Path(path).is_dir() else Path(path)
+    if file.name == RESULTS and not file.is_file():
+        raise UsageError(f"{path}: holds no results (made by `quadexp evaluate`)")
+    columns, record = read_table(file, "results", required=("key", "outcome"))
+    return file.parent, [dict.fromkeys(ROW_COLUMNS) | row for row in from_columns(columns)], record
+
+
 def chosen(frame: SweepFrame, condition: str) -> list[bool]:
     """Which rows fulfil the condition; UsageError, in one line, where it cannot be read or names no key."""
     import pandas as pd
@@ -240,28 +243,14 @@ def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]]
         tokens.append(token)
     parts: list[str] = []
 
-    def column(values: list[Any]) -> str:
-        name = f"c{len(columns)}"
-        columns[name] = values
-        return name
-
     for i, token in enumerate(tokens):
         if token["number"]:
             number = float(token["number"])
             parts.append(repr(number * UNITS[token["unit"].lower()] if token["unit"] else number / _factor(tokens, i)))
-        elif token["null"] or token["like"]:
-            values = columns.get(parts[-1] if parts else "")
-            if values is None:
-                raise UsageError(f"--where {condition!r}: `{token[0].strip()}` needs a key before it")
-            if token["null"]:
-                holds = [(value is None) is not bool(token["there"]) for value in values]
-            else:
-                pattern, unlike = token["like"].strip("'\""), bool(token["unlike"])
-                holds = [value is not None and fnmatchcase(str(value), pattern) is not unlike for value in values]
-            parts[-1] = f"{column(holds)} == True"
         elif (word := token["word"]) and word.lower() not in LITERALS:
             if frame.has(word):
-                parts.append(column(frame.column(word)))
+                parts.append(f"c{len(columns)}")
+                columns[parts[-1]] = frame.column(word)
             else:
                 texts.append(word)
                 parts.append(repr(word))

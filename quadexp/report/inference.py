@@ -38,12 +38,12 @@ SAME = 1e-12  # relative difference below which two sums are one
 class Interval(NamedTuple):
     """Confidence limits. method: "t", or "none": fewer than two values, or all the same."""
 
-    low: float
-    high: float
-    method: str
+    low: float = math.nan
+    high: float = math.nan
+    method: str = "none"
 
 
-NO_INTERVAL = Interval(math.nan, math.nan, "none")
+NO_INTERVAL = Interval()
 
 
 def vary(values: np.ndarray) -> bool:
@@ -76,13 +76,13 @@ def reduction_interval(values: np.ndarray, baseline: np.ndarray, confidence: flo
 class Ratio(NamedTuple):
     """Ratio of two errors, its limits and the p of a ratio of one; NaN where there is none."""
 
-    value: float
-    low: float
-    high: float
-    p: float
+    value: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    p: float = math.nan
 
 
-NO_RATIO = Ratio(math.nan, math.nan, math.nan, math.nan)
+NO_RATIO = Ratio()
 
 
 def log_ratio(logs: np.ndarray, confidence: float = 0.95) -> Ratio:
@@ -92,7 +92,7 @@ def log_ratio(logs: np.ndarray, confidence: float = 0.95) -> Ratio:
         return NO_RATIO
     mean, (low, high, method) = float(np.mean(logs)), mean_interval(logs, confidence)
     if method == "none":
-        return Ratio(math.exp(mean), math.nan, math.nan, math.nan)
+        return Ratio(math.exp(mean))
     statistic = abs(mean) / float(np.std(logs, ddof=1)) * math.sqrt(len(logs))
     return Ratio(math.exp(mean), math.exp(low), math.exp(high), 2 * float(stdtr(len(logs) - 1, -statistic)))
 

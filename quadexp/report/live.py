@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from quadexp.report.document import Block, PageTable, Section, document
+from quadexp.report.document import Block, Section, document
 from quadexp.report.pairing import is_invalid
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES, error_table
@@ -62,6 +62,6 @@ def clock(seconds: float) -> str:
 
 def page(live: Live, seconds: float) -> str:
     """The page, which loads itself anew every few seconds while the sweep runs."""
-    block = Block(progress=(live.done, live.total, live.progress_text()), tables=[PageTable.of(live.table())])
+    block = Block(progress=(live.done, live.total, live.progress_text()), tables={"": live.table()})
     refresh = f"{seconds:g}" if live.state == "running" else ""
     return document(f"{live.title} - quadexp sweep", [Section("sweep", "", live.title, "", [block])], refresh=refresh)

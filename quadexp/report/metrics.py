@@ -158,15 +158,18 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """Rows of results as columns of fixed types, for Parquet."""
-    columns: dict[str, np.ndarray] = {}
-    for name in ROW_COLUMNS:
-        values = [row.get(name) for row in rows]
-        if name in TEXT_COLUMNS:
-            columns[name] = np.array(["" if value is None else str(value) for value in values], dtype=object)
-        else:
-            kind, empty = (np.int64, 0) if name in INTEGER_COLUMNS else (float, math.nan)
-            columns[name] = np.array([empty if value is None else value for value in values], dtype=kind)
-    return columns
+    kinds = dict.fromkeys(ROW_COLUMNS, float) | dict.fromkeys(TEXT_COLUMNS, object)
+    kinds |= dict.fromkeys(INTEGER_COLUMNS, np.int64)
+    return {name: np.array([typed(name, row.get(name)) for row in rows], kinds[name]) for name in ROW_COLUMNS}
+
+
+def typed(name: str, value: Any) -> Any:
+    """A value in the type of its column: a missing text is empty, a missing count zero, another number NaN."""
+    if name in TEXT_COLUMNS:
+        return "" if value is None else str(value)
+    if name in INTEGER_COLUMNS:
+        return 0 if value is None else int(value)
+    return math.nan if value is None else float(value)
 
 
 def from_columns(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:

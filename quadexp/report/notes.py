@@ -14,9 +14,8 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
-from quadexp.models.base import REPORTED_SHARE
 from quadexp.report.checked import mixed_programs
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound, is_invalid
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, grouped, is_bound, is_invalid
 from quadexp.report.text import count, speed_text, too_few
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
@@ -24,6 +23,7 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
     from quadexp.report.winner import Verdict
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
+REPORTED_SHARE = 0.01  # least share of samples outside the data that is reported for a flight
 MOST_CONTESTANTS = 10  # that a kind of note has a line on
 MOST_CAUSES = 3  # of invalid combinations that are named
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name
@@ -79,9 +79,7 @@ def notes(rows: Sequence[Row]) -> list[str]:
     """The notes on result rows; empty if there are none."""
     invalid = [text] if (text := invalid_text(rows)) else []
     rows = [row for row in rows if not is_invalid(row)]
-    flights: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        flights.setdefault(contestant_of(row), []).append(row)
+    flights = grouped((contestant_of(row), row) for row in rows)
     labels = contestant_labels(list(flights))
     lines = []
     for note in OF_A_CONTESTANT:
@@ -152,8 +150,8 @@ OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (
 
 
 def _place(row: Row) -> str:
-    _, _, trajectory, speed, setting = condition_of(row)
-    return " ".join(part for part in (trajectory, speed_text(speed), setting) if part)
+    at = condition_of(row)
+    return " ".join(part for part in (at.trajectory, speed_text(at.speed), at.setting) if part)
 
 
 def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> list[str]:

@@ -36,9 +36,9 @@ import numpy as np
 
 Who = TypeVar("Who", bound=Hashable)
 What = TypeVar("What", bound=Hashable)
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
 Row = Mapping[str, Any]
-Condition = tuple[str, str, str, float | None, str]  # plant, vehicle, trajectory, speed (m/s), other settings
-Contestant = tuple[str, str, str]  # controller, model, its own settings
 World = tuple[str, str]  # plant, vehicle
 BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked
 
@@ -51,16 +51,46 @@ def _split(variant: str | None) -> list[str]:
     return _BEFORE_KEY.split(variant) if variant else []
 
 
+def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
+    """Key -> its values, both in order of appearance."""
+    groups: dict[Key, list[Value]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
+
+
+class Condition(NamedTuple):
+    """What is flown. speed: m/s, None for a trajectory without one. setting: every other one that varies."""
+
+    plant: str
+    vehicle: str
+    trajectory: str
+    speed: float | None
+    setting: str
+
+    @property
+    def world(self) -> World:
+        return self.plant, self.vehicle
+
+
+class Contestant(NamedTuple):
+    """Who flies it. model: the checkpoint. settings: of the controller."""
+
+    controller: str
+    model: str
+    settings: str
+
+
 def condition_of(row: Row) -> Condition:
     speed = row["speed"]
     speed = None if speed is None or math.isnan(float(speed)) else float(speed)
     setting = " ".join(part for part in _split(row.get("variant")) if not part.startswith("controller."))
-    return row["plant"], row["vehicle"], row["trajectory"], speed, setting
+    return Condition(row["plant"], row["vehicle"], row["trajectory"], speed, setting)
 
 
 def contestant_of(row: Row) -> Contestant:
     settings = " ".join(part for part in _split(row.get("variant")) if part.startswith("controller."))
-    return row["controller"], row["model"], settings
+    return Contestant(row["controller"], row["model"], settings)
 
 
 def is_flown(row: Row) -> bool:
@@ -79,18 +109,16 @@ def is_bound(controller: str) -> bool:
 
 def contestant_labels(contestants: Sequence[Contestant]) -> dict[Contestant, str]:
     """The controller's name, with checkpoint and settings as far as they distinguish it from the others."""
-    models: dict[str, set[str]] = {}
-    for controller, model, _ in contestants:
-        models.setdefault(controller, set()).add(model)
-    paths = set().union(*models.values()) if models else set()
+    models = {name: {*several} for name, several in grouped(who[:2] for who in contestants).items()}
+    paths = {model for _, model, _ in contestants}
     short = {path: path.rstrip("/").rpartition("/")[2] for path in paths}
     if len(set(short.values())) < len(paths):  # two checkpoints of one name: the whole path
         short = {path: path for path in paths}
     labels = {}
-    for controller, model, variant in contestants:
-        parts = [controller, short[model] if len(models[controller]) > 1 and model else ""]
-        parts += [_KEYS_ABOVE.sub("", part) for part in _split(variant)]  # "nodes=20" of "controller.nodes=20"
-        labels[controller, model, variant] = " ".join(filter(None, parts))
+    for who in contestants:
+        parts = [who.controller, short[who.model] if len(models[who.controller]) > 1 and who.model else ""]
+        parts += [_KEYS_ABOVE.sub("", part) for part in _split(who.settings)]  # "nodes=20" of "controller.nodes=20"
+        labels[who] = " ".join(filter(None, parts))
     count = Counter(labels.values())
     return {who: " ".join(filter(None, who)) if count[label] > 1 else label for who, label in labels.items()}
 
@@ -150,9 +178,8 @@ def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
     """The independent values of a comparison: the mean of each seed over the conditions, (seeds, ...), seeds ascending.
 
     values: (condition, seed) -> (...); those that are not whole are left out."""
-    by_seed: dict[int, list[Any]] = {}
-    for at, seed in sorted(whole(values.keys()), key=str) if values else ():
-        by_seed.setdefault(seed, []).append(values[at, seed])
+    kept = sorted(whole(values.keys()), key=str) if values else []
+    by_seed = grouped((seed, values[at, seed]) for at, seed in kept)
     return np.array([np.mean(by_seed[seed], axis=0) for seed in sorted(by_seed)])
 
 
@@ -191,25 +218,29 @@ class Groups:
     """The flights of a comparison, in order of first appearance.
 
     cells: (condition, contestant) -> flights. conditions: condition -> contestant -> seed, ascending -> flights (two of
-    a seed where a table was joined from two sweeps). worlds: plant and vehicle -> their conditions.
+    a seed where a table was joined from two sweeps). worlds: plant and vehicle -> their conditions. labels: of the
+    contestants; None: that tell these apart.
     """
 
-    def __init__(self, rows: Sequence[Row], baseline: str, metrics: Sequence[str]) -> None:
-        self.cells: dict[tuple[Condition, Contestant], list[Flown]] = {}
-        for row in (row for row in rows if not is_invalid(row)):
-            flown = Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
-            self.cells.setdefault((condition_of(row), contestant_of(row)), []).append(flown)
+    def __init__(
+        self, rows: Sequence[Row], baseline: str, metrics: Sequence[str], labels: Mapping[Contestant, str] | None = None
+    ) -> None:
+
+        def flown(row: Row) -> Flown:
+            return Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
+
+        valid = (row for row in rows if not is_invalid(row))
+        self.cells = grouped(((condition_of(row), contestant_of(row)), flown(row)) for row in valid)
         self.conditions: dict[Condition, dict[Contestant, dict[int, list[Flown]]]] = {}
         for (condition, contestant), flights in self.cells.items():
-            by_seed = self.conditions.setdefault(condition, {}).setdefault(contestant, {})
-            for flown in sorted(flights, key=lambda flown: flown.seed):
-                by_seed.setdefault(flown.seed, []).append(flown)
-        self.worlds: dict[World, list[Condition]] = {}
-        for condition in self.conditions:
-            self.worlds.setdefault(condition[:2], []).append(condition)
+            by_seed = grouped((flight.seed, flight) for flight in sorted(flights, key=lambda flight: flight.seed))
+            self.conditions.setdefault(condition, {})[contestant] = by_seed
+        self.worlds: dict[World, list[Condition]] = grouped(
+            (condition.world, condition) for condition in self.conditions
+        )
         self.contestants = list(dict.fromkeys(contestant for _, contestant in self.cells))
-        self.labels = contestant_labels(self.contestants)
-        self._baselines = [contestant for contestant in self.contestants if contestant[0] == baseline]
+        self.labels = labels or contestant_labels(self.contestants)
+        self._baselines = [contestant for contestant in self.contestants if contestant.controller == baseline]
 
     def flights(self, conditions: Iterable[Condition]) -> dict[Contestant, Flights]:
         """Contestant -> how many of its trials in these conditions were completed."""
@@ -230,10 +261,7 @@ class Groups:
                 good = [seed for seed, same in by_seed.items() if all(flown.outcome == "ok" for flown in same)]
                 ended.setdefault(contestant, set()).update((condition, seed) for seed in good)
         compared, shared = common(ended)
-        seeds: dict[Condition, set[int]] = {}
-        for condition, seed in shared:
-            seeds.setdefault(condition, set()).add(seed)
-        return Common(tuple(compared), {at: frozenset(s) for at, s in seeds.items()})
+        return Common(tuple(compared), {at: frozenset(seeds) for at, seeds in grouped(shared).items()})
 
     @cached_property
     def lines(self) -> dict[Condition, Common]:
@@ -248,7 +276,7 @@ class Groups:
 
     def baseline(self, contestant: Contestant) -> Contestant | None:
         """The baseline of a contestant; if the baseline flew with several settings, the one with the same settings."""
-        alike = [who for who in self._baselines if len(self._baselines) == 1 or who[2] == contestant[2]]
+        alike = [who for who in self._baselines if len(self._baselines) == 1 or who.settings == contestant.settings]
         return alike[0] if len(alike) == 1 and contestant not in self._baselines else None
 
     def pairs(

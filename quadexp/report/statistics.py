@@ -123,7 +123,7 @@ class Statistic:
 
     @property
     def contestant(self) -> Contestant:
-        return self.controller, self.model, self.variant
+        return Contestant(self.controller, self.model, self.variant)
 
     @property
     def failures(self) -> dict[str, int]:
@@ -182,9 +182,7 @@ def compute_statistics(
     about: dict[tuple[Condition, Contestant], dict[str, Any]] = {}  # what is the same for every metric
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
     for condition, among in groups.lines.items():
-        plant, vehicle, trajectory, speed, setting = condition
-        where: dict[str, Any] = {"plant": plant, "vehicle": vehicle, "trajectory": trajectory, "setting": setting}
-        where |= {"speed": NAN if speed is None else speed}
+        where = condition._asdict() | {"speed": NAN if condition.speed is None else condition.speed}
         for contestant, flown in groups.flights([condition]).items():
             at, rival = (condition, contestant), groups.baseline(contestant)
             low, high = inference.success_interval(flown.ended, flown.trials, confidence)
@@ -227,9 +225,8 @@ def corrected(statistics: Sequence[Statistic]) -> list[Statistic]:
 
 
 def _whose(groups: Groups, contestant: Contestant, confidence: float) -> dict[str, Any]:
-    controller, model, variant = contestant
-    label = groups.labels[contestant]
-    return {"controller": controller, "model": model, "variant": variant, "label": label, "confidence": confidence}
+    who = {"controller": contestant.controller, "model": contestant.model, "variant": contestant.settings}
+    return {**who, "label": groups.labels[contestant], "confidence": confidence}
 
 
 def _tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
@@ -292,7 +289,7 @@ def overall(
         own_pairs = trials = 0
         causes: Counter[str] = Counter()
         for condition in dict.fromkeys(at for at, who in groups.cells if who in (contestant, rival)):
-            pairs, left_out = groups.pairs(condition, contestant, rival, among[condition[:2]])
+            pairs, left_out = groups.pairs(condition, contestant, rival, among[condition.world])
             trials += flights[condition].get(contestant, Flights(0, 0)).trials
             causes.update(left_out)
             by_seed = _logs(pairs)

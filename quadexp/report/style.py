@@ -33,6 +33,7 @@ from quadexp.messages import clean, html
 from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
 from quadexp.report import FORMATS
+from quadexp.report.pairing import grouped
 from quadexp.writer import written
 
 HUES = {
@@ -194,9 +195,7 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     labels = list(dict.fromkeys(labels))
     plants = [next((word for word in label.split(" ") if word.startswith("@")), "") for label in labels]
     usual = {label: plants.count(plant) for label, plant in zip(labels, plants, strict=True)}
-    variants: dict[str, list[str]] = {}
-    for label in sorted(labels, key=lambda label: -usual[label]):
-        variants.setdefault(name_of(label), []).append(label)
+    variants = grouped((name_of(label), label) for label in sorted(labels, key=lambda label: -usual[label]))
     many = {name for name, alike in variants.items() if len(alike) > MOST_VARIANTS}
     taken = [(LOOKS[name].hue, LOOKS[name].marker) for name in variants if name in LOOKS and name not in many]
     order = {name: place for place, name in enumerate(LOOKS)}
@@ -238,20 +237,19 @@ def _turned(values: Sequence[Any], by: int) -> list[Any]:
 def _with_remedies(look: Look, remedies: str, others: Sequence[Look]) -> Look:
     """The look of a controller with remedies: a shade, marker and dash of these, as far as nobody else has them."""
     at, worn = zlib.crc32(remedies.encode()), {(other.hue, other.shade, other.marker, other.filled) for other in others}
-    look = replace(look, dash=DASHES[1 + at % (len(DASHES) - 1)], filled=False)
-    shades = range(1, MOST_VARIANTS)
-    for k, marker in enumerate(_turned(MARKERS, at // 7)):
-        for shade in _turned(shades, at + k * len(shades)):
-            if (look.hue, shade, marker, False) not in worn:
-                return replace(look, marker=marker, shade=shade)
-    return look
+    look, shades = replace(look, dash=DASHES[1 + at % (len(DASHES) - 1)], filled=False), range(1, MOST_VARIANTS)
+    markers = enumerate(_turned(MARKERS, at // 7))
+    pairs = ((shade, marker) for k, marker in markers for shade in _turned(shades, at + k * len(shades)))
+    free = (pair for pair in pairs if (look.hue, *pair, False) not in worn)
+    shade, marker = next(free, (look.shade, look.marker))
+    return replace(look, marker=marker, shade=shade)
 
 
 def _apart(look: Look, others: Sequence[Look]) -> Look:
     """A look in a shade that no other label of the same hue has; the first one of a hue is unchanged."""
     worn = {other.shade for other in others if other.hue == look.hue}
-    free = [shade for shade in range(MOST_VARIANTS) if shade not in worn]
-    return replace(look, shade=free[0]) if look.shade in worn and free else look
+    free = (shade for shade in (look.shade, *range(MOST_VARIANTS)) if shade not in worn)
+    return replace(look, shade=next(free, look.shade))
 
 
 def name_of(label: str) -> str:
@@ -261,11 +259,11 @@ def name_of(label: str) -> str:
 
 def entries(panels: Iterable[Any]) -> tuple[list[Any], list[str]]:
     """Handles and labels of a legend for several panels, each label once."""
-    found: dict[str, Any] = {}
+    handles: dict[str, Any] = {}
     for panel in panels:
         for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
-            found.setdefault(text, handle)
-    return list(found.values()), list(found)
+            handles.setdefault(text, handle)
+    return list(handles.values()), list(handles)
 
 
 def plain_log(axis: Any, *, minor: bool = False) -> None:

@@ -18,13 +18,14 @@ from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.parts.schema import WORLD
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
+from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import METRICS, errors_none, from_columns
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
+from quadexp.report.pairing import grouped
 from quadexp.report.table import Table, records_table
 from quadexp.report.text import number, speed_text
 
 MODEL_FILE = "model.json"
-RESULTS_FILE = "results.parquet"
 LONG = 0.499  # s: margins are not looked for beyond half a second
 HELD_OUT_UNITS = {"a": "m/s^2", "t": "N m"}  # by the first letter of an output
 
@@ -37,7 +38,7 @@ def summarise(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     if kind_of(path) == "checkpoint":
         return _checkpoint(path.parent if path.name == MODEL_FILE else path)
-    return _table(path / RESULTS_FILE if path.is_dir() else path)
+    return _table(path / RESULTS if path.is_dir() else path)
 
 
 def kind_of(path: Path) -> str:
@@ -48,8 +49,8 @@ def kind_of(path: Path) -> str:
         return "checkpoint"
     if not path.is_dir():
         return read_metadata(path)["kind"]
-    if not (path / RESULTS_FILE).is_file():
-        raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
+    if not (path / RESULTS).is_file():
+        raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS}) in this folder")
     return "results"
 
 
@@ -352,9 +353,10 @@ def _short(value: Any) -> str:
 
 def _unit_lines(columns: Mapping[str, Mapping[str, str]]) -> list[str]:
     """The columns, those of one unit and frame in one line."""
-    groups: dict[str, list[str]] = {}
-    for name, column in columns.items():
-        groups.setdefault(", ".join(filter(None, (column["unit"] or "-", column["frame"]))), []).append(name)
+    units = {
+        name: ", ".join(filter(None, (column["unit"] or "-", column["frame"]))) for name, column in columns.items()
+    }
+    groups = grouped((unit, name) for name, unit in units.items())
     return [f"columns     {' '.join(names)}  [{unit}]" for unit, names in groups.items()]
 
 

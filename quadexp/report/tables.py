@@ -29,15 +29,7 @@ from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_colum
 from quadexp.report.metrics import NUMBERS, SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
-from quadexp.report.pairing import (
-    Contestant,
-    Flights,
-    condition_of,
-    contestant_labels,
-    contestant_of,
-    is_invalid,
-    setting_pairs,
-)
+from quadexp.report.pairing import Flights, condition_of, contestant_labels, contestant_of, is_invalid, setting_pairs
 from quadexp.report.statistics import BASELINE, CONFIDENCE, KINDS, Statistic, Statistics, compute_statistics, overall
 from quadexp.report.table import Table, csv_text
 from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
@@ -96,16 +88,6 @@ def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [" ".join([labels[contestant_of(row)], *(f"@{row[name]}" for name in several)]) for row in rows]
 
 
-def plant_labels(statistics: Sequence[Statistic]) -> list[str]:
-    """The contestant of each statistic, told apart from the others on its plant: the same controller has checkpoints of
-    its own on another one."""
-    there: dict[str, dict[Contestant, None]] = {}
-    for s in statistics:
-        there.setdefault(s.plant, {})[s.contestant] = None
-    labels = {plant: contestant_labels(list(contestants)) for plant, contestants in there.items()}
-    return [labels[s.plant][s.contestant] for s in statistics]
-
-
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
     """(trajectory, other settings) -> label of a line, such as "circle, payload 0.1 kg"; no two are the same."""
     conditions = list(dict.fromkeys(conditions))
@@ -134,9 +116,8 @@ def error_table(
     notes = table_notes(statistics, overall(results, metric=metric, **options), best)
     rows = [*map(_row_of, statistics), *filter(is_invalid, results)]
     settings = [dict(setting_pairs(row.get("variant"))) for row in rows]
-    values: dict[str, list[str]] = {}
-    for pair in (pair for pairs in settings for pair in pairs.items()):
-        values.setdefault(pair[0], []).append(pair[1])
+    every = dict.fromkeys(key for pairs in settings for key in pairs)
+    values = {key: [pairs[key] for pairs in settings if key in pairs] for key in every}
     keys = [key for key, several in values.items() if len(set(several)) > 1]
     keys.sort(key=lambda key: key.startswith("controller."))  # those of the conditions first
     kept = (" ".join(f"{key}={value}" for key, value in pairs.items() if key not in keys) for pairs in settings)
@@ -146,7 +127,7 @@ def error_table(
     if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
         labels = column_labels([{**row, "plant": ""} for row in bare])
         shown_as = {"plant": ("plant", {row["plant"]: row["plant"] for row in rows}), **shown_as}
-    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
+    courses = course_labels((row["trajectory"], condition_of(row).setting) for row in bare)
     places: dict[tuple[str, ...], tuple[int, float]] = {}  # texts that begin a line -> its place
     cells: dict[tuple[tuple[str, ...], str], str] = {}
     flown: dict[str, Flights] = {}

@@ -32,7 +32,7 @@ from quadexp.messages import suggestion
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_controller, setting_text, with_unit
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
-from quadexp.report.pairing import common, is_flown, is_invalid, seed_means
+from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
 from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
 
@@ -78,22 +78,13 @@ def points(
     values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
     flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
     well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
-    places: dict[Place, list[int]] = {}  # place -> rows
-    groups: dict[Place, list[Place]] = {}  # what is flown -> places
-    for i, place in enumerate(zip(*columns, strict=True)):
-        if None not in place:
-            places.setdefault(place, []).append(i)
-    for place in places:
+    places = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)) if None not in place)
+    beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
+    for place, numbers in places.items():
         flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
-        groups.setdefault(flown, []).append(place)
-    used: dict[Place, list[int]] = {}
-    for group in groups.values():
-        ended = {
-            place: {flights[i] for i in places[place] if well[i]} - {flights[i] for i in places[place] if not well[i]}
-            for place in group
-        }
-        compared, shared = common(ended)
-        used |= {place: [i for i in places[place] if flights[i] in shared] for place in compared}
+        broken = {flights[i] for i in numbers if not well[i]}
+        beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
+    used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}
     result = {}
     for place, numbers in places.items():
         rows = [frame.rows[i] for i in numbers]
@@ -106,13 +97,11 @@ def points(
             share = completed / trials if trials else math.nan
             point = replace(point, mean=share, low=low, high=high, flights=trials, method="Clopper-Pearson")
         elif place in used:
-            errors: dict[tuple[Place, int], list[float]] = {}
-            for i in used[place]:
-                errors.setdefault(flights[i], []).append(float(values[i]))
+            errors = grouped((flights[i], float(values[i])) for i in numbers if flights[i] in used[place])
             means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
             low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
             limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}
-            point = replace(point, **limits, flights=len(used[place]), seeds=len(means))
+            point = replace(point, **limits, flights=sum(map(len, errors.values())), seeds=len(means))
         result[place] = point
     return result
 
@@ -247,8 +236,10 @@ class View:
             exact = any(math.isfinite(point.low) for point in self.places.values())
             bars = f"; bars: its {100 * self.confidence:g} % interval (Clopper-Pearson)" if exact else ""
             return f"share of flights{bars}"
-        seeds = sorted({point.seeds for point in shown})
-        span = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else count(seeds[0], "seed") if seeds else "seeds"
+        seeds = sorted({point.seeds for point in shown if point.seeds})
+        if not seeds:  # of other means than those of a sweep
+            return ""
+        span = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else count(seeds[0], "seed")
         over = "one flight each" if seeds == [1] and not self.others else f"mean over {span}"
         known = self.kind == "lines" and any(point.method == "t" for point in shown)
         return over + (f"; bars: its {100 * self.confidence:g} % interval (Student's t)" if known else "")
@@ -267,13 +258,14 @@ class View:
 
 def view(
     frame: SweepFrame, *, y: str = "mean_error", x: str | None = None, by: Sequence[str] | None = None,
-    facet: Sequence[str] | None = None, kind: Kind | None = None, confidence: float = 0.95,
+    facet: Sequence[str] | None = None, kind: Kind | None = None,
 ) -> View:  # fmt: skip
-    """The view that is asked for, completed by what was swept. by, facet: None to choose.
+    """The view that is asked for, completed by what was swept, with the confidence of the results' record. by, facet:
+    None to choose.
 
     Raises UsageError for a key that is none, a key that is given twice, or where nothing can be drawn.
     """
-    metrics = [*filter(is_metric, frame.names), SUCCESS]
+    metrics, confidence = [*filter(is_metric, frame.names), SUCCESS], float(frame.record.get("confidence", 0.95))
     if y not in metrics:
         raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
@@ -341,18 +333,8 @@ def _made(
         column = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
         if key not in (*keys, *others) and len(set(column)) == 1 and column[0] is not None:
             alone[key] = column[0]
-    return View(
-        kind=kind,
-        y=y,
-        x=Axis.of(x, values),
-        by=tuple(by),
-        facet=tuple(facet),
-        others=tuple(others),
-        confidence=confidence,
-        notes=tuple(_notes(frame, keys, others, y, places)),
-        places=places,
-        alone=alone,
-    )
+    axes, notes = (tuple(by), tuple(facet), tuple(others)), tuple(_notes(frame, keys, others, y, places))
+    return View(kind, y, Axis.of(x, values), *axes, confidence, notes, places, alone)
 
 
 def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:

@@ -15,8 +15,8 @@ most: alpha / 2 for the verdict over all conditions, alpha / 2 for the marks in 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,30 +25,20 @@ from quadexp.report.pairing import Common, Condition, Contestant, Groups, Row, f
 from quadexp.report.text import count, probability
 
 
-class Ranking(NamedTuple):
-    """least: with the least error. ratios: of all others to it, the nearest first. p: see the module."""
-
-    least: Contestant | None
-    ratios: dict[Contestant, Ratio]
-    p: float
-
-    def alike(self, confidence: float) -> list[Contestant]:
-        """Contestants that are not distinguishable from the least."""
-        ranked = len(self.ratios) + 1
-        return [who for who, ratio in self.ratios.items() if not ranked * ratio.p < 1 - confidence]
-
-
-def rank(groups: Groups, among: Common, conditions: Sequence[Condition], place: int, confidence: float) -> Ranking:
-    """The ranking of those who flew in these conditions, bounds aside, by one metric over the common flights."""
+def rank(
+    groups: Groups, among: Common, conditions: Sequence[Condition], place: int, confidence: float
+) -> tuple[Contestant | None, dict[Contestant, Ratio], float]:
+    """Of those who flew in these conditions, bounds aside, by one metric over the common flights: the one with the
+    least error, None without any; the ratios of all others to it, the nearest first; and p, see the module."""
     flew = dict.fromkeys(who for condition in conditions for who in groups.conditions[condition])
-    ranked = [who for who in flew if who in among.compared and not is_bound(who[0])]
+    ranked = [who for who in flew if who in among.compared and not is_bound(who.controller)]
     logs = dict(zip(ranked, _logs(groups, among, ranked, place), strict=True)) if ranked else {}
     if not logs or not len(logs[ranked[0]]):
-        return Ranking(None, {}, math.nan)
+        return None, {}, math.nan
     first, *others = sorted(ranked, key=lambda who: float(np.mean(logs[who])))
     ratios = {other: log_ratio(logs[other] - logs[first], confidence) for other in others}
     p = [ratio.p for ratio in ratios.values()]
-    return Ranking(first, ratios, min(1.0, len(ranked) * max(p)) if p and not np.isnan(p).any() else math.nan)
+    return first, ratios, min(1.0, len(ranked) * max(p)) if p and not np.isnan(p).any() else math.nan
 
 
 def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> np.ndarray:
@@ -70,7 +60,7 @@ def best_of_lines(groups: Groups, place: int, confidence: float) -> dict[tuple[C
     p: dict[tuple[Condition, Contestant], float] = {}
     for condition, among in groups.lines.items():
         least, ratios, chance = rank(groups, among, [condition], place, confidence)
-        if least is None or least in barred[condition[:2]] or not _flew_most(groups, least, [condition]):
+        if least is None or least in barred[condition.world] or not _flew_most(groups, least, [condition]):
             continue
         seeds = among.seeds[condition]
         means = {who: float(np.mean(groups.values(condition, who, place, seeds))) for who in (least, *ratios)}
@@ -84,30 +74,45 @@ def _flew_most(groups: Groups, who: Contestant, conditions: Sequence[Condition])
     return all(not other.share > flights[who].share for other in flights.values())
 
 
-class Verdict(NamedTuple):
-    """The contestant with the least error of one metric on one plant and vehicle, over all conditions.
+@dataclass(frozen=True)
+class Verdict:
+    """The contestant with the least error of one metric on one plant and vehicle, over all conditions. All by label.
 
-    common: number of common flights, of `units` seeds. least: "" if nobody is compared. ways: number of ranked
-    contestants. alike: those not distinguishable from the least. flew_less: another one completed a larger share of
-    its flights. compared: labels. next: the nearest one, with `ratio` times the error. bound: the first bound that is
-    compared, and not ranked; the least has `bound_ratio` times its error.
+    common: number of common flights, of `units` seeds. least: "" if nobody is compared. ratios: of all other ranked
+    contestants to it, the nearest first. flew_less: another one completed a larger share of its flights. bound: the
+    first bound that is compared, and not ranked; the least has `bound_ratio` times its error.
     """
 
-    metric: str
-    plant: str
-    vehicle: str
+    confidence: float
     common: int
     units: int
     least: str
-    ways: int
-    alike: list[str]
-    flew_less: bool
-    next: str
-    ratio: Ratio
+    ratios: Mapping[str, Ratio]
     p: float
+    flew_less: bool
     bound: str
     bound_ratio: Ratio
-    compared: list[str]
+    compared: Sequence[str]
+
+    @property
+    def ways(self) -> int:
+        """Number of ranked contestants."""
+        return len(self.ratios) + bool(self.least)
+
+    @property
+    def alike(self) -> list[str]:
+        """Those that are not distinguishable from the least."""
+        return [who for who, ratio in self.ratios.items() if not self.ways * ratio.p < 1 - self.confidence]
+
+    @property
+    def next(self) -> str:
+        """The nearest one, of those that are alike if there are any."""
+        return next(iter([*self.alike, *self.ratios]), "")
+
+    @property
+    def ratio(self) -> Ratio:
+        """Of the nearest one to the least."""
+        return self.ratios.get(self.next, NO_RATIO)
 
     @property
     def best(self) -> bool:
@@ -131,38 +136,30 @@ class Verdict(NamedTuple):
         return f"{head}, the best of {self.ways}, significantly less than the next, {self.next} ({ratio})"
 
 
+def verdict(groups: Groups, conditions: Sequence[Condition], confidence: float) -> Verdict:
+    """Over these conditions, by the first metric of the groups."""
+    among, label = groups.common(conditions), groups.labels
+    least, ratios, p = rank(groups, among, conditions, 0, confidence)
+    bound = next((who for who in among.compared if least is not None and is_bound(who.controller)), None)
+    bound_ratio = NO_RATIO
+    if least is not None and bound is not None:
+        logs, others = _logs(groups, among, [least, bound], 0)
+        bound_ratio = log_ratio(logs - others, confidence)
+    return Verdict(
+        confidence=confidence,
+        common=among.flights,
+        units=among.units,
+        least=label[least] if least else "",
+        ratios={label[who]: ratio for who, ratio in ratios.items()},
+        p=p,
+        flew_less=least is not None and not _flew_most(groups, least, conditions),
+        bound=label[bound] if bound else "",
+        bound_ratio=bound_ratio,
+        compared=[label[who] for who in among.compared],
+    )
+
+
 def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: float = 0.95) -> list[Verdict]:
     """One verdict for every plant and vehicle."""
     groups = Groups(rows, "", (metric,))
-    labels = groups.labels | {None: ""}
-    result = []
-    for (plant, vehicle), conditions in groups.worlds.items():
-        among = groups.common(conditions)
-        least, ratios, p = ranking = rank(groups, among, conditions, 0, confidence)
-        alike = ranking.alike(confidence)
-        bound = next((who for who in among.compared if least is not None and is_bound(who[0])), None)
-        nearest = next(iter([*alike, *ratios]), None)
-        bound_ratio = NO_RATIO
-        if least is not None and bound is not None:
-            logs, others = _logs(groups, among, [least, bound], 0)
-            bound_ratio = log_ratio(logs - others, confidence)
-        result.append(
-            Verdict(
-                metric=metric,
-                plant=plant,
-                vehicle=vehicle,
-                common=among.flights,
-                units=among.units,
-                least=labels[least],
-                ways=len(ratios) + (least is not None),
-                alike=[labels[who] for who in alike],
-                flew_less=least is not None and not _flew_most(groups, least, conditions),
-                next=labels[nearest],
-                ratio=ratios[nearest] if nearest else NO_RATIO,
-                p=p,
-                bound=labels[bound],
-                bound_ratio=bound_ratio,
-                compared=[labels[who] for who in among.compared],
-            )
-        )
-    return result
+    return [verdict(groups, conditions, confidence) for conditions in groups.worlds.values()]

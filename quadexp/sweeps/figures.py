@@ -74,7 +74,7 @@ def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
     """By trajectory with a completed flight. Of many speeds the slowest, the fastest, one between; where
     worlds and other settings differ too, the fastest of each."""
     names = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
-    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
+    courses = course_labels((row["trajectory"], condition_of(row).setting) for row in rows)
     several = [key for key in ("plant", "vehicle") if len({row[key] for row in rows}) > 1]
     cells: dict[str, dict[tuple[str, str, float], Row]] = {}
     for row in rows:

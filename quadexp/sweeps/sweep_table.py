@@ -17,15 +17,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_table, write_table
 from quadexp.names import NAMED, check_names
-from quadexp.report.metrics import (
-    INTEGER_COLUMNS,
-    ROW_COLUMNS,
-    TEXT_COLUMNS,
-    errors_none,
-    from_columns,
-    to_columns,
-    to_csv,
-)
+from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, errors_none, from_columns, to_columns, to_csv, typed
 from quadexp.report.statistics import Statistics, results_statistics
 from quadexp.report.tables import ErrorTable, comparison_texts, write_comparison
 from quadexp.writer import write_text
@@ -51,18 +43,10 @@ def open_results(out: str | Path) -> CellStore:
 
 def table_row(row: Mapping[str, Any]) -> Row:
     """A result row with every column of the table, each of its type: a missing text is empty, a missing number NaN."""
-    made: Row = {}
     row = {**row, **errors_none(row.get("outcome"))}
-    for name in ROW_COLUMNS:
-        value = row.get(name)
-        if name in TEXT_COLUMNS:
-            made[name] = "" if value is None else sys.intern(str(value))  # most texts are shared by many rows
-        elif name in INTEGER_COLUMNS:
-            made[name] = 0 if value is None else int(value)
-        else:
-            number = math.nan if value is None else float(value)
-            made[name] = None if name in OPTIONAL and math.isnan(number) else number
-    return made
+    values = {name: typed(name, row.get(name)) for name in ROW_COLUMNS}
+    values |= {name: sys.intern(values[name]) for name in TEXT_COLUMNS}  # most are shared by many rows
+    return values | {name: None for name in OPTIONAL if math.isnan(values[name])}
 
 
 def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:

@@ -32,11 +32,11 @@ def options_of(given: Sequence[str], config: Config) -> dict[str, str]:
     """Group -> option of what is tuned: the controller, and every remedy around it that does something; as given, or as
     an experiment chose them."""
     chosen = {text.partition("=")[0]: text.partition("=")[2] for text in given}
-    found = {"controller": chosen.get("controller", config.controller.name)}
+    options = {"controller": chosen.get("controller", config.controller.name)}
     for group in REMEDIES:
         if not getattr(config, group).idle:
-            found[group] = chosen.get(group, getattr(config, group).name)
-    return found
+            options[group] = chosen.get(group, getattr(config, group).name)
+    return options
 
 
 def write_preset(
@@ -65,7 +65,10 @@ def write_preset(
     else:
         head, path = ["# @package _global_", f"# For controller={title}", *origin], out / "remedies" / f"{name}.yaml"
         around = [{f"override /{group}": options.get(group, "none")} for group in REMEDIES]
-        content = {"defaults": [*around, "_self_"], **{group: own for group, own in changed.items() if own}}
+        content = {
+            "defaults": [*around, "_self_"],
+            **{group: settings for group, settings in changed.items() if settings},
+        }
         choice = f"controller={controller} remedies={name}"
     write_text(path, "\n".join([*head, _yaml(content)]))
     return choice, path
@@ -91,13 +94,13 @@ def check_name(options: Mapping[str, str], name: str | None) -> None:
 
 
 def _changed(plain: Mapping[str, Any], tuned: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    changed: dict[str, Any] = {}
     for key, value in tuned.items():
         if key == "name" or plain.get(key) == value:
             continue
         inner = isinstance(value, dict) and isinstance(plain.get(key), dict) and set(value) == set(plain[key])
-        found[key] = _changed(plain[key], value) if inner else value
-    return found
+        changed[key] = _changed(plain[key], value) if inner else value
+    return changed
 
 
 def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
@@ -129,7 +132,7 @@ def read_provenance(text: str) -> dict[str, Any] | None:
             break
         kept.append(line.removeprefix(_INDENT))
     try:
-        found = yaml.safe_load("\n".join(kept))
+        provenance = yaml.safe_load("\n".join(kept))
     except yaml.YAMLError:
         return None
-    return found if isinstance(found, dict) else None
+    return provenance if isinstance(provenance, dict) else None

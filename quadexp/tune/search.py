@@ -89,14 +89,14 @@ def cells_of(composer: Composer, given: Sequence[str]) -> list[Cell]:
         several = [texts[0].partition("=")[0] for texts in grid if len(texts) > 1]
         if wrong := [key for key in several if key.partition(".")[0] in (*TUNED, *PRESETS, "remedies")]:
             raise UsageError(f"{wrong[0]}: has several values; one controller is tuned at a time")
-    made = cells.sound()
-    nodes = {canonical([repr(getattr(cell.config, group)) for group in TUNED]) for cell in made}
+    sound = cells.sound()
+    nodes = {canonical([repr(getattr(cell.config, group)) for group in TUNED]) for cell in sound}
     if len(nodes) > 1:
         raise UsageError("the cells are of several controllers; one is tuned at a time")
-    for config in (cell.config for cell in made):
+    for config in (cell.config for cell in sound):
         vehicle = build_vehicle(config.vehicle)
         check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
-    return made
+    return sound
 
 
 class Search:
@@ -211,8 +211,8 @@ class Search:
     def _margin(self, row: Mapping[str, Any]) -> float:
         if row["outcome"] == "failed":
             return np.nan
-        found = read_record(self.store.path(row["key"]), "flight").get("margins") or {}
-        return float(found.get("delay", np.nan))
+        margins = read_record(self.store.path(row["key"]), "flight").get("margins") or {}
+        return float(margins.get("delay", np.nan))
 
 
 def best_of(trials: Sequence[Trial]) -> int:

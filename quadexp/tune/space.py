@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from quadexp.errors import ForbiddenValueError, UsageError
 from quadexp.messages import suggestion
@@ -29,7 +29,8 @@ _ENTRIES = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1)}
 @dataclass(frozen=True)
 class Axis:
     """One number that is varied. name: as it was asked for. key: of the setting. entries: of a list, () for a number.
-    start: what it is now. whole: whether it is a whole number. value: of the setting now, a number or a list."""
+    start: what it is now, of a list the first of them. whole: whether it is a whole number. value: of the setting now,
+    a number or a list."""
 
     name: str
     key: str
@@ -54,16 +55,16 @@ class Axis:
 
 def settings_of(axes: Sequence[Axis], numbers: Sequence[float]) -> dict[str, Any]:
     """Key -> value of every setting that the axes change, with one number for each axis."""
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for axis, number in zip(axes, numbers, strict=True):
         if not axis.entries:
-            found[axis.key] = number
+            settings[axis.key] = number
             continue
-        values = list(found.get(axis.key, axis.value))
+        values = list(settings.get(axis.key, axis.value))
         for i in axis.entries:
             values[i] = float(f"{number * axis.value[i] / axis.start:.{DIGITS + 2}g}")
-        found[axis.key] = values
-    return found
+        settings[axis.key] = values
+    return settings
 
 
 def overrides(axes: Sequence[Axis], numbers: Sequence[float]) -> list[str]:
@@ -101,7 +102,7 @@ def default_space(config: Config) -> list[str]:
             raise UsageError(f"{node.name}: its keys say no ranges to tune it in: give --vary KEY=LOW..HIGH")
         for text in rules:
             name, _, rule = text.partition("=")
-            start = _varied(name, config).start
+            start = _varied(name, config)[0].start
             low, high, _ = _limits(name, rule, start)
             space.append(text if low <= start <= high else name)
     return space
@@ -111,19 +112,18 @@ def _axis(text: str, config: Config) -> Axis:
     name, equals, rule = text.partition("=")
     if name.partition(".")[0] not in TUNED:
         raise UsageError(f"--vary {name}: what is tuned is the controller and what is around it: {', '.join(TUNED)}")
-    varied = _varied(name, config)
-    low, high, log = _limits(name, rule if equals else "", varied.start)
-    whole = isinstance(varied.value, int)
-    if whole and not (float(low).is_integer() and float(high).is_integer()):
-        raise UsageError(f"--vary {text}: {varied.key} is a whole number")
-    if not low <= varied.start <= high:
-        raise UsageError(f"--vary {name}={low:g}..{high:g}: must contain {varied.start:g}, which it is now")
+    axis, owner = _varied(name, config)
+    low, high, log = _limits(name, rule if equals else "", axis.start)
+    if axis.whole and not (float(low).is_integer() and float(high).is_integer()):
+        raise UsageError(f"--vary {text}: {axis.key} is a whole number")
+    if not low <= axis.start <= high:
+        raise UsageError(f"--vary {name}={low:g}..{high:g}: must contain {axis.start:g}, which it is now")
     if not low < high:
         raise UsageError(f"--vary {text}: the range is empty")
-    axis = Axis(name, varied.key, varied.entries, low, high, log, whole, varied.start, varied.value)
-    for end in (low, high) if isinstance(varied.owner, Settings) else ():
+    axis = replace(axis, low=low, high=high, log=log)
+    for end in (low, high) if isinstance(owner, Settings) else ():
         try:
-            replace(varied.owner, **{varied.key.rpartition(".")[2]: settings_of([axis], [axis.rounded(end)])[axis.key]})
+            replace(owner, **{axis.key.rpartition(".")[2]: settings_of([axis], [axis.rounded(end)])[axis.key]})
         except ForbiddenValueError as error:
             raise UsageError(f"--vary {name}: {error}") from None
         except UsageError:  # it contradicts another setting as it is now: a trial that does is a lost one
@@ -131,19 +131,11 @@ def _axis(text: str, config: Config) -> Axis:
     return axis
 
 
-class _Varied(NamedTuple):
-    """What a name means in a configuration. key: of the setting. owner: what has it. value: of it now. entries: that
-    are varied of a list, () for a number. start: what they are now (the first of them)."""
+def _varied(name: str, config: Config) -> tuple[Axis, Any]:
+    """What a name means in a configuration, an axis without its range, and what has the setting.
 
-    key: str
-    owner: Any
-    value: Any
-    entries: tuple[int, ...]
-    start: float
-
-
-def _varied(name: str, config: Config) -> _Varied:
-    """Raises UsageError where the name is of no number, nor of a list of them without zeros."""
+    Raises UsageError where the name is of no number, nor of a list of them without zeros.
+    """
     group, *parts = name.split(".")
     key, letters, owner = name, "", getattr(config, group)
     value: Any = record(owner)
@@ -161,10 +153,11 @@ def _varied(name: str, config: Config) -> _Varied:
         entries = [i + first for i in _ENTRIES[letters]] if letters else [i for i, x in enumerate(value) if x]
         if not entries or any(i >= len(value) or not value[i] for i in entries):
             raise UsageError(f"--vary {name}: an entry of {value} is zero: set it first, as KEY=VALUE")
-        return _Varied(key, owner, value, tuple(entries), float(value[entries[0]]))
+        start = float(value[entries[0]])
+        return Axis(name, key, tuple(entries), start, start, False, False, start, value), owner
     if letters or not _is_number(value):
         raise UsageError(f"--vary {name}: is {value}, not a number or a list of numbers")
-    return _Varied(key, owner, value, (), value)
+    return Axis(name, key, (), value, value, False, isinstance(value, int), value, value), owner
 
 
 def _is_number(value: Any) -> bool:

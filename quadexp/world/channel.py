@@ -13,15 +13,15 @@ With a rate, s_i = i / rate; without, every control instant t has a reading of i
 White noise, drift, and jitter with losses have a random stream each, by time (streams.py): they are the same at every
 control rate. Until the first reading arrives, the exact one of the start holds.
 
-Inner states: the drift; of what is not told at once, the time at which the told reading was taken (s), the reading that
-everything older has come to, with that time, and every reading on its way, the oldest first, with the times at which it
-arrives and was taken.
+Inner states: the drift; when what is told was taken (s), and what is told; of a channel whose readings wait the reading
+that everything older has come to, likewise, and every reading on its way, the oldest first: when it arrives (s), when
+it was taken, and itself. Parameters: deviations of the white noise, bias, then a, g, delay, jitter, drop.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,35 +40,34 @@ MOST = 200  # readings in a control period
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """size: numbers of a reading; its errors may be fewer, as those of an attitude are.
+    """size: numbers of a reading; errors: of its error, which an attitude has fewer of.
 
-    noise, bias: standard deviation of the white noise, and constant error, a number an error. first: standard
-    deviation of the drift when a flight begins, decay, gain: a and g; likewise. rate: Hz, 0 for none. delay, jitter: s.
-    add: the reading of an exact value, a slow and a random error, as symbols.
+    noise, bias: deviation of the white noise, and constant error, (errors,). first: deviation of the drift as a flight
+    begins. decay, gain: a and g. rate: Hz, 0 for none. delay, jitter: s. message: that it comes in, whose jitter and
+    losses it shares. add: the reading of an exact value, a slow and a random error, as symbols.
     """
 
     name: str
     size: int
     noise: np.ndarray
     bias: np.ndarray
-    first: np.ndarray
-    decay: np.ndarray
-    gain: np.ndarray
-    rate: float = 0.0
-    delay: float = 0.0
-    jitter: float = 0.0
-    drop: float = 0.0
-    add: Callable[[Any, Any, Any], Any] = lambda value, slow, random: (value + slow) + random
+    first: float
+    decay: float
+    gain: float
+    rate: float
+    delay: float
+    jitter: float
+    drop: float
+    message: str
+    add: Callable[[Any, Any, Any], Any]
 
     @property
     def errors(self) -> int:
-        """Numbers of an error."""
         return len(self.noise)
 
     @property
     def drifts(self) -> bool:
-        """Whether it has a drift."""
-        return bool(self.first.any() or self.gain.any())
+        return bool(self.first or self.gain)
 
     @property
     def waits(self) -> bool:
@@ -76,127 +75,101 @@ class Channel:
         return bool(self.rate or self.delay or self.jitter or self.drop)
 
     @property
-    def age(self) -> float:
-        """Mean age (s) of what is told at a control instant, if nothing is lost."""
-        return self.delay + self.jitter / 2 + (0.5 / self.rate if self.rate else 0.0)
-
-    def _ticks(self, numbers: int, clock: Clock) -> Drawn:
-        """Numbers for every reading that is taken in a control period."""
-        if self.rate:
-            return Ticking(numbers, 1 / self.rate, clock.period, closing=True)
-        return Sampled(numbers, (self._offset(clock),))
+    def taken(self) -> int:
+        """Which inner state says when the told reading was taken; what is told stands behind it."""
+        return self.errors * self.drifts
 
     def _offset(self, clock: Clock) -> float:
-        """Time (s) in a control period at which the reading for a later control instant is taken."""
+        """Time (s) in a control period at which the reading for this control instant, or a later one, is taken."""
         return clock.period - math.fmod(self.delay + WHOLE * clock.step, clock.period) + WHOLE * clock.step
 
     def drawn(self, clock: Clock) -> dict[str, Drawn]:
         """What it draws in a control period, by the name of the stream."""
+
+        def numbers(count: int) -> Drawn:
+            """For every reading that is taken."""
+            if self.rate:
+                return Ticking(count, 1 / self.rate, clock.period, closing=True)
+            return Sampled(count, (self._offset(clock),))
+
         drawn: dict[str, Drawn] = {}
         if self.noise.any() or self.rate:
-            drawn[self.name] = self._ticks(self.errors, clock)
+            drawn[self.name] = numbers(self.errors)
         if self.jitter or self.drop:
-            drawn[f"{self.name} way"] = self._ticks(2, clock)
+            drawn[f"{self.message} way"] = numbers(2)
         if self.drifts:
             drawn[f"{self.name} drift"] = Ticking(self.errors, DRIFT, clock.period, closing=True)
         return drawn
 
-    def slots(self, clock: Clock) -> int:
-        """Most readings that are taken in a control period. Raises UsageError for more than MOST."""
+    def _waiting(self, clock: Clock) -> int:
+        """Most readings that are on their way when a control period begins. Raises UsageError for too many."""
         slots = Ticking(0, 1 / self.rate, clock.period).slots if self.rate else 1
         if slots > MOST:
             raise UsageError(
-                f"sensor.{self.name}_rate={self.rate:g}: {slots} readings in a control period of"
+                f"sensor.{self.message}_rate={self.rate:g}: {slots} readings in a control period of"
                 f" {1e3 * clock.period:g} ms; at most {MOST} are simulated"
             )
-        return slots
-
-    def _blocks(self, clock: Clock) -> int:
-        """Control periods whose readings may be on their way when another one begins."""
-        return math.ceil((self.delay + self.jitter) / clock.period - WHOLE)
+        return slots * math.ceil((self.delay + self.jitter) / clock.period - WHOLE)
 
     def sizes(self, clock: Clock) -> Sizes:
         """See Effect.sizes."""
-        waiting = (2 + self.size) * self.slots(clock) * self._blocks(clock)
-        inner = self.errors * self.drifts + (2 + self.size + waiting) * self.waits
-        return Sizes(inner, 4 * self.errors + 3, tuple(self.drawn(clock).values()))
+        waiting = (1 + self.size + (2 + self.size) * self._waiting(clock)) * self.waits
+        drawn = self.drawn(clock)
+        return Sizes(self.taken + 1 + self.size + waiting, 2 * self.errors + 5, (*drawn.values(),), (*drawn,))
 
     def start(self, rng: np.random.Generator, clock: Clock, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See Effect.start. value: what an exact sensor reads then, (size,)."""
-        drift = self.first * rng.standard_normal(self.errors)
-        waiting = np.tile([NEVER, 0.0, *np.zeros(self.size)], self.slots(clock) * self._blocks(clock))
-        inner = [drift] * self.drifts + [np.zeros(2), value, waiting] * self.waits
-        ways = [self.delay, self.jitter, self.drop]
-        return np.concatenate([[], *inner]), np.concatenate([self.noise, self.bias, self.decay, self.gain, ways])
-
-    @property
-    def taken(self) -> int:
-        """Which inner state is the time at which the told reading was taken."""
-        return self.errors * self.drifts
+        drift = self.first * rng.standard_normal(self.taken)
+        waiting = np.tile([NEVER, 0.0, *np.zeros(self.size)], self._waiting(clock))
+        told = np.concatenate([[0.0], value])
+        inner = [drift, told] + [told, waiting] * self.waits
+        numbers = [self.decay, self.gain, self.delay, self.jitter, self.drop]
+        return np.concatenate(inner), np.concatenate([self.noise, self.bias, numbers])
 
     def measure(self, at: Readings, value_at: Callable[[Any], ca.MX]) -> tuple[ca.MX, ca.MX]:
         """Inner states after the period and what is told (size,). at: with its own inner states, parameters and draws.
 
         value_at: what an exact sensor reads, (size,), at a time (s) since the period began, a number or a symbol.
         """
-        m, clock = self.errors, at.clock
-        noise, bias, decay, gain, ways = ca.vertsplit(at.parameters, [0, m, 2 * m, 3 * m, 4 * m, 4 * m + 3])
-        sizes = [drawn.size for drawn in self.drawn(clock).values()]
-        draws = dict(zip(self.drawn(clock), ca.vertsplit(at.draws, [0, *np.cumsum(sizes).tolist()]), strict=True))
-        drifts = self._drifts(at, draws, decay, gain)
-        begins = at.t - clock.period
+        m, begins, drawn = self.errors, at.t - at.clock.period, self.drawn(at.clock)
+        noise, bias, (decay, gain, delay, jitter, drop) = (
+            at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
+        )  # fmt: skip
+        ends = np.cumsum([0, *(one.size for one in drawn.values())]).tolist()
+        draws = dict(zip(drawn, ca.vertsplit(at.draws, ends), strict=True))
+        drifts = [(-NEVER, at.inner[: self.taken])]  # each with the time from which on it holds
+        for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + m) if self.drifts else []:
+            before = drifts[-1][1]
+            drifts.append((tick[0], ca.if_else(tick[0] < NEVER, decay * before + gain * tick[1:], before)))
 
-        def constant_at(time: Any) -> Any:
-            """Bias and drift."""
-            if not drifts:
-                return bias
+        def slow_at(time: Any) -> Any:
             drift = drifts[0][1]
             for tick, after in drifts[1:]:
                 drift = ca.if_else(tick <= time + ROUNDING, after, drift)
-            return bias + drift
+            return bias + drift if self.drifts else bias
 
-        taken = []  # (time, way, reading), the oldest first
-        white = ca.vertsplit(draws[self.name], m + bool(self.rate)) if self.name in draws else [None]
-        way = ca.vertsplit(draws[f"{self.name} way"], 2 + bool(self.rate)) if self.jitter or self.drop else []
-        for i, drawn in enumerate(white):
-            offset = drawn[0] - begins if self.rate else self._offset(clock)
-            time = drawn[0] if self.rate else begins + offset
-            random = ca.MX.zeros(m) if drawn is None else noise * drawn[-m:]
-            reading = self.add(value_at(offset), constant_at(time), random)
-            taken.append((time, way[i][-2:] if way else None, reading))
-        drift = drifts[-1][1] if drifts else at.inner[:0]
+        readings = []  # when it arrives, when it was taken, and itself
+        white = ca.vertsplit(draws[self.name], m + bool(self.rate)) if self.name in draws else [ca.MX.zeros(m)]
+        way = f"{self.message} way"
+        ways = ca.vertsplit(draws[way], 2 + bool(self.rate)) if way in draws else [None] * len(white)
+        for numbers, on_way in zip(white, ways, strict=True):
+            offset = numbers[0] - begins if self.rate else self._offset(at.clock)
+            time = begins + offset
+            arrives, lost = time + delay, numbers[0] >= NEVER if self.rate else ca.MX(0)
+            if on_way is not None:
+                uniform = (1 + ca.erf(on_way[-2:] / math.sqrt(2))) / 2
+                arrives, lost = arrives + jitter * uniform[0], ca.logic_or(lost, uniform[1] < drop)
+            reading = self.add(value_at(offset), slow_at(time), noise * numbers[-m:])
+            readings.append(ca.vertcat(ca.if_else(lost, NEVER, arrives), time, reading))
+        drift, told = drifts[-1][1], readings[-1][1:]
         if not self.waits:
-            return drift, taken[-1][2]
-        entries = [ca.vertcat(self._arrival(time, ways, on_way), time, reading) for time, on_way, reading in taken]
-        return self._told(at, ca.vertcat(drift), entries)
-
-    def _drifts(self, at: Readings, draws: dict[str, ca.MX], decay: ca.MX, gain: ca.MX) -> list[tuple[Any, ca.MX]]:
-        """(time from which on it holds, drift) in the period."""
-        if not self.drifts:
-            return []
-        drifts = [(-NEVER, at.inner[: self.errors])]
-        for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + self.errors):
-            drifts.append(
-                (tick[0], ca.if_else(tick[0] < NEVER, decay * drifts[-1][1] + gain * tick[1:], drifts[-1][1]))
-            )
-        return drifts
-
-    def _arrival(self, time: ca.MX, ways: ca.MX, drawn: ca.MX | None) -> ca.MX:
-        """When a reading arrives (s), NEVER where it is lost, or none was taken."""
-        arrives, lost = time + ways[0], time >= NEVER
-        if drawn is not None:
-            uniform = (1 + ca.erf(drawn / math.sqrt(2))) / 2
-            arrives, lost = arrives + ways[1] * uniform[0], ca.logic_or(lost, uniform[1] < ways[2])
-        return ca.if_else(lost, NEVER, arrives)
-
-    def _told(self, at: Readings, drift: ca.MX, entries: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX]:
-        """Inner states after the period and what is told, with the readings that were taken in it."""
-        first, slots, size = self.taken + 1, len(entries), 1 + self.size
-        base = at.inner[first : first + size]
-        entries = [*ca.vertsplit(at.inner[first + size :], 1 + size), *entries]
-        for entry in entries[:slots]:  # which have arrived, if ever
-            base = ca.if_else(entry[0] < NEVER, entry[1:], base)
-        newest, waiting = base, entries[slots:]
-        for entry in waiting:
-            newest = ca.if_else(entry[0] <= at.t + ROUNDING, entry[1:], newest)
-        return ca.vertcat(drift, newest[0], base, *waiting), newest[1:]
+            return ca.vertcat(drift, told), told[1:]
+        first, count = self.taken + 1 + self.size, len(readings)
+        base = at.inner[first : first + 1 + self.size]
+        readings = [*ca.vertsplit(at.inner[first + 1 + self.size :], 2 + self.size), *readings]
+        for reading in readings[:count]:  # which have arrived, if ever
+            base = ca.if_else(reading[0] < NEVER, reading[1:], base)
+        told, waiting = base, readings[count:]
+        for reading in waiting:
+            told = ca.if_else(reading[0] <= at.t + ROUNDING, reading[1:], told)
+        return ca.vertcat(drift, told, base, *waiting), told[1:]

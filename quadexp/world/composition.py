@@ -15,8 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any
 
 from quadexp.compile.symbolic import ca
 from quadexp.physics.rotation import rotation_matrix
@@ -72,8 +73,6 @@ def compose(
     parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
     time = ca.MX.sym("time")
 
-    if not any(effect.names_world for effect in effects) and not last:  # the airframe's own period, to the last bit
-        pass
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
     inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
     theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
@@ -91,32 +90,32 @@ def compose(
     states, *kept = _repeated(one, steps, state, times, noise, (still, u, known[used["parameters"]], step))
 
     begun, last_t = own, time + clock.period
-    after = parts.settled(states[:, -1], begun, known, theta, last_t, step)
-    x_next, inner_a, wind = after.x, after.inner, after.wind
-    own = ca.vertcat(after.own, measuring)
-    if equations.end:
-        reading, doubt = after.reading, after.doubt
-        names = equations.step.name_out()[1:]
-    else:
-        reading, doubt = kept[0][:, -1], ca.MX(1, 1)
-        kept, names = kept[1:], []
-    reading += after.pushed
+    x_next, own, inner_a, wind, reading, doubt = parts.settled(states[:, -1], begun, known, theta, last_t, step)
+    own = ca.vertcat(own, measuring)
+    names, forces_kept = equations.step.name_out()[1:] if equations.end else [], None
+    if not equations.end:
+        forces_kept, *kept = kept
+        reading, doubt = forces_kept[:, -1], ca.MX(1, 1)
+    reading += states[-3:, -1]
     if not last and not any(effect.names_world for effect in effects):  # the airframe's own flight, to the last bit
         alone = period(equations, steps)(x, inner[: airframe.inner], u, noise, theta, step)
         x_next, inner_a, reading, doubt, *kept = alone
-    before = ca.vertcat(inner[: airframe.inner], begun)
-
-    def columns_of(wanted: Sequence[str]) -> ca.MX:
-        places = [columns[name] for name in wanted]
-        return ca.horzcat(before[places], parts.columns(places, states, begun, known, theta, times, step))
-
     everything = _Parts(equations, tuple(effects), layout, vehicle)
     doubt = everything.ended(own, parameters, doubt)
 
+    each_step = partial(parts.each_step, states, begun, known, theta, times, step)
+
+    def columns_of(wanted: Sequence[str]) -> ca.MX:
+        places = [columns[name] for name in wanted]
+        inner_now = each_step(lambda x, own, inner, *_: ca.vertcat(inner, own)[places])
+        return ca.horzcat(ca.vertcat(inner[: airframe.inner], begun)[places], inner_now)
+
+    def forces() -> ca.MX:
+        return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else forces_kept)
+
     told: Told = {"state": x_next, "specific_force": reading}
-    seen = Readings(
-        last_t, ca.horzcat(x, states[:N_STATE, :]), own, parameters, draws, step, clock, vehicle, columns_of
-    )
+    known_now = (own, parameters, draws, step, clock, vehicle)
+    seen = Readings(last_t, ca.horzcat(x, states[:N_STATE, :]), *known_now, columns_of, forces)
     own, told = everything.measured(seen, told)
     inner_next = ca.vertcat(inner_a, own, wind)
     results = [x_next, inner_next, told["specific_force"], doubt, told["state"]]
@@ -169,19 +168,6 @@ def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layou
 def _seen_from_the_air(x: Any, wind: Any) -> Any:
     """A state in the frame that moves with the wind."""
     return ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[RATE])
-
-
-class _After(NamedTuple):
-    """x: state. own, inner: inner states of effects and airframe. wind: (3,). pushed: force over mass, body. reading:
-    specific force, and doubt, where the airframe's equations say so at the end."""
-
-    x: Any
-    own: Any
-    wind: Any
-    pushed: Any
-    inner: Any
-    reading: Any = None
-    doubt: Any = None
 
 
 class _Parts:
@@ -298,26 +284,26 @@ class _Parts:
         ]
         return self._function("after", [*symbols, *entering], [ca.vertcat(*inner)])
 
-    def settled(self, S: Any, own: Any, known: Any, theta: Any, t: Any, step: Any) -> _After:
-        """What a control period would leave that ended after a step with S (see `step`). own: as the period began."""
+    def settled(self, S: Any, own: Any, known: Any, theta: Any, t: Any, step: Any) -> tuple[Any, ...]:
+        """State, inner states of effects and airframe, wind, specific force without effects' forces, and doubt, of a
+        control period that would end after a step with S, see `step`. own: as the period began."""
         equations, n = self._equations, self._vehicle.n_rotors
         further = equations.step.size1_in(0) - N_STATE
         sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
-        x, rest, moved, wind, thrusts, pushed = ca.vertsplit(S, [0, *accumulate(sizes)])
+        x, rest, moved, wind, thrusts, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
         own = self.ending()(t, x, self.assembled(moved, own), known, step)
         if not equations.end:
-            return _After(x, own, wind, pushed, rest)
+            return x, own, rest, wind, None, None
         held = equations.command(thrusts, theta) if equations.command else thrusts
         _, inner, reading, doubt = equations.end(ca.vertcat(_seen_from_the_air(x, wind), rest), held, theta)
-        return _After(x, own, wind, pushed, inner, reading, doubt)
+        return x, own, inner, wind, reading, doubt
 
-    def columns(self, places: list[int], states: Any, own: Any, known: Any, theta: Any, times: Any, step: Any) -> ca.MX:
-        """Some inner states of airframe and effects after every step, (k, steps). times: when the steps began."""
+    def each_step(self, states: Any, own: Any, known: Any, theta: Any, times: Any, step: Any, select: Any) -> ca.MX:
+        """What `select` makes of `settled`, (k, steps). times: when the steps began."""
         given = [states[:, 0], own, known, theta, times[0], step]
-        symbols = [ca.MX.sym(f"s{i}", value.numel()) for i, value in enumerate(given)]
-        S, before, of_effects, of_airframe, began, h = symbols
+        S, before, of_effects, of_airframe, began, h = (ca.MX.sym(f"s{i}", one.numel()) for i, one in enumerate(given))
         after = self.settled(S, before, of_effects, of_airframe, began + h, h)
-        one = ca.Function("columns_after", symbols, [ca.vertcat(after.inner, after.own)[places]])
+        one = ca.Function("settled", [S, before, of_effects, of_airframe, began, h], [select(*after)])
         steps = states.size2()
         held = [ca.repmat(value, 1, steps) for value in (own, known, theta)]
         return one.map(steps)(states, *held, times, ca.repmat(step, 1, steps))

@@ -13,7 +13,7 @@ no numbers. What a hook is for is said here; that of an effect says what is its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -104,7 +104,8 @@ class Readings(NamedTuple):
     t: s since the start. states: true states (13, steps + 1) at the beginning and after every integration step.
     inner, parameters, draws: the effect's own. step: s. clock: the same in numbers. vehicle: the true one.
     columns: of names of columns that are inner states of airframe and effects, such as "rotor_speed_0": their values
-    (k, steps + 1) at the times of the states; KeyError where there is no such column.
+    (k, steps + 1) at the times of the states; KeyError where there is no such column. forces: specific forces
+    (3, steps), body (m/s^2), after every integration step.
     """
 
     t: ca.MX
@@ -116,6 +117,7 @@ class Readings(NamedTuple):
     clock: Clock
     vehicle: Vehicle
     columns: Callable[[Sequence[str]], ca.MX]
+    forces: Callable[[], ca.MX]
 
 
 Told = dict[str, Any]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
@@ -163,6 +165,10 @@ class Effect(Part):
     def tells_state(self) -> bool:
         """Whether the state that is told may differ from the true one."""
         return self.has("measure")
+
+    def beside(self, columns: Collection[str]) -> Effect:
+        """The effect as it is where airframe and other effects have inner states that are columns of these names."""
+        return self
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The state (13,) that is told when a flight begins. inner: its own; state: what it would be otherwise."""

@@ -1,13 +1,9 @@
 """Quantities at any time of a control period, from their values at its integration steps.
 
-Between two steps they are interpolated, which is off by a second derivative times h^2 / 8 at most. The specific force
-at a step is the mean of the two means over the steps beside it,
+Between two steps they are interpolated, which is off by a second derivative times h^2 / 8 at most. A low pass of first
+order with the cut-off f_c (Hz) gives for the values x_j
 
-    f_j = (m_j + m_{j+1}) / 2,    m_j = R' ((v_j - v_{j-1}) / h - g)         see inertial.means; body, m/s^2
-
-and a low pass of first order, for the input m_j over step j and the cut-off f_c (Hz),
-
-    y_j = a y_{j-1} + (1 - a) m_j,    a = exp(-2 pi f_c h)
+    y_j = a y_{j-1} + (1 - a) (x_{j-1} + x_j) / 2,    a = exp(-2 pi f_c h)
 """
 
 from __future__ import annotations
@@ -18,9 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.world.effect import Clock
-from quadexp.world.inertial import FORCE, means
 
 ROUNDING = 1e-6  # of an integration step, by which a time may lie beside it and count as there
 
@@ -30,6 +24,11 @@ class History(NamedTuple):
 
     values: ca.MX
     clock: Clock
+
+    @property
+    def means(self) -> ca.MX:
+        """(k, steps), over each step."""
+        return (self.values[:, :-1] + self.values[:, 1:]) / 2
 
     def at(self, time: Any) -> ca.MX:
         """(k,) at a time (s) since the period began: a number, or a symbol; zeros outside the period."""
@@ -42,36 +41,21 @@ class History(NamedTuple):
             return self.values[:, later]
         return share * self.values[:, later - 1] + (1 - share) * self.values[:, later]
 
-    def state_at(self, time: Any) -> ca.MX:
-        """Likewise of states: the attitude has unit length."""
-        x = self.at(time)
-        q = x[ATTITUDE]
-        return ca.vertcat(x[: ATTITUDE.start], q / ca.norm_2(q), x[ATTITUDE.stop :])
+    def unit_at(self, time: Any) -> ca.MX:
+        """Likewise, of unit length: of attitudes."""
+        value = self.at(time)
+        return value / ca.norm_2(value)
 
+    def low_passed(self, first: ca.MX, cutoff: float) -> History:
+        """What a low pass makes of it; first: what it gave as the period began, (k,). cutoff: Hz; 0: none."""
+        if not cutoff:
+            return self
+        decay, steps = math.exp(-2 * math.pi * cutoff * self.clock.step), np.arange(self.clock.steps + 1)
+        gains = np.where(steps[:, None] <= steps, (1 - decay) * decay ** np.maximum(steps - steps[:, None], 0), 0.0)
+        gains[0] = decay**steps
+        return History(ca.mtimes(ca.horzcat(first, self.means), ca.DM(gains)), self.clock)
 
-def mean_forces(states: ca.MX, gravity: float, clock: Clock) -> ca.MX:
-    """Mean specific force (3, steps) over every step, of states (13, steps + 1)."""
-    symbols = [ca.SX.sym("before", N_STATE), ca.SX.sym("after", N_STATE)]
-    exact = means(symbols[0], symbols[1], ca.SX(clock.step), ca.SX(gravity))
-    each = ca.Function("mean_force", symbols, [ca.densify(exact[FORCE])])
-    return each.map(clock.steps)(states[:, :-1], states[:, 1:])
-
-
-def forces_at_steps(forces: ca.MX, first: ca.MX, last: ca.MX, clock: Clock) -> History:
-    """Of the means (3, steps) and the specific forces (3,) at both ends of the period."""
-    return History(ca.horzcat(first, (forces[:, :-1] + forces[:, 1:]) / 2, last), clock)
-
-
-def low_passed(inputs: ca.MX, first: ca.MX, cutoff: float, clock: Clock) -> History:
-    """What a low pass gives for the means (k, steps) over the steps; first: what it gave as the period began, (k,)."""
-    decay = math.exp(-2 * math.pi * cutoff * clock.step)
-    into, at = np.arange(clock.steps + 1)[:, None], np.arange(clock.steps + 1)
-    gains = np.where(into <= at, (1 - decay) * decay ** np.maximum(at - into, 0), 0.0)
-    gains[0] = decay**at
-    return History(ca.mtimes(ca.horzcat(first, inputs), ca.DM(gains)), clock)
-
-
-def angles(speeds: ca.MX, first: ca.MX, clock: Clock) -> History:
-    """Angles of rotors (rad) from their speeds (n, steps + 1) (rad/s); first: as the period began, (n,)."""
-    turned = ca.cumsum(clock.step / 2 * (speeds[:, :-1] + speeds[:, 1:]), 1)
-    return History(ca.horzcat(first, ca.repmat(first, 1, clock.steps) + turned), clock)
+    def integral(self, first: ca.MX) -> History:
+        """first, (k,), and what has come to it since the period began."""
+        gained = self.clock.step * ca.cumsum(ca.horzcat(ca.MX.zeros(first.numel()), self.means), 1)
+        return History(ca.repmat(first, 1, self.clock.steps + 1) + gained, self.clock)

@@ -19,11 +19,10 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.parts.sensor_sheet import SensorSheet, Stated, noisier
 from quadexp.parts.settings import key
-from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
-from quadexp.world.sensors import Sensors
+from quadexp.world.sensors import Sensors, turned
 from quadexp.world.streams import Sampled
 
 AXES = 12  # of the noise: position, velocity, attitude, rate
@@ -96,10 +95,9 @@ class StatedEstimate(Effect):
         if self.follows:
             x = rate = told["state"]
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
-        turned = ca.mtimes(left_matrix(x[ATTITUDE]), ca.vertcat(1, noise[6:9] / 2))
         noisy = ca.vertcat(
             x[POSITION] + noise[:3],
-            ca.if_else(at.parameters[2] > 0, turned / ca.norm_2(turned), x[ATTITUDE]),
+            ca.if_else(at.parameters[2] > 0, turned(x[ATTITUDE], noise[6:9]), x[ATTITUDE]),
             x[VELOCITY] + noise[3:6],
             rate[RATE] + noise[9:],
         )

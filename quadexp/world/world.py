@@ -46,7 +46,10 @@ class World(SimulatedPlant):
     def __init__(
         self, airframe: SimulatedPlant, effects: Sequence[Effect], believed: SimulatedPlant | None = None
     ) -> None:
-        self.airframe, self.effects = airframe, ordered([effect.among(effects) for effect in effects])
+        self.airframe, clock = airframe, Clock(airframe.step, 1)
+        joined = ordered([effect.among(effects) for effect in effects])
+        columns = {*airframe.inner_columns}.union(*(effect.columns(clock, airframe.vehicle) for effect in joined))
+        self.effects, self._turning = tuple(effect.beside(columns) for effect in joined), "rotor_speed_0" in columns
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._winds: dict[Clock, ca.Function] = {}
@@ -222,8 +225,7 @@ class World(SimulatedPlant):
     @property
     def sheet(self) -> SensorSheet:
         """What the data sheets of its sensors say."""
-        turning = any(name.startswith("rotor_speed_") for name in self.columns(self.step))
-        sheet = SensorSheet(rotor_speed=Stated() if turning else None)
+        sheet = SensorSheet(rotor_speed=Stated() if self._turning else None)
         for effect in self.effects:
             sheet = effect.stated(sheet, self.vehicle)
         return sheet

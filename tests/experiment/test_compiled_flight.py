@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from quadexp.compile.compiler import compiler
+from quadexp.control import compiled_loop
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.experiment import compiled_flight, rollout
+from quadexp.experiment import rollout
 from quadexp.experiment.build import build_controller, build_trajectory
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.experiment.evaluate import build_loop
@@ -245,7 +246,7 @@ class TestWhereItHandsOver:
     def test_large_turns_are_shortened_in_c(self, monkeypatch, vehicle):
         """Upside down at the start: the guess turns further than its model holds for some steps."""
         start = np.r_[0, 0, 2.0, 0.05, 0.9987, 0, 0, np.zeros(6)]
-        monkeypatch.setattr(compiled_flight, "MAX_TURN", turn := 0.02)
+        monkeypatch.setattr(compiled_loop, "MAX_TURN", turn := 0.02)
         monkeypatch.setattr("quadexp.control.mpc.mpc.MAX_TURN", turn)
         plant, controller = self.plant(vehicle), mpc(vehicle)
         reference = SampledReference(Hover(duration=1.0), controller)
@@ -337,6 +338,7 @@ REMEDIES = {
     "perfect_mpc controller.dead_time=0.02 controller.motor_lead=0.03 horizon=robust observer=wind": (
         "actuator=lag_30ms", "link=latency", "link.latency=0.02",
     ),
+    "nominal_mpc controller.motor_lag=0.03": ("actuator=lag_30ms",),
     "perfect_mpc delay=strapdown delay.time=0.03": ("estimator=late", "estimator.delay=0.03"),
     "perfect_mpc delay=prediction delay.time=0.03 observer=disturbance": ("estimator=late", "estimator.delay=0.03"),
     "geometric adaptive=l1": ("truth.mass=1.2",),

@@ -13,8 +13,8 @@ from quadexp.cli.app import app
 from quadexp.control.delay.timing import Stream, find_delays
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.delays import overrides, told
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.identify import overrides, told
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose

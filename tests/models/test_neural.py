@@ -12,7 +12,7 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import MODEL_FILE, _hash, load_model, save_model
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.neural import NeuralModel, NNConfig, fit_network
+from quadexp.models.neural import NeuralModel, NNConfig
 from quadexp.models.verdict import evaluate, split_by_flight, without
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_checkpoint import assert_same_bits
@@ -27,13 +27,13 @@ def data():
 
 @pytest.fixture(scope="module")
 def network(data) -> NeuralModel:
-    return fit_network(data, QUICK)
+    return NeuralModel.fit(data, QUICK)
 
 
 def test_it_learns_what_linear_drag_cannot():
     """On held-out flights with noise of .05 m/s^2: quadratic drag, and the loss of the motors on z."""
     train, test = split_by_flight(synthetic_dataset(rows=6000), 0.3, 0)
-    rows = evaluate(fit_network(train, replace(QUICK, max_iterations=250)), train, test)
+    rows = evaluate(NeuralModel.fit(train, replace(QUICK, max_iterations=250)), train, test)
     error = {(row["output"], row["predictor"]): row["rmse"] for row in rows}
     for output in ("a_x", "a_y", "a_z"):
         assert error[output, "nn"] < 0.5 * error[output, "linear_drag"]
@@ -42,15 +42,15 @@ def test_it_learns_what_linear_drag_cannot():
 
 
 def test_a_seed_gives_the_same_weights_and_another_one_others(data, network):
-    assert_same_bits(fit_network(data, QUICK).weights, network.weights)
-    other = fit_network(data, replace(QUICK, seed=1, max_iterations=3))
+    assert_same_bits(NeuralModel.fit(data, QUICK).weights, network.weights)
+    other = NeuralModel.fit(data, replace(QUICK, seed=1, max_iterations=3))
     assert not np.array_equal(other.weights[0], network.weights[0])
 
 
 @pytest.mark.parametrize("limit", [1.5, 5.0])
 def test_spectral_normalisation_bounds_every_slope(data, limit):
     """The largest singular value of the scaled network's Jacobian, anywhere; it is of use: the bound is nearly met."""
-    model = fit_network(data, replace(QUICK, spectral=limit, max_iterations=60))
+    model = NeuralModel.fit(data, replace(QUICK, spectral=limit, max_iterations=60))
     assert model.lipschitz <= limit * (1 + 1e-9)
     spread = data.matrix(model.features).std(axis=0)
     unit = np.sqrt(np.mean(data.matrix(model.outputs) ** 2, axis=0))
@@ -97,9 +97,9 @@ def test_impossible_settings_are_refused(change):
 def test_constant_features_and_empty_data_are_refused(data):
     still = data._replace(columns=dict(data.columns) | {"v_x": np.zeros(data.n_rows)})
     with pytest.raises(DataError, match="'v_x' never changes"):
-        fit_network(still, QUICK)
+        NeuralModel.fit(still, QUICK)
     with pytest.raises(DataError, match="no rows"):
-        fit_network(data.rows(np.zeros(data.n_rows, bool)), QUICK)
+        NeuralModel.fit(data.rows(np.zeros(data.n_rows, bool)), QUICK)
 
 
 def test_the_rest_is_what_another_model_leaves(data, network):

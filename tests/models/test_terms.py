@@ -11,19 +11,10 @@ from scipy.optimize import brentq
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import load_model, save_model
+from quadexp.models.inflow import fit_inflow, momentum_of
 from quadexp.models.regression import regress
 from quadexp.models.residual import AXES
-from quadexp.models.terms import (
-    SELF_CONSISTENT,
-    Z_TERMS,
-    Inflow,
-    TermStructure,
-    all_columns,
-    fit_inflow,
-    fit_terms,
-    momentum_of,
-    term_residual,
-)
+from quadexp.models.terms import SELF_CONSISTENT, Z_TERMS, Inflow, TermStructure, all_columns, fit_terms, term_residual
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.physics.blade_element import motor_coefficients, static_coefficients

@@ -62,6 +62,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/models/adapt_block.c": ("tests/models/test_online.py",),
     "quadexp/models/neural_*.c": ("tests/models/test_residuals.py", "tests/models/test_neural.py"),
     "quadexp/models/residual.py": RESIDUAL,
+    "quadexp/models/inflow.py": RESIDUAL,
     "quadexp/models/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
     "quadexp/models/gaussian_process.py": (*RESIDUAL, "tests/models/test_gp_fit.py"),
@@ -113,6 +114,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
     "quadexp/reference/traced.py": ("tests/reference/test_air_model.py",),
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
+    "quadexp/control/*loop.*": ("tests/control/test_compiled_loop.py", "tests/experiment/test_compiled_flight.py"),
     "quadexp/models/rls.py": ("tests/models/test_rls.py", "tests/properties/test_identification.py"),
 }
 COMPILED = ("*.c", "quadexp/models/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")

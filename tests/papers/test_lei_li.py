@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadexp import papers
+from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one, result_row
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight
-from quadexp.papers.lei_li import report as lei_li
+from quadexp.papers import adaptation, families, lei_li
+from quadexp.papers.ladder import means_by_place, means_figure, means_table
 from quadexp.parts.compose import compose
-from quadexp.report.ladder import means_by_place, means_figure
 from tests.report.test_tables import row
 
 BENCH = ["vehicle=lei_li", "plant.backend=interpreted", "sensor=lei_li", "controller.backend=interpreted"]
@@ -32,7 +34,7 @@ def test_the_examples(tmp_path):
         cell(store, "aa2", *short, "controller=rls_feedback", "seed=1", variant="controller.cone=False"),
         cell(store, "aa3", *short, "controller=static_feedback", variant="controller.cone=True"),
     ]
-    files = lei_li.draw("lei_li", rows, tmp_path)
+    files = papers.write(lei_li, rows, tmp_path)
     assert {"figure_example_path", "figure_example_errors", "figure_example_parameters"} < set(files)
     assert (tmp_path / "figures" / "example_induced_velocity.png").stat().st_size > 10_000
     table = (tmp_path / "expected.md").read_text().splitlines()
@@ -43,6 +45,12 @@ def test_the_examples(tmp_path):
     assert f"| 1.65 | {100 * (mean / 1.65 - 1):+.1f} % | {highest:.2f} | ok |" in line
     (coned,) = (line for line in table if "| static_feedback |" in line)
     assert f"| 1 | {rows[2]['mean_error']:.3f} |  |  |" in coned, "what is expected holds for the law as printed"
+
+
+def test_a_paper_that_there_is_not_is_refused():
+    with pytest.raises(UsageError, match=r"evaluate.figures=nope: there are standard, adaptation, .*, sun$"):
+        papers.check("nope")
+    assert papers.paper("standard") is None
 
 
 def test_what_was_identified(tmp_path):
@@ -62,6 +70,10 @@ def flights(name, speed, errors, plant="blade_element"):
     return [row(name, speed=speed, seed=seed, plant=plant, **{"outcome": "ok"} | one) for seed, one in enumerate(ended)]
 
 
+def families_table(rows):
+    return means_table(means_by_place(rows, "plant", families.ORDER), families.TITLE, bold=True).markdown()
+
+
 def test_the_families():
     """Means over all flights; a lost flight is counted instead of a mean; bounds are not ranked."""
     rows = [
@@ -71,7 +83,7 @@ def test_the_families():
         *flights("static_feedback", 8.0, [None, 0.3, 0.5]),
         *flights("gp_mpc", 4.0, [0.2]),
     ]
-    table = lei_li.families_table(rows).markdown().splitlines()
+    table = families_table(rows).splitlines()
     assert table[2] == "| plant | trajectory | m/s | gp_mpc | rls_mpc | perfect_mpc | static_feedback |"
     assert table[4] == "| blade_element | circle | 4 | 200 |  |  |  |", "one controller is not told apart from another"
     assert table[5] == "| blade_element | circle | 8 | 6 | **2** | 1 | 1 of 3 lost |"
@@ -94,17 +106,17 @@ def test_the_least_of_the_families_is_bold_only_beyond_chance():
             for speed, errors in enumerate(0.1 * lines)
             for made in flights(name, float(speed), errors)
         ]
-        found += "**" in lei_li.families_table(rows).markdown().partition("|")[2]
+        found += "**" in families_table(rows).partition("|")[2]
         rows = [
             made | {"mean_error": made["mean_error"] / 50} if made["controller"] == "gp_mpc" else made for made in rows
         ]
-        cells = lei_li.families_table(rows).markdown().splitlines()[4].split("|")
+        cells = families_table(rows).splitlines()[4].split("|")
         assert "**" not in "".join(cells[:6] + cells[7:])
         true += "**" in cells[6]
     assert found <= 5 and true >= 30  # 5 % of 40 are 2, with a standard deviation of 1.4
 
     one_flight = [made for made in rows if made["seed"] == 0]
-    assert "**" not in lei_li.families_table(one_flight).markdown().partition("|")[2]
+    assert "**" not in families_table(one_flight).partition("|")[2]
 
 
 def test_a_lost_flight_stands_in_the_table_with_its_cause():
@@ -127,7 +139,7 @@ def changed(tmp_path):
 
 def test_adaptation(changed):
     folder, rows = changed
-    files = lei_li.draw("adaptation", rows, folder)
+    files = papers.write(adaptation, rows, folder)
     assert set(files) == {"table_adaptation", "figure_adaptation"}
     table = (folder / "adaptation.md").read_text()
     assert "| payload of 0.3 kg taken up | nominal_mpc |" in table and "| 0..1 s |" in table

@@ -14,11 +14,11 @@ from quadexp.physics.battery import (
     open_circuit_tangent,
     open_circuit_voltage,
     operating_point,
-    rc_voltage_after,
     rotor_power,
     sagging_power,
     sagging_thrust,
 )
+from quadexp.physics.motor import lagging_thrust
 
 CELLS, CAPACITY, R0, R1, TAU = 4, 1.5, 0.03, 0.02, 20.0
 HOVER, POWER = 2.5, 40.0  # N and W of a rotor
@@ -71,13 +71,13 @@ def test_charge_and_energy_are_in_balance():
     weights, nodes = np.array([5, 8, 5]) / 18, 0.5 + np.array([-1, 0, 1]) * np.sqrt(0.15)  # Gauss-Legendre, 3 points
     for amps in current:
         at = h * nodes
-        Vs = np.array([float(rc_voltage_after(V1, amps, R1, TAU, t)) for t in at])
+        Vs = np.array([float(lagging_thrust(V1, R1 * amps, t, TAU)) for t in at])
         E = np.array([source(float(charge_after(z, amps, CAPACITY, t))) for t in at])
         taken += h * amps * weights @ E
         delivered += h * amps * weights @ (E - Vs - R0 * amps)
         lost += h * weights @ (R0 * amps**2 + Vs**2 / R1)
         drawn += h * amps
-        z, V1 = float(charge_after(z, amps, CAPACITY, h)), float(rc_voltage_after(V1, amps, R1, TAU, h))
+        z, V1 = float(charge_after(z, amps, CAPACITY, h)), float(lagging_thrust(V1, R1 * amps, h, TAU))
     stored = 0.5 * capacitance * V1**2 - stored
     assert start - z == pytest.approx(drawn / (3600 * CAPACITY), rel=1e-10)
     assert delivered + lost + stored == pytest.approx(taken, rel=1e-6)
@@ -91,9 +91,9 @@ def test_the_circuit_under_a_constant_current_is_that_of_scipy():
     ).y[:, -1]
     z, V1 = 0.9, 0.0
     for _ in range(600):
-        z, V1 = float(charge_after(z, amps, CAPACITY, T / 600)), float(rc_voltage_after(V1, amps, R1, TAU, T / 600))
+        z, V1 = float(charge_after(z, amps, CAPACITY, T / 600)), float(lagging_thrust(V1, R1 * amps, T / 600, TAU))
     assert (z, V1) == pytest.approx(tuple(found), rel=1e-9)
-    assert float(rc_voltage_after(0.0, amps, R1, TAU, TAU)) == pytest.approx(R1 * amps * (1 - np.exp(-1)))
+    assert float(lagging_thrust(0.0, R1 * amps, TAU, TAU)) == pytest.approx(R1 * amps * (1 - np.exp(-1)))
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0, 2.0, 4.0])

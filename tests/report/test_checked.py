@@ -8,7 +8,8 @@ import shutil
 import pytest
 
 from quadexp.log.cell_store import CellStore
-from quadexp.report.checked import check_flights, rows_of
+from quadexp.report.checked import check_flights
+from quadexp.report.frame import read_results
 from quadexp.report.page import make_report
 from tests.cli.command import run
 from tests.report.results import make_results
@@ -37,17 +38,17 @@ def files(root):
 
 
 def test_flights_as_they_were_written(sound):
-    checked = check_flights(*rows_of(sound))
+    checked = check_flights(*read_results(sound)[:2])
     assert (checked.looked, checked.flights, checked.lines()) == (48, 48, [])
     assert checked.text() == "48 of 48 files of flights checked: all hold what the table says"
-    assert check_flights(*rows_of(sound), most=10).looked == 10
+    assert check_flights(*read_results(sound)[:2], most=10).looked == 10
 
 
 def test_edited_flights_lost_ones_and_those_of_another_sweep(results):
     edited, gone, other = files(results)[:3]
     edit(edited)
     gone.unlink()
-    rows = rows_of(results)[1]
+    rows = read_results(results)[1]
     next(row for row in rows if row["key"] == other.stem)["mean_error"] = 0.5
     checked = check_flights(results, rows[:-2])
     assert (checked.unreadable, checked.missing, checked.other) == ([edited.stem], [gone.stem], [other.stem])

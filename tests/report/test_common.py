@@ -9,6 +9,7 @@ import pytest
 
 from quadexp.log.store import write_table
 from quadexp.report.compare import compare
+from quadexp.report.document import cell_of
 from quadexp.report.metrics import to_columns
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import numbers, scoreboard
@@ -114,11 +115,11 @@ class TestFifteenOfTwentyNotFlown:
         assert said.flown == "Completed flights: perfect_mpc, linear_drag_mpc and nominal_mpc 20 of 20, gp_mpc 5 of 20."
         assert "Least over the 5 flights that all completed, bounds aside: gp_mpc, but others completed" in said.gain
         assert not comparison.verdict.best
-        first, *_, last = scoreboard(comparison).lines
+        first, *_, last = scoreboard(comparison).rows
         assert (last[0].text, last[1].lost) == ("gp_mpc", "5 of 20")
         assert first[2].small[0].endswith("of 20") and last[2].small == ("",)
-        tables = [scoreboard(comparison), numbers(comparison).blocks[0].tables[0]]
-        assert not any(cell.best for table in tables for line in table.lines for cell in line)
+        tables = [scoreboard(comparison), numbers(comparison).blocks[0].tables["mean_error"]]
+        assert not any(cell_of(cell).best for table in tables for row in table.rows for cell in row)
 
     def test_figure(self, outcome):
         rows = lost_gp(outcome)

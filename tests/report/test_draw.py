@@ -10,7 +10,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from quadexp.errors import UsageError
-from quadexp.report.draw import check_path, figure_of, heat_figure, line_figure, page_of, save_view
+from quadexp.report.draw import check_path, figure_of, page_of, save_view
 from quadexp.report.frame import SweepFrame
 from quadexp.report.style import LOOKS, looks
 from quadexp.report.view import automatic, view
@@ -41,7 +41,7 @@ def texts(panel):
 
 def test_small_multiples_have_every_panel_and_every_line(frame):
     made = automatic(frame)[0]
-    figure = line_figure(made)
+    figure = figure_of(made)
     panels = [panel for panel in figure.axes if panel.axison]
     assert [panel.get_title() for panel in panels] == ["horizon 0.5 s", "horizon 1 s", "horizon 2 s"]
     for panel, horizon in zip(panels, (0.5, 1, 2), strict=True):
@@ -63,7 +63,7 @@ def test_small_multiples_have_every_panel_and_every_line(frame):
 
 def test_cells_of_a_heat_map_are_where_their_values_are(frame):
     made = view(frame, x="controller.nodes", by=["controller.horizon"], kind="heat")
-    figure = heat_figure(made)
+    figure = figure_of(made)
     panels = [panel for panel in figure.axes if panel.get_title()]
     assert [panel.get_title() for panel in panels] == ["nominal_mpc", "perfect_mpc", "rls_feedback"]
     for panel in panels[:2]:
@@ -98,7 +98,7 @@ def test_panels_beyond_the_room_are_said(tmp_path):
     masses = [f"{1 + 0.01 * i:.2f}" for i in range(40)]
     asked = [f"vehicle.mass={','.join(masses)}", "controller.nodes=5,10,20"]
     read = SweepFrame.read(swept(tmp_path / "r", asked, lambda config: 0.01))
-    figure = line_figure(view(read, x="controller.nodes", by=[], facet=["vehicle.mass"]))
+    figure = figure_of(view(read, x="controller.nodes", by=[], facet=["vehicle.mass"]))
     assert sum(panel.axison for panel in figure.axes) == 36
     said = " ".join(figure.get_suptitle().split())
     assert "no room for 4 panels: mass 1.36 kg, mass 1.37 kg, mass 1.38 kg, mass 1.39 kg" in said
@@ -107,7 +107,7 @@ def test_panels_beyond_the_room_are_said(tmp_path):
 def test_groups_stand_side_by_side_without_lines(tmp_path):
     asked = ["wind=none,constant", "controller=nominal_mpc,perfect_mpc", "seed=0,1"]
     made = automatic(SweepFrame.read(swept(tmp_path / "r", asked, lambda config: 0.01 + 0.001 * config.seed)))[0]
-    panel = line_figure(made).axes[0]
+    panel = figure_of(made).axes[0]
     assert [text.get_text() for text in panel.get_xticklabels()] == ["none", "constant"]
     first, second = (container.lines[0] for container in panel.containers)
     assert (

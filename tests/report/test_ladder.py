@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.report.ladder import draw, ladder_table, means_by_place, means_figure
+from quadexp import papers
+from quadexp.papers import ladder
+from quadexp.papers.ladder import means_by_place, means_figure, overview
 from quadexp.report.metrics import METRICS
 
 ERRORS = {"clean": (0.2, 0.001), "only_late_estimate": (0.21, 0.04), "wind=constant": (0.4, 0.28)}  # m
@@ -30,7 +32,7 @@ def result(plant, controller, seed, error):
 
 def test_means_over_seeds_by_world_and_controller(rows):
     assert [place for place, _, _ in means_by_place(rows, "world").places] == list(ERRORS)
-    for line, (world, errors) in zip(ladder_table(rows).rows, ERRORS.items(), strict=True):
+    for line, (world, errors) in zip(overview(rows).rows, ERRORS.items(), strict=True):
         means = [f"{1e3 * error * 1.1:.3g}" for error in errors]
         assert list(line) == [world, "circle", "8", *means]
 
@@ -39,7 +41,7 @@ def test_a_flight_that_is_lost_has_no_marker_and_is_named(rows):
     hurt = [dict(row) for row in rows]
     victim = next(row for row in hurt if row["controller"] == "perfect_mpc" and row["plant"].endswith("late_estimate"))
     victim["outcome"] = "lost"
-    (line,) = (line for line in ladder_table(hurt).rows if line[0] == "only_late_estimate")
+    (line,) = (line for line in overview(hurt).rows if line[0] == "only_late_estimate")
     assert line[-1] == "1 of 3 lost"
     panel = means_figure(means_by_place(hurt, "world")).axes[0]
     drawn = {one.get_label(): len(one.lines[0].get_xdata()) for one in panel.containers}
@@ -47,6 +49,6 @@ def test_a_flight_that_is_lost_has_no_marker_and_is_named(rows):
 
 
 def test_files(rows, tmp_path):
-    files = draw(rows, tmp_path)
+    files = papers.write(ladder, rows, tmp_path)
     assert (tmp_path / "ladder.md").read_text().count("\n| ") >= 4 and files["figure_ladder"].endswith("ladder.svg")
     assert (tmp_path / "figures" / "ladder.png").stat().st_size > 5_000

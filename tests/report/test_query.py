@@ -36,10 +36,6 @@ def frame(tmp_path_factory):
         ("4 < speed <= 8", lambda r: r["speed"] == 8),
         ("speed in [4, 12]", lambda r: r["speed"] in (4, 12)),
         ("trajectory.speed not in (4, 12)", lambda r: r["speed"] not in (4, 12)),
-        ("not (controller like '*_mpc' and not controller like gp*)", lambda r: r["controller"] == "gp_mpc"),
-        ("controller not like *t_mpc", lambda r: r["controller"] != "perfect_mpc"),
-        ("speed is null or seed == 0", lambda r: r["speed"] is None or r["seed"] == 0),
-        ("speed is not null and mean_error > 5mm", lambda r: r["speed"] is not None and r["mean_error"] > 0.005),
         ("mean_error == 5 mm OR mean_error = 7", lambda r: round(1e3 * r["mean_error"]) in (5, 7)),
         ("2 < mean_error <= 0.005 m and speed < 9", lambda r: r["mean_error"] in (0.003, 0.004, 0.005)),
         ("seed == 1 and (mean_error in (6, 8) or speed < 5)", lambda r: r["mean_error"] in (0.006, 0.008)),
@@ -47,7 +43,6 @@ def frame(tmp_path_factory):
         ("outcome != ok", lambda r: r["outcome"] != "ok"),
         ("seed == 0 or seed == 1 and speed == 8", lambda r: r["seed"] == 0 or (r["seed"] == 1 and r["speed"] == 8)),
         ("speed != 4", lambda r: r["speed"] != 4),  # a missing value differs from all, as in pandas
-        ("speed != 4 and speed is not null", lambda r: r["speed"] not in (None, 4)),
         ("speed < -1", lambda r: False),
         ("gp_mpc == controller", lambda r: r["controller"] == "gp_mpc"),
     ],
@@ -67,7 +62,7 @@ def test_conditions(frame, condition, holds):
         ("(speed > 4", "cannot be read"),
         ("speed > 4 controller", "cannot be read: invalid syntax"),
         ("speed in 4", "cannot be read: only list-like"),
-        ("like 'a'", "needs a key before it"),
+        ("controller like 'gp_*'", "cannot be read: invalid syntax"),  # which KEY=VALUE has
         ("", "cannot be read"),
         ("__import__('os').system('true')", "cannot be read"),
         ("speed(4) > 1", "cannot be read"),

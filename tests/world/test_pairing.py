@@ -43,7 +43,7 @@ PARTS = {
     ),
     "readings on their way": (
         [ROUGH, Sensors(position_drift=0.3, pose_rate=50, pose_delay=0.003, pose_jitter=0.03, pose_drop=0.2)],
-        lambda world, x: [world.inner[world.columns(1 / 50)["taken_pose"]]],
+        lambda world, x: [world.inner[world.columns(1 / 50)["taken_position"]]],
     ),
     "walk": ([ROUGH, ImuMocap(accelerometer_bias_walk=0.1)], lambda world, x: world.inner[:3]),
 }

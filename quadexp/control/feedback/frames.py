@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
@@ -54,5 +53,7 @@ def state_from_ned(
     x = np.empty(N_STATE)
     x[POSITION], x[VELOCITY], x[RATE] = NED_ENU @ position, NED_ENU @ velocity, FRD_FLU @ rate
     R = NED_ENU @ ca.DM(rotation_euler(ca.DM(list(eta)))).full() @ FRD_FLU
+    from scipy.spatial.transform import Rotation
+
     x[ATTITUDE] = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
     return x

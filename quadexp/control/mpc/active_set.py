@@ -21,7 +21,7 @@ import threading
 from collections.abc import Mapping
 from enum import IntEnum
 from functools import cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -87,22 +87,21 @@ class ActiveSet:
         return Status.ACTIVE_SET
 
 
-def make_active_set(step: BufferedFunction, bounded: ca.Function | None = None) -> ActiveSet:
-    """The solver on the arrays of `step`. bounded: the compiled function; None: without a compiler."""
+def make_active_set(step: Any, bounded: ca.Function | None = None) -> ActiveSet:
+    """The solver on the arrays of a step.Step. bounded: the compiled function; None: without a compiler."""
     shared = step.arguments | step.results | {"U_free": step.results["U_new"]}
-    return ActiveSet(InterpretedSolver(step.function, shared) if bounded is None else BufferedFunction(bounded, shared))
+    return ActiveSet(InterpretedSolver(step.sparsity, shared) if bounded is None else BufferedFunction(bounded, shared))
 
 
 class InterpretedSolver:
     """`subproblem.bounded_function` without a compiler, with the same arguments and results but for `exchanges`, which
     counts what is another than in the guess.
 
-    step: the control step; data: its arguments and results by name, read at every call.
+    patterns: sparsities of A and B; data: arguments and results of the step by name, read at every call.
     """
 
-    def __init__(self, step: ca.Function, data: Mapping[str, np.ndarray]) -> None:
-        self._data = data
-        self._patterns = {name: step.sparsity_out(name) for name in ("A", "B")}
+    def __init__(self, patterns: Mapping[str, ca.Sparsity], data: Mapping[str, np.ndarray]) -> None:
+        self._data, self._patterns = data, {name: patterns[name] for name in ("A", "B")}
         nodes, n = data["U_lin"].shape
         self._states = states = data["Q"].shape[1]
         self.arguments = {"guess": np.zeros((nodes, n))}

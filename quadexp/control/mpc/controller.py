@@ -35,7 +35,7 @@ class PredictiveController(InOperations):
         self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
         self.lead = MotorLead(mpc.vehicle, mpc.settings, mpc.backend) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
-        self._unprepared = np.ones(1)  # whether the reference is to be looked up
+        self.unprepared = np.ones(1)  # whether the reference is to be looked up
         self.record: StepRecord
         self._x0: np.ndarray = mpc.functions[0].arguments["x0"]
         self._reference = mpc.reference
@@ -114,14 +114,14 @@ class PredictiveController(InOperations):
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
         self.mpc.prepared = self.mpc.prepared and self._prepared is window and self.believed is None
-        self._unprepared[0], self._prepared = not self.mpc.prepared, None
+        self.unprepared[0], self._prepared = not self.mpc.prepared, None
         return super().step(measurement, window)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self._reference
         if self.believed is None:
-            look = Operation("window", X_ref[:, :N_STATE], other=U_ref, when=self._unprepared)
+            look = Operation("window", X_ref[:, :N_STATE], other=U_ref, when=self.unprepared)
             operations, x = [look], state
         else:
             operations, x = self.believed.before(told, state)

@@ -24,6 +24,7 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import held_deviation, node_function
 from quadexp.control.mpc.settings import SAMPLES
+from quadexp.control.mpc.step import Step
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE
@@ -103,7 +104,7 @@ class FirstSolve:
     direction: linearises at the step's X, U and solves the bounded subproblem there.
     """
 
-    def __init__(self, rollout: ca.Function, step: BufferedFunction, direction: Callable[[], Direction]) -> None:
+    def __init__(self, rollout: ca.Function, step: Step, direction: Callable[[], Direction]) -> None:
         arguments = step.arguments
         given = {name: arguments[name] for name in rollout.name_in() if name != "U"}
         self._rollout, self._direction = BufferedFunction(rollout, given), direction

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise_together, resolve
-from quadexp.compile.symbolic import ca
+from quadexp.compile.backend import resolve
+from quadexp.control.built import built
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import Phases, step_function
-from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
+from quadexp.control.mpc.step import Step, step_functions
+from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.models.residual import Residual
 from quadexp.physics.state import ATTITUDE, N_STATE
@@ -62,8 +62,9 @@ class ModelPredictiveController:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
         self.backend, self._form = resolve(backend), _form(settings, disturbed)
-        step, *bounded = _functions(vehicle, residual, settings.nodes, self._form, self.backend)
-        self._step = BufferedFunction(step)
+        form = self._form | {"scalar": self.backend == "compiled"}
+        prepare, feedback, *bounded = built(self.backend, step_functions, vehicle, residual, settings.nodes, **form)
+        self._step = Step(prepare, feedback)
         arguments = self._step.arguments
         self._active_set = make_active_set(self._step, *bounded)
 
@@ -80,7 +81,6 @@ class ModelPredictiveController:
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
         self._first_solve: FirstSolve | None = None  # few flights need it
-        self._phases: Phases | None = None  # made by the first `prepare`
         self.prepared, self.prepare_time, self._cold = False, 0.0, True
         self.set_parameters(residual.theta)
 
@@ -156,7 +156,7 @@ class ModelPredictiveController:
         return self._X_ref, self._U_ref
 
     @property
-    def functions(self) -> tuple[BufferedFunction, Solver]:
+    def functions(self) -> tuple[Step, Solver]:
         """The control step and the solver of the bounded subproblem, with the arrays that `command` works on."""
         return self._step, self._active_set.solver
 
@@ -233,13 +233,10 @@ class ModelPredictiveController:
         self.prepared = False
         if self._cold:
             return
-        if self._phases is None:
-            nodes, form = self.settings.nodes, self._form
-            self._phases = Phases(self._step, self.vehicle, self.residual, nodes, self.backend, **form)
         self._set_reference(state_reference, input_reference)
         if self._attitude_ref.dot(self._attitude_predicted) < 0:
             self._X_ref[:, ATTITUDE] *= -1
-        self._phases.prepare()
+        self._step.prepare()
         self.prepared = True
         self.prepare_time = time.perf_counter() - began
 
@@ -251,7 +248,7 @@ class ModelPredictiveController:
         where nothing has been prepared.
         """
         began = time.perf_counter()
-        if not self.prepared or self._phases is None:
+        if not self.prepared:
             raise QuadexpError("feedback: nothing has been prepared for this step")
         if not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
@@ -261,7 +258,7 @@ class ModelPredictiveController:
         if self._attitude_ref.dot(self._attitude) < 0:
             return self.command(x0, self._X_ref_body.copy(), self._U_ref.copy())
         self.prepared = False
-        self._phases.feedback()
+        self._step.feedback()
         status, sweeps, active, kkt = self._conclude()
         thrust = self._thrust.copy()
         return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
@@ -344,21 +341,6 @@ class ModelPredictiveController:
 
 
 def _form(settings: MPCSettings, disturbed: bool) -> dict[str, Any]:
-    """What decides the structure of the step besides model and nodes, see `step_function`."""
+    """What decides the structure of the step besides model and nodes, see `step_functions`."""
     form = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
     return form | {"deviation": settings.input_hold == "deviation", "disturbed": disturbed}
-
-
-_built: dict[tuple[Any, ...], list[ca.Function]] = {}
-
-
-def _functions(
-    vehicle: Vehicle, residual: Residual, nodes: int, form: dict[str, Any], backend: str
-) -> list[ca.Function]:
-    """The control step, and where it is compiled its bounded subproblem; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), nodes, *form.values(), backend)
-    if key not in _built:
-        compiled = backend == "compiled"
-        step = step_function(vehicle, residual, nodes, scalar=compiled, **form)
-        _built[key] = realise_together([step, bounded_function(step, nodes)], backend) if compiled else [step]
-    return _built[key]

@@ -77,13 +77,9 @@ class CompiledPasses:
         """See MatrixPasses."""
         return [self._terminal(Q_end, p)]
 
-    def rows(self, *node: Expression) -> Expression:
-        """The kernel's rows of a node. node: A, B, b."""
-        return self._rows(*node)
-
     def backward(self, cost: list[Expression], *node: Expression) -> Node:
         """See MatrixPasses."""
-        before, K, k, factor = self._kernel(*cost, self.rows(*node[:3]), *node[3:])
+        before, K, k, factor = self._kernel(*cost, self._rows(*node[:3]), *node[3:])
         return [before], K, k, factor
 
     def first_node(self, cost: list[Expression], *node: Expression) -> tuple[Expression, Expression]:

@@ -9,26 +9,27 @@ the factorisation.
 
 The iteration has two phases (Diehl, Bock and Schloeder 2005). `prepare` is what does not depend on the measured state:
 the shift, the linearisation of the nodes 1 .. N - 1 and the backward Riccati pass over them. `feedback` linearises node
-0 at the measured state and runs forwards. `step_function` is both in one; in exact arithmetic the results are the same.
-`Phases` calls the two on the arrays of the whole step, so that the bounded subproblem, the last solution and a whole
-step at any time go on from there.
+0 at the measured state and runs forwards. `Step` calls the two on the arrays from which the bounded subproblem goes on.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.backend import BufferedFunction, array_for
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
 from quadexp.control.mpc.attitude_error import AttitudeError, attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes
 from quadexp.control.mpc.settings import SAMPLES
-from quadexp.control.mpc.subproblem import backward_pass, forward_pass, input_gradient
+from quadexp.control.mpc.subproblem import (
+    backward_pass,
+    bounded_function,
+    forward_pass,
+    input_gradient,
+    subproblem_sparsity,
+)
 from quadexp.models.residual import Residual
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import N_DISTURBANCE
@@ -65,7 +66,7 @@ class _Prepared(NamedTuple):
 
 
 class _Step:
-    """Symbols and expressions of a step; for the arguments see `step_function`."""
+    """Symbols and expressions of a step; for the arguments see `step_functions`."""
 
     def __init__(
         self,
@@ -175,7 +176,7 @@ class _Step:
         return ca.norm_inf(ca.vertcat(*steps))
 
 
-def step_function(
+def step_functions(
     vehicle: Vehicle,
     residual: Residual,
     nodes: int,
@@ -185,10 +186,11 @@ def step_function(
     lag: bool = False,
     deviation: bool = False,
     disturbed: bool = False,
-) -> ca.Function:
-    """One iteration for N = nodes; scalar: the form to compile, otherwise the form that the virtual machine runs.
+) -> list[ca.Function]:
+    """`prepare` and `feedback` of one iteration for N = nodes, and with `scalar` the bounded subproblem, see `Step`.
 
     attitude_error: what Q weighs of the attitude, see control.mpc.attitude_error.
+    scalar: the form to compile, otherwise the form that the virtual machine runs.
     lag: rotors lag behind their commands, and their thrusts are states: m = 13 + n of them; otherwise m = 13.
     deviation: nodes hold the deviation from the reference's thrust, see control.mpc.prediction.
     disturbed: the model has a disturbance, see physics.rigid_body: an input like the others, constant over the horizon.
@@ -203,39 +205,10 @@ def step_function(
     gradient step in u); then the subproblem: A (m, m N), B (m, n N), b (m, N), q (m, N + 1), r (n, N), its
     factorisation K (n, m N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where
     the subproblem is in the coordinates of "body".
-    """
-    form = {"scalar": scalar, "lag": lag, "deviation": deviation, "disturbed": disturbed}
-    step = _Step(vehicle, residual, nodes, attitude_error, **form)
-    p = step.prepare()
-    first = step.feedback(p)
-    results = {name: first[name] for name in ("X_new", "U_new", "checks")}
-    for name in ("A", "B", "b", "q"):
-        results[name] = ca.horzcat(first[name], *getattr(p, name))
-    results["r"] = ca.horzcat(*p.r)
-    results["K"] = ca.horzcat(ca.MX.zeros(*p.K[0].shape), *p.K)
-    results["factor"] = ca.horzcat(first["factor"], *p.factor)
-    results |= {"X_lin": ca.horzcat(step.given["x0"], *p.x), "U_lin": ca.horzcat(*p.u)}
-    results |= {"frames": p.frames[0]} if p.frames else {}
-    return ca.Function("mpc_step", [*step.given.values()], [*results.values()], [*step.given], [*results])
 
-
-def phase_functions(
-    vehicle: Vehicle,
-    residual: Residual,
-    nodes: int,
-    *,
-    attitude_error: str = "plain",
-    scalar: bool = True,
-    lag: bool = False,
-    deviation: bool = False,
-    disturbed: bool = False,
-) -> tuple[ca.Function, ca.Function]:
-    """`prepare` and `feedback` of the step that `step_function` makes of the same arguments.
-
-    prepare: inputs as the step's but x0; its outputs are inputs of feedback, `.._prepared` there: X_lin, q at the nodes
-    1 .. N; U_lin, r at all nodes; A, B, b, K, factor at the nodes 1 .. N - 1; frames; and k, cost_0 .., multiplier,
-    kkt, added. feedback: further inputs as the step's, but for X, U, U_ref, Q_end, shift and first_share.
-    Outputs X_new, U_new, checks as the step's, and at node 0: X_lin, A, B, b, q, factor.
+    prepare has no x0, and of the subproblem leaves X_lin, q at the nodes 1 .. N, U_lin, r at all, the others at the
+    nodes 1 .. N - 1; and k, cost_0 .., multiplier, kkt, added. All of these are inputs of feedback, `.._prepared`
+    there, with what else it needs; it leaves X_new, U_new, checks, and of the subproblem node 0, but for K.
     """
     form = {"scalar": scalar, "lag": lag, "deviation": deviation, "disturbed": disturbed}
     step = _Step(vehicle, residual, nodes, attitude_error, **form)
@@ -267,7 +240,7 @@ def phase_functions(
     # An input has another name than an output that goes to the same array.
     inputs = given | {f"{name}_prepared": value for name, value in known.items()}
     feedback = ca.Function("mpc_feedback", [*inputs.values()], [*answer.values()], [*inputs], [*answer])
-    return prepare, feedback
+    return [prepare, feedback, bounded_function(prepare, feedback, nodes)] if scalar else [prepare, feedback]
 
 
 def _attitude_guard(m: int) -> ca.Function:
@@ -282,31 +255,23 @@ def _attitude_guard(m: int) -> ca.Function:
     return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])
 
 
-FROM_NODE_1 = ("X_lin", "A", "B", "b", "q", "K", "factor")  # what the preparation leaves of the subproblem's arrays
-AT_NODE_0 = ("X_lin", "A", "B", "b", "q", "factor")  # and the feedback
+class Step:
+    """The control step: a call is `prepare`, then `feedback`, each a BufferedFunction that may be called by itself.
 
-
-class Phases:
-    """prepare, then feedback: called one after the other they leave in the step's results what the step leaves.
-
-    step: the whole step, whose arguments and results they share. form: of its structure, see `step_function`.
+    arguments, results: of both, by name; see `step_functions`. sparsity: of the results that make the subproblem.
     """
 
-    def __init__(
-        self, step: BufferedFunction, vehicle: Vehicle, residual: Residual, nodes: int, backend: str, **form: Any
-    ) -> None:
-        form |= {"scalar": backend == "compiled"}
-        prepare, feedback = built(backend, phase_functions, vehicle, residual, nodes, **form)
-        given, results = step.arguments, step.results
-
-        def place(function: ca.Function, name: str, *, last: bool) -> np.ndarray:
-            size = function.nnz_out(name)
-            return results[name].ravel()[-size:] if last else results[name].ravel()[:size]
-
-        whole = {name: results[name] for name in ("U_lin", "r", "frames") if name in results}
-        into = whole | {name: place(prepare, name, last=True) for name in FROM_NODE_1}
-        self.prepare = BufferedFunction(prepare, given, into)
+    def __init__(self, prepare: ca.Function, feedback: ca.Function) -> None:
+        self.sparsity = subproblem_sparsity(prepare, feedback)
+        whole = {name: array_for(sparsity) for name, sparsity in self.sparsity.items()}
+        behind = {name: array.ravel()[-prepare.nnz_out(name) :] for name, array in whole.items()}
+        before = {name: whole[name].ravel()[: feedback.nnz_out(name)] for name in feedback.name_out() if name in whole}
+        self.prepare = BufferedFunction(prepare, into=behind)
         known = {f"{name}_prepared": array for name, array in self.prepare.results.items()}
-        into = {name: results[name] for name in ("X_new", "U_new", "checks")}
-        into |= {name: place(feedback, name, last=False) for name in AT_NODE_0}
-        self.feedback = BufferedFunction(feedback, given | known, into)
+        self.feedback = BufferedFunction(feedback, self.prepare.arguments | known, before)
+        self.arguments = {"x0": self.feedback.arguments["x0"]} | self.prepare.arguments
+        self.results = whole | {name: self.feedback.results[name] for name in ("X_new", "U_new", "checks")}
+
+    def __call__(self) -> None:
+        self.prepare()
+        self.feedback()

@@ -14,7 +14,7 @@ from pathlib import Path
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.attitude_error import attitude_error_in
-from quadexp.control.mpc.riccati import CompiledPasses, Passes, line_length
+from quadexp.control.mpc.riccati import Passes, line_length
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import ATTITUDE
 
@@ -78,24 +78,31 @@ def input_gradient(
     return multiplier, gradient
 
 
-def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
-    """Solver of the subproblem of the compiled `step` with input bounds, by active_set.c; it has no interpreted form.
+def subproblem_sparsity(prepare: ca.Function, feedback: ca.Function) -> dict[str, ca.Sparsity]:
+    """Of the subproblem's matrices, by name: what `feedback` leaves of node 0 before what `prepare` leaves."""
+    m, n = prepare.size1_in("Q"), prepare.size1_in("R")
+    whole = {name: prepare.sparsity_out(name) for name in ("U_lin", "r", "frames") if name in prepare.name_out()}
+    first = {name: feedback.sparsity_out(name) for name in ("A", "B", "b", "q", "factor", "X_lin")}
+    first["K"] = ca.Sparsity.dense(n, m)
+    return whole | {name: ca.horzcat(part, prepare.sparsity_out(name)) for name, part in first.items()}
 
-    Inputs, as `step` has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
+
+def bounded_function(prepare: ca.Function, feedback: ca.Function, nodes: int) -> ca.Function:
+    """Solver of the subproblem of the compiled step with input bounds, by active_set.c; it has no interpreted form.
+
+    Inputs, as the step has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
     where the step has them; U_free (n, N), the solution without bounds (N); guess (n, N), the expected active set: -1
     at the lower, 1 at the upper bound, 0 free. Outputs: X_new (m, N + 1), U_new (n, N); side (n, N), the active set;
     checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the estimated error of the inputs
     (N), the largest change of a quaternion (length).
     """
-    names = ["A", "B", "b", "q", "r", "K", "factor", "X_lin", "U_lin"]
-    names += ["frames"] if "frames" in step.name_out() else []
-    given = {name: ca.MX.sym(name, step.sparsity_out(step.index_out(name))) for name in names}
-    given |= {name: ca.MX.sym(name, *step.size_in(name)) for name in ("Q", "Q_end", "R", "u_min", "u_max")}
-    n, m = step.size1_in("R"), step.size1_in("Q")
+    given = {name: ca.MX.sym(name, sparsity) for name, sparsity in subproblem_sparsity(prepare, feedback).items()}
+    given |= {name: ca.MX.sym(name, *prepare.size_in(name)) for name in ("Q", "Q_end", "R", "u_min", "u_max")}
+    n, m = prepare.size1_in("R"), prepare.size1_in("Q")
     given |= {name: ca.MX.sym(name, n, nodes) for name in ("U_free", "guess")}
-    passes = CompiledPasses(step.get_function)
+    rows_of = prepare.get_function("riccati_rows")
     blocks = zip(ca.horzsplit(given["A"], m), ca.horzsplit(given["B"], n), ca.horzsplit(given["b"]), strict=True)
-    rows = ca.horzcat(*(passes.rows(*node) for node in blocks))
+    rows = ca.horzcat(*(rows_of(*node) for node in blocks))
     weights = ca.horzcat(given["Q"][:, 1:], given["Q_end"])
     U, low, high = given["U_lin"], ca.repmat(given["u_min"], 1, nodes), ca.repmat(given["u_max"], 1, nodes)
     arguments = [rows, *(given[name] for name in ("K", "factor", "q", "r")), weights, given["R"]]

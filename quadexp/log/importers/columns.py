@@ -1,7 +1,7 @@
-"""Which columns of a table are what: proposed by their names, decided by what the data obey in whatever frame.
+"""Which columns of a table are what: by their names, and of several named alike by what the data obey in any frame.
 
 position, velocity     the one is the derivative of the other, column by column
-attitude               four columns of norm one; three named roll, pitch, yaw
+attitude               four columns of norm one, or roll, pitch, yaw
 rate                   |w| = 2 |dq/dt|, which no order, direction or frame of the quaternion changes
 acceleration           |f| = |a + g e_up| for one of the six directions of up
 """
@@ -11,15 +11,16 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
+from quadexp.log.signal import increasing
 from quadexp.log.signal.windows import Windows, changes, means, pairs, window_samples
 from quadexp.physics.vehicle import GRAVITY
 
-RATE, FORCE, MOTION = 0.5, 0.6, 0.85  # correlations from which columns are taken for a sensor's
+MOTION = 0.85  # correlation from which a velocity is taken for the derivative of a position
 GRID = 100.0  # Hz
 MOST = 8000  # samples looked at
 
@@ -165,12 +166,11 @@ class Match(NamedTuple):
 
 class Table:
     """Columns of a log on one clock. t: (k,) s, uniform. x: (k, N). times, windows: (n, l), (n, l, N), and means and
-    slopes over their halves, (2n, N). named: groups of columns by what their names say; free: columns whose names say
-    nothing, which may be anything (one that is named is taken by its name or not at all)."""
+    slopes over their halves, (2n, N). named: groups of columns by what their names say, the likeliest first."""
 
     def __init__(self, names: Sequence[str], t: np.ndarray, data: np.ndarray, clock: int) -> None:
         """The middle of a log of columns (k, N) at times t (k,); empty cells are bridged."""
-        later = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+        later = increasing(t)
         t, data = t[later], data[later]
         period = max(float(np.median(np.diff(t))), 1 / GRID)
         length = min(t[-1] - t[0], MOST * period)
@@ -184,26 +184,11 @@ class Table:
         self.times, self.windows = self.t[rows], self.x[rows]
         self.means, self.slopes = means(self.times, self.windows), changes(self.times, self.windows)
         usable = {i for i in range(len(names)) if i != clock and np.isfinite(self.x[:, i]).all()}
-        self.named: Groups = {q: [g for g in found if set(g) <= usable] for q, found in groups(names).items()}
-        self.free = {i for i in usable if hint(names[i]) is None and not NOT_MEASURED.search(names[i].lower())}
+        self.named: Groups = {q: [g for g in each if set(g) <= usable] for q, each in groups(names).items()}
 
-    def side_by_side(self, width: int, taken: Sequence[int] = ()) -> list[list[int]]:
-        """Free columns side by side."""
-        left = self.free - set(taken)
-        runs = (list(range(i, i + width)) for i in range(self.x.shape[1] - width + 1))
-        return [run for run in runs if set(run) <= left]
-
-    @cached_property
-    def correlations(self) -> np.ndarray:
-        """Of every column's slope with every column's mean, (N, N); 0 where one does not move."""
-        a, b = self.slopes - self.slopes.mean(axis=0), self.means - self.means.mean(axis=0)
-        size = np.outer(np.sqrt((a * a).sum(axis=0)), np.sqrt((b * b).sum(axis=0)))
-        return np.nan_to_num(np.divide(a.T @ b, size, out=np.zeros_like(size), where=size > 0))
-
-    def attitudes(self, taken: Sequence[int]) -> list[list[int]]:
-        """Groups of four columns that are a unit quaternion that moves, those named so if there are any."""
-        named = [g for g in self.named.get("attitude", []) if self._is_unit(g)]
-        return named or [g for g in self.side_by_side(4, taken) if self._is_unit(g)]
+    def attitude(self) -> list[int] | None:
+        """Four columns that are a unit quaternion that moves."""
+        return next((columns for columns in self.named.get("attitude", []) if self._is_unit(columns)), None)
 
     def _is_unit(self, columns: list[int]) -> bool:
         x = self.x[:, columns]
@@ -213,45 +198,40 @@ class Table:
 
     def derivative(self) -> tuple[list[int], Match] | None:
         """Three columns, and three that are their derivative; None where there are none."""
-        best, found = -np.inf, None
-        named = {name: self.named.get(name, []) for name in ("position", "velocity")}
-        for p in [*named["position"], *self.side_by_side(3)]:
-            for v in [*named["velocity"], *self.side_by_side(3)]:
-                score = min(self.correlations[i, k] for i, k in zip(p, v, strict=True))
-                if set(p) & set(v) or score < MOTION:
-                    continue
-                rank = sum(g.index(x) if x in g else 8 for g, x in zip(named.values(), (p, v), strict=True))
-                if score - 0.01 * rank > best + 1e-3:
-                    slopes = self.slopes[:, p]
-                    gain = float(np.sum(self.means[:, v] * slopes) / np.sum(slopes**2))
-                    best, found = score - 0.01 * rank, (p, Match(v, float(score), gain))
-        return found
+        best, match = -np.inf, None
+        for (i, p), (k, v) in product(*(enumerate(self.named.get(name, [])) for name in ("position", "velocity"))):
+            slopes, means_ = self.slopes[:, p], self.means[:, v]
+            score = min(_correlation(a, b) for a, b in zip(slopes.T, means_.T, strict=True))
+            if score >= MOTION and score - 0.01 * (i + k) > best + 1e-3:
+                gain = float(np.sum(means_ * slopes) / np.sum(slopes**2))
+                best, match = score - 0.01 * (i + k), (p, Match(v, score, gain))
+        return match
 
-    def rate(self, q: np.ndarray, taken: Sequence[int]) -> Match | None:
+    def rate(self, q: np.ndarray) -> Match | None:
         """The gyro's columns, by how fast an attitude (n, l, 4) turns, in whatever order it is."""
         (pair,) = pairs(Windows(self.times, {"q": q, "w": np.zeros((*q.shape[:2], 3))}))
-        return self._best("rate", [np.linalg.norm(pair.expected, axis=1)], RATE, taken)
+        return self._best("rate", [np.linalg.norm(pair.expected, axis=1)])
 
-    def acceleration(self, motion: np.ndarray | None, taken: Sequence[int]) -> Match | None:
+    def acceleration(self, motion: np.ndarray | None) -> Match | None:
         """The accelerometer's columns. motion: acceleration in the log's world, (2n, 3); None: unknown."""
         still = np.zeros((len(self.means), 3)) if motion is None else motion
         ups = (sign * axis for axis in np.eye(3) for sign in (1.0, -1.0))
-        expected = [np.linalg.norm(still + GRAVITY * up, axis=1) for up in ups]
-        return self._best("acceleration", expected, FORCE, taken)
+        return self._best("acceleration", [np.linalg.norm(still + GRAVITY * up, axis=1) for up in ups])
 
-    def _best(self, quantity: str, expected: list[np.ndarray], least: float, taken: Sequence[int]) -> Match | None:
-        """The columns named so, or free ones, whose size correlates best with one of the expected sizes, (2n,)."""
-        best: tuple[float, Match] | None = None
-        named = [g for g in self.named.get(quantity, []) if not set(g) & set(taken)]
-        for rank, columns in enumerate(named or self.side_by_side(3, taken)):
+    def _best(self, quantity: str, expected: list[np.ndarray]) -> Match | None:
+        """The columns named so whose size correlates best with one of the expected sizes, (2n,)."""
+        matches = []
+        for rank, columns in enumerate(self.named.get(quantity, [])):
             x = np.linalg.norm(self.means[:, columns], axis=1)
             if np.ptp(self.x[:, columns], axis=0).min() == 0:
                 continue
             for y in expected:
-                both = float(np.std(x) * np.std(y))
-                correlation = float(np.mean((x - x.mean()) * (y - y.mean()))) / both if both > 0 else 0.0
                 gain = float(np.sqrt(np.mean(x * x) / max(float(np.mean(y * y)), 1e-12)))
-                if best is None or correlation - 0.002 * rank > best[0]:
-                    best = (correlation - 0.002 * rank, Match(columns, correlation, gain))
-        sure = best is not None and (best[1].correlation > least or bool(named))
-        return best[1] if best is not None and sure else None
+                matches.append((rank, Match(columns, _correlation(x, y), gain)))
+        return max(matches, key=lambda each: each[1].correlation - 0.002 * each[0], default=(0, None))[1]
+
+
+def _correlation(x: np.ndarray, y: np.ndarray) -> float:
+    """Of x and y, (n,); 0 where one does not move."""
+    both = float(np.std(x) * np.std(y))
+    return float(np.mean((x - x.mean()) * (y - y.mean()))) / both if both > 0 else 0.0

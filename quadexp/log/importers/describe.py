@@ -1,9 +1,9 @@
 """A mapping proposed for a table of unknown origin: from the names of its columns, and from what the data obeys.
 
-Names only propose, the data decide which columns are what (columns.py). Then every order and direction of
-the quaternion with every world and body frame is a candidate of the search that `quadexp check` has too, by the same
-evidence; what that search finds besides stands under `corrections`. Where the next best candidate is less than
-search.MARGIN log units behind, the line is a guess that asks which of both it is.
+The names say which columns are what (columns.py): a table whose names say nothing needs a mapping by hand. Then every
+order and direction of the quaternion with every world and body frame is a candidate of the search that `quadexp check`
+has too, by the same evidence; what that search finds besides stands under `corrections`. Where the next best candidate
+is less than search.MARGIN log units behind, the line is a guess that asks which of both it is.
 """
 
 from __future__ import annotations
@@ -165,10 +165,6 @@ class _Proposals:
         self.streams: dict[str, np.ndarray] = {}
         self.places: dict[str, list[int]] = {}
 
-    @property
-    def taken(self) -> list[int]:
-        return [i for columns in self.places.values() for i in columns]
-
     def written(self, columns: list[int], dimension: str) -> str | None:
         """The unit that the first column's name says, if it is one of the dimension."""
         unit = unit_of(self.names[columns[0]])[1]
@@ -208,7 +204,7 @@ class _Proposals:
     def sensors(self) -> None:
         """Attitude, gyro and accelerometer, in the log's own frames."""
         table = self.table
-        attitude = next(iter(table.attitudes(self.taken)), None)
+        attitude = table.attitude()
         if attitude is not None:
             x = table.windows[..., attitude]
             self.streams["q"] = continuous(x.reshape(-1, 4)).reshape(x.shape)
@@ -226,11 +222,11 @@ class _Proposals:
         if v is None and "p" in self.streams:
             p = table.x[:, self.places["position"]] * UNITS["length"][self.fields["position"].value["unit"]]
             v = np.gradient(p, table.t, axis=0)[np.searchsorted(table.t, table.times)]
-        force = table.acceleration(None if v is None else changes(table.times, v), self.taken)
+        force = table.acceleration(None if v is None else changes(table.times, v))
         if force is not None:
             self._force(force)
-        named = [g for g in table.named.get("rate", []) if not set(g) & set(self.taken)]
-        rate = table.rate(self.streams["q"], self.taken) if "q" in self.streams else None
+        named = table.named.get("rate", [])
+        rate = table.rate(self.streams["q"]) if "q" in self.streams else None
         if rate is not None:
             self._rate(rate.columns, 1 / rate.gain, f"correlation {rate.correlation:.3f} with the attitude's rate")
         elif named:
@@ -333,7 +329,7 @@ class _Proposals:
         for kind in ("rotor_speed", "motor"):
             for columns in self.table.named.get(kind, []):
                 still = np.ptp(x[:, columns], axis=0).min() == 0
-                if set(columns) & set(self.taken) or still or x[:, columns].min() < -0.2 * x[:, columns].max():
+                if still or x[:, columns].min() < -0.2 * x[:, columns].max():
                     continue
                 quantity, lines, sure, why = self._range(columns, kind)
                 if quantity not in self.fields:

@@ -15,6 +15,7 @@ instant of the reference and the command that are recorded with it:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,13 +27,15 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
-from quadexp.papers.sun.data import CRASHED, INFEASIBLE, Ellipse, Published, ellipses, published
+from quadexp.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Published, ellipses, published
 from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
-from quadexp.report.style import Figure, looks, plain_log, save, styled
+from quadexp.report.draw import figure_of
+from quadexp.report.pairing import grouped
+from quadexp.report.style import Figure
 from quadexp.report.table import Table
-from quadexp.writer import write_text
+from quadexp.report.view import Axis, Place, Point, View
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it
@@ -83,8 +86,8 @@ class Condition:
     lost: int
     off: int
     position: tuple[float, float]
-    heading: tuple[float, float]
     survivors: float
+    heading: tuple[float, float]
     survivors_heading: float
     logged: tuple[float, float]
     logged_survivors: float
@@ -99,28 +102,20 @@ class Condition:
         lost = np.array([row["outcome"] not in COMPLETED for row in rows])  # by their box, not by a corridor
         position = np.array([row["rmse"] for row in rows], float)
         heading = np.degrees(np.array([row["heading_rmse"] for row in rows], float))
-        logged = np.array([row.get("rmse_logged", float("nan")) for row in rows], float)
-        means, kept = [], []  # of all flights, a lost one as it counts there; of those that did not crash
+        logged = np.array([row.get("rmse_logged", math.nan) for row in rows], float)
+        numbers: Any = [len(rows), int(lost.sum()), int((position[~lost] > OFF).sum())]
+        # The errors of all flights, a lost one as it counts there; and of those that did not crash
         for counts, values in zip((*CRASHED, CRASHED[0]), (position, heading, logged), strict=True):
             counted = np.where(lost, counts, values)
-            means.append((float(counted.mean()), float(counted.std())))
-            kept.append(float(values[~lost].mean()) if not lost.all() else float("nan"))
+            numbers += [(float(counted.mean()), float(counted.std())), _mean(values[~lost])]
         could = np.array([_possible(row) for row in rows], bool)
-        rest = position[~lost & could]
-        return cls(
-            flights=len(rows),
-            lost=int(lost.sum()),
-            off=int((position[~lost] > OFF).sum()),
-            position=means[0],
-            heading=means[1],
-            survivors=kept[0],
-            survivors_heading=kept[1],
-            logged=means[2],
-            logged_survivors=kept[2],
-            possible=int(could.sum()),
-            possible_lost=int((lost & could).sum()),
-            possible_position=float(rest.mean()) if len(rest) else float("nan"),
-        )
+        numbers += [int(could.sum()), int((lost & could).sum()), _mean(position[~lost & could])]
+        return cls(*numbers)
+
+
+def _mean(values: np.ndarray) -> float:
+    """NaN without values."""
+    return float(values.mean()) if len(values) else math.nan
 
 
 def _possible(row: Row) -> bool:
@@ -144,11 +139,10 @@ def _world(row: Row) -> str:
 
 def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
     """Controller (with its variant's remedies) -> world -> condition; both in the order of the tables."""
-    groups: dict[str, dict[str, list[Row]]] = {}
-    for row in rows:
-        groups.setdefault(row["controller"], {}).setdefault(_world(row), []).append(row)
+    groups = grouped((row["controller"], row) for row in rows)
     names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
-    return {name: {world: Condition.of(groups[name][world]) for world in _in_order(groups[name])} for name in names}
+    worlds = {name: grouped((_world(row), row) for row in groups[name]) for name in names}
+    return {name: {world: Condition.of(of[world]) for world in _in_order(of)} for name, of in worlds.items()}
 
 
 def _in_order(worlds: Iterable[str]) -> list[str]:
@@ -169,7 +163,7 @@ def reproduced(mean: float, survivors: float, printed: Published) -> str:
 def logged_rmse(flight: Flight) -> float:
     """RMSE (m) as logged, of an ellipse's flight and the samples that it has; NaN without samples."""
     if not len(flight):
-        return float("nan")
+        return math.nan
     config = flight.metadata["config"]
     given = {name: value for name, value in config["trajectory"].items() if name in declared(ReferenceEllipse)}
     late = config.get("estimator", {}).get("delay", 0.0)
@@ -182,24 +176,21 @@ def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
     """Rows of a sweep with `rmse_logged` (m), from the flights of its folder; NaN where a flight is not there."""
     paths = [(row, CellStore(out).path(row["key"])) for row in rows]
     return [
-        {**row, "rmse_logged": logged_rmse(read_flight(path, check=False)) if path.is_file() else float("nan")}
+        {**row, "rmse_logged": logged_rmse(read_flight(path, check=False)) if path.is_file() else math.nan}
         for row, path in paths
     ]
 
 
-def draw(rows: Sequence[Row], out: str | Path) -> dict[str, str]:
-    """Tables and figure of a sweep into <out>; returns name -> path."""
-    found, folder = conditions(with_logged(rows, out)), Path(out)
-    return {
-        "table_sun": str(write_text(folder / "sun.md", sun_table(found))),
-        "figure_sun": str(save(sun_figure(found), folder / "figures" / "sun")),
-    }
+def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+    """Tables and figure of a sweep."""
+    flown = conditions(with_logged(rows, out))
+    return {"sun": sun_table(flown)}, {"sun": sun_figure(flown)}
 
 
-def sun_table(found: Mapping[str, Mapping[str, Condition]]) -> str:
+def sun_table(flown: Mapping[str, Mapping[str, Condition]]) -> str:
     """Markdown: for every published controller ours and theirs, then all controllers side by side."""
-    tables = [_beside(name, found[name]) for name in PUBLISHED if name in found]
-    return "\n\n".join([*tables, _all(found).markdown()])
+    tables = [_beside(name, flown[name]) for name in PUBLISHED if name in flown]
+    return "\n\n".join([*tables, _all(flown).markdown()])
 
 
 def overview(rows: Iterable[Row]) -> Table:
@@ -209,56 +200,47 @@ def overview(rows: Iterable[Row]) -> Table:
 
 def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
     printed, lines = published(), []
-    verdicts: tuple[list[str], list[str]] = [], []
+    verdicts: dict[str, list[str]] = {"true position": [], "as logged": []}
     for world, ours in worlds.items():
-        theirs = printed.get((world, name))
-        line = [
-            TITLES.get(world, world),
-            _with_sd(ours.position, 3),
-            _with_sd(ours.logged, 3),
-            _with_sd(ours.heading, 1),
-            f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost),
-            _number(ours.survivors, 3),
-        ]
-        if theirs is None:
-            lines.append([*line, "", "", "", "", "", ""])
-            continue
-        verdicts[0].append(reproduced(ours.position[0], ours.survivors, theirs))
-        verdicts[1].append(reproduced(ours.logged[0], ours.logged_survivors, theirs))
-        other = [
-            _with_sd((theirs.position, theirs.position_sd), 3),
-            _with_sd((theirs.heading, theirs.heading_sd), 1),
-            str(theirs.lost),
-            _number(theirs.survivors, 3),
-            *(one[-1] for one in verdicts),
-        ]
-        lines.append(line + other)
+        errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1)]
+        lost = f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost)
+        line = [TITLES.get(world, world), *errors, lost, _number(ours.survivors, 3)]
+        beside = [""] * 6
+        if (theirs := printed.get((world, name))) is not None:
+            verdicts["true position"].append(reproduced(ours.position[0], ours.survivors, theirs))
+            verdicts["as logged"].append(reproduced(ours.logged[0], ours.logged_survivors, theirs))
+            beside = [
+                _with_sd((theirs.position, theirs.position_sd), 3),
+                _with_sd((theirs.heading, theirs.heading_sd), 1),
+            ]
+            beside += [str(theirs.lost), _number(theirs.survivors, 3), *(texts[-1] for texts in verdicts.values())]
+        lines.append(line + beside)
     heads = (
         "condition", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "survivors (m)",
         "printed position (m)", "printed heading (deg)", "printed lost", "printed survivors (m)", "reproduced",
         "as logged",
     )  # fmt: skip
-    notes = [_verdict(title, one) for title, one in zip(("true position", "as logged"), verdicts, strict=True) if one]
-    flights = ", ".join(str(number) for number in sorted({one.flights for one in worlds.values()}))
+    notes = [_verdict(title, texts) for title, texts in verdicts.items() if texts]
+    flights = ", ".join(str(number) for number in sorted({condition.flights for condition in worlds.values()}))
     title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
     return Table(heads, lines, title, notes=[*notes, *_apart(name, worlds)]).markdown()
 
 
 def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
     """Lines on the ellipses that the rotors can fly, where they cannot fly all, and on the infeasible set."""
-    found = [
-        f"{TITLES.get(world, world)}: {one.possible} ellipses take no more thrust than there is;"
-        f" {one.possible_lost} of these lost, the others {one.possible_position:.3f} m"
-        for world, one in worlds.items()
-        if one.possible < one.flights
+    lines = [
+        f"{TITLES.get(world, world)}: {condition.possible} ellipses take no more thrust than there is;"
+        f" {condition.possible_lost} of these lost, the others {condition.possible_position:.3f} m"
+        for world, condition in worlds.items()
+        if condition.possible < condition.flights
     ]
     if INFEASIBLE_SET in worlds and name in INFEASIBLE:
         ours, (position, heading) = worlds[INFEASIBLE_SET], INFEASIBLE[name]
-        found.append(
+        lines.append(
             f"Infeasible ellipses, flights that did not crash: {ours.survivors:.3f} m, {ours.survivors_heading:.1f}"
             f" degrees; printed {position:.2f} m, {heading:.1f} degrees"
         )
-    return found
+    return lines
 
 
 def _verdict(title: str, verdicts: Sequence[str]) -> str:
@@ -266,19 +248,21 @@ def _verdict(title: str, verdicts: Sequence[str]) -> str:
     return f"Mean position within {CLOSE:.0%} of the printed one, {title}: {counts} of {len(verdicts)}"
 
 
-def _all(found: Mapping[str, Mapping[str, Condition]]) -> Table:
+def _all(flown: Mapping[str, Mapping[str, Condition]]) -> Table:
     """All controllers: mean of the flights that did not crash, and how many did or are more than OFF m away."""
-    worlds = _in_order({world: None for one in found.values() for world in one})
-    lines = [[TITLES.get(world, world), *(_short(one.get(world)) for one in found.values())] for world in worlds]
+    worlds = _in_order({world: None for by_world in flown.values() for world in by_world})
+    lines = [
+        [TITLES.get(world, world), *(_short(by_world.get(world)) for by_world in flown.values())] for world in worlds
+    ]
     title = "RMSE of the flights that did not crash (m); in brackets how many crashed + how many others are off by 2 m"
-    return Table(["condition", *found], lines, title)
+    return Table(["condition", *flown], lines, title)
 
 
-def _short(one: Condition | None) -> str:
-    if one is None:
+def _short(condition: Condition | None) -> str:
+    if condition is None:
         return ""
-    text = _number(one.survivors, 3)
-    return f"{text} ({one.lost}+{one.off})" if one.lost or one.off else text
+    text = _number(condition.survivors, 3)
+    return f"{text} ({condition.lost}+{condition.off})" if condition.lost or condition.off else text
 
 
 def _with_sd(values: tuple[float, float], digits: int) -> str:
@@ -289,29 +273,16 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "-"
 
 
-@styled
-def sun_figure(found: Mapping[str, Mapping[str, Condition]]) -> Figure:
-    """Position error of the flights that did not crash by condition, and below the number of those that did; hollow:
-    as printed."""
-    worlds = _in_order({world: None for one in found.values() for world in one})
-    figure = Figure(figsize=(2.0 + 0.42 * len(worlds), 4.8), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    look, printed, place = looks(list(found)), published(), {world: i for i, world in enumerate(worlds)}
-    for k, (name, own) in enumerate(found.items()):
-        shift = 0.7 * ((k + 0.5) / len(found) - 0.5)
-        theirs = {world: printed[world, name] for world in own if (world, name) in printed}
-        for panel, ours, other in (
-            (above, [one.survivors for one in own.values()], [one.survivors for one in theirs.values()]),
-            (below, [one.lost for one in own.values()], [one.lost for one in theirs.values()]),
-        ):
-            style = look[name].points() | {"linestyle": "none"}
-            panel.plot([place[world] + shift for world in own], ours, label=name, **style)
-            hollow = style | {"markerfacecolor": "none"}
-            panel.plot([place[world] + shift for world in theirs], other, **hollow)
-    above.set(yscale="log", ylabel="survivors' position error (m)")
-    plain_log(above.yaxis)
-    below.set(ylabel="lost flights")
-    below.set_xticks(range(len(worlds)), [TITLES.get(world, world) for world in worlds], rotation=60, ha="right")
-    handles, labels = above.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4)
-    return figure
+def sun_figure(flown: Mapping[str, Mapping[str, Condition]]) -> Figure:
+    """Position error of the flights that did not crash by condition, "k/n" where some did, beside what is printed."""
+    places: dict[Place, Point] = {}
+    for name, worlds in flown.items():
+        for world, ours in worlds.items():
+            places[name, world] = Point(ours.survivors, ended=ours.flights - ours.lost, trials=ours.flights)
+        for (world, controller), theirs in published().items():
+            if controller == name and world in worlds:
+                point = Point(theirs.survivors, ended=FLIGHTS - theirs.lost, trials=FLIGHTS)
+                places[f"{name} printed", world] = point
+    names = TITLES | {"survivors": "survivors' position error (m)", "world": "condition"}
+    x = Axis("world", tuple(_in_order(dict.fromkeys(world for _, world in places))), "group", names)
+    return figure_of(View("lines", "survivors", x, ("controller",), places=places, names=names))

@@ -13,7 +13,7 @@ from quadexp.messages import script
 from quadexp.names import file_name
 from quadexp.report.document import Block, Section, document, template_text
 from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import Pareto, Swept, pareto_section, swept_section
+from quadexp.report.page.panels import Swept, pareto_figures, pareto_section, swept_section
 from quadexp.report.page.replay import MAX_TRACKS, Case, case_of, choose_cases, pack_replay
 from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, records, scoreboard, worst, worst_rows
 from quadexp.report.page.source import Comparison, read_comparison
@@ -41,13 +41,13 @@ def make_report(
     if figures is not None:
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
-    swept, pareto = Swept.of(comparison), Pareto.of(comparison)
+    swept, pareto = Swept.of(comparison), pareto_figures(comparison)
     words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
     words += ["--baseline", baseline] if baseline else []
     words += ["--figures", portable(Path(figures))] if figures else []
     page, left_out = render(comparison, swept, pareto, shlex.join(words))
     write_text(out, page, force=force)
-    drawn: dict[str, Figure] = swept.figures() | pareto.figures() if figures else {}
+    drawn: dict[str, Figure] = swept.figures() | pareto if figures else {}
     paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
     answered, checked = answer(comparison), comparison.checked
     return {
@@ -61,15 +61,18 @@ def make_report(
     }
 
 
-def render(comparison: Comparison, swept: Swept, pareto: Pareto, command: str) -> tuple[str, list[str]]:
+def render(comparison: Comparison, swept: Swept, pareto: Mapping[str, Figure], command: str) -> tuple[str, list[str]]:
     """The page, and what is not on it for its size. command: that makes it again."""
     bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
     packed, cases = pack_replay(comparison, choose_cases(comparison, bad))
-    shown = _shortened(whole)
+    short = [
+        replace(block, tables={name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()})
+        for block in whole.blocks
+    ]
     left_out = [*_left_out(comparison, packed, cases, whole), *swept.left]
     sections = [
         _replay_section(packed),
-        shown,
+        replace(whole, blocks=short),
         swept_section(swept),
         pareto_section(pareto),
         worst(comparison, bad, {case: i for i, case in enumerate(cases)}),
@@ -99,15 +102,6 @@ def _replay_section(packed: Sequence[Mapping[str, Any]]) -> Section:
     return Section("replay", "Replay", "Replay", lead, [Block(replay=True, notes=[note])] if packed else [])
 
 
-def _shortened(whole: Section) -> Section:
-    """The section of numbers with at most MOST_LINES lines a table."""
-    blocks = [
-        replace(block, tables=[replace(table, lines=table.lines[:MOST_LINES]) for table in block.tables])
-        for block in whole.blocks
-    ]
-    return replace(whole, blocks=blocks)
-
-
 def _left_out(
     comparison: Comparison, packed: Sequence[Mapping[str, Any]], replayed: Sequence[Case], whole: Section
 ) -> list[str]:
@@ -119,7 +113,7 @@ def _left_out(
         entries.append(f"the replay of {conditions - seen} of {conditions} conditions")
     elif len(replayed) < cases:
         entries.append(f"the replay of {cases - len(replayed)} of {cases} pairs of condition and seed")
-    if (lines := max((len(block.tables[0].lines) for block in whole.blocks), default=0)) > MOST_LINES:
+    if (lines := max((len(next(iter(b.tables.values())).rows) for b in whole.blocks), default=0)) > MOST_LINES:
         entries.append(f"{lines - MOST_LINES} of {lines} lines of the tables")
     if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
         entries.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")

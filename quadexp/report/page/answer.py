@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from quadexp.report.page.source import Comparison
+from quadexp.report.pairing import grouped
 from quadexp.report.tables import TITLES
 from quadexp.report.text import count, duration, listed, number, percent, shown, typeset
 
@@ -53,9 +54,7 @@ def _flown(comparison: Comparison) -> str:
     trials = sum(flights.trials for flights in counts.values())
     if all(flights.ended == flights.trials for flights in counts.values()):
         return f"All {trials} flights were completed." if trials > 1 else "The flight was completed." if trials else ""
-    groups: dict[str, list[str]] = {}
-    for label, flights in counts.items():
-        groups.setdefault(flights.text(), []).append(label)
+    groups = grouped((flights.text(), label) for label, flights in counts.items())
     parts = [f"{listed(labels)} {text}" for text, labels in groups.items()]
     if len(parts) > MOST_COUNTS:
         parts = [*parts[: MOST_COUNTS - 1], f"{len(parts) - MOST_COUNTS} more counts in the table", parts[-1]]
@@ -139,7 +138,7 @@ def odds(p: float) -> str:
 def _note(comparison: Comparison) -> str:
     """What the answer is averaged over, and what is not in it."""
     verdict, (plant, vehicle) = comparison.verdict, comparison.world
-    conditions = sum(condition[:2] == comparison.world for condition in comparison.conditions)
+    conditions = sum(condition.world == comparison.world for condition in comparison.conditions)
     seeds = count(len({row["seed"] for row in comparison.main_rows}), "seed")
     each = f", {verdict.common} flights each" if verdict.common else ""
     over = f"{count(conditions, 'condition')}, {seeds}{each}, plant {plant}, vehicle {vehicle}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -85,34 +85,22 @@ class Point(NamedTuple):
     high: float = math.nan
 
 
-class Pareto(NamedTuple):
-    """Error against the time of one control step. points: by label. front: labels that no other one beats in both."""
-
-    comparison: Comparison
-    points: Mapping[str, Point]
-    front: Sequence[str]
-
-    @classmethod
-    def of(cls, comparison: Comparison) -> Pareto:
-        """With all who have a completed flight; bounds are not on the front."""
-        points: dict[str, Point] = {}
-        for label in comparison.order:
-            time, pooled = comparison.time(label), comparison.overall.get(label)
-            if not math.isfinite(time):
-                continue
-            times = time, max(time, comparison.time(label, "p99"))
-            if comparison.reference is None:
-                points[label] = Point(*times, shown(comparison.metric)[0] * comparison.geometric_mean(label))
-            elif label == comparison.reference:
-                points[label] = Point(*times, 100.0)
-            elif pooled is not None and math.isfinite(pooled.reduction):
-                limits = 100 - pooled.reduction_high, 100 - pooled.reduction_low
-                points[label] = Point(*times, 100 - pooled.reduction, *limits)
-        rivals = {label: (p.time, p.error) for label, p in points.items() if label not in comparison.bounds}
-        return cls(comparison, points, pareto_front(rivals))
-
-    def figures(self) -> dict[str, Figure]:
-        return {"error_against_time": pareto_figure(self)} if self.points else {}
+def pareto_points(comparison: Comparison) -> dict[str, Point]:
+    """By label, of all who have a completed flight."""
+    points: dict[str, Point] = {}
+    for label in comparison.order:
+        time, pooled = comparison.time(label), comparison.overall.get(label)
+        if not math.isfinite(time):
+            continue
+        times = time, max(time, comparison.time(label, "p99"))
+        if comparison.reference is None:
+            points[label] = Point(*times, shown(comparison.metric)[0] * comparison.geometric_mean(label))
+        elif label == comparison.reference:
+            points[label] = Point(*times, 100.0)
+        elif pooled is not None and math.isfinite(pooled.reduction):
+            limits = 100 - pooled.reduction_high, 100 - pooled.reduction_low
+            points[label] = Point(*times, 100 - pooled.reduction, *limits)
+    return points
 
 
 def pareto_front(points: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -126,12 +114,15 @@ def pareto_front(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 @styled
-def pareto_figure(pareto: Pareto) -> Figure:
-    """Both axes logarithmic; the front joined, the deadline marked.
+def pareto_figures(comparison: Comparison) -> dict[str, Figure]:
+    """Error against the time of one control step, both axes logarithmic; the front joined, bounds aside, and the
+    deadline marked. Empty where nobody has a completed flight.
 
     A point: median time; the whisker to the right: 99th percentile; the vertical bar: interval of the error.
     """
-    comparison, points, front = pareto
+    if not (points := pareto_points(comparison)):
+        return {}
+    front = pareto_front({label: (p.time, p.error) for label, p in points.items() if label not in comparison.bounds})
     figure = Figure(figsize=(6.2, 4.3), layout="constrained")
     panel = figure.subplots()
     panel.step([1e6 * points[x].time for x in front], [points[x].error for x in front], where="post", color=ACCENT)
@@ -159,10 +150,10 @@ def pareto_figure(pareto: Pareto) -> Figure:
     against = comparison.reference and f"error (% of {comparison.reference})"
     panel.set_ylabel(against or f"{TITLES[comparison.metric]} ({shown(comparison.metric)[1]}), geometric mean")
     figure.legend(loc="outside lower center", ncols=min(4, len(points)))
-    return figure
+    return {"error_against_time": figure}
 
 
-def pareto_section(pareto: Pareto) -> Section:
+def pareto_section(figures: Mapping[str, Figure]) -> Section:
     """The figure."""
-    drawn = [figure_html(figure, "Error against computing time") for figure in pareto.figures().values()]
+    drawn = [figure_html(figure, "Error against computing time") for figure in figures.values()]
     return Section("time", "Time", "Error against computing time", TIME, [Block(figures=drawn)] if drawn else [])

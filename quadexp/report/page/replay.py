@@ -18,9 +18,8 @@ import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
-from quadexp.report.animation import rotors_of
 from quadexp.report.page.source import Comparison
-from quadexp.report.pairing import Condition, condition_of
+from quadexp.report.pairing import Condition, condition_of, grouped
 from quadexp.report.text import speed_text
 
 BUDGET = 800_000  # characters of packed tracks
@@ -52,7 +51,7 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
 
     def place(case: Case) -> tuple[Any, ...]:
         condition, seed = case
-        aside, speed = condition[:2] != comparison.world, condition[3] or 0.0
+        aside, speed = condition.world != comparison.world, condition.speed or 0.0
         return aside, -speed, -largest.get(condition, 0.0), str(condition), -completed[case], seed
 
     ordered = sorted(completed, key=place)
@@ -64,28 +63,26 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
 
 def case_title(comparison: Comparison, case: Case) -> str:
     """Such as "circle, payload 0.1 kg at 8 m/s, seed 3", with plant and vehicle where there are several."""
-    (plant, vehicle, trajectory, speed, setting), seed = case
-    rate = "" if speed is None else f" at {speed_text(speed)}"
-    return f"{comparison.course_title((plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
+    condition, seed = case
+    rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
+    return f"{comparison.course_title(condition)}{rate}, seed {seed}"
 
 
 def pack_replay(
     comparison: Comparison, cases: Sequence[Case], budget: int = BUDGET
 ) -> tuple[list[dict[str, Any]], list[Case]]:
     """As many cases as fit into the budget, as JSON, and their names."""
-    by_case: dict[Case, list[Mapping[str, Any]]] = {}
-    for row in comparison.rows:
-        by_case.setdefault(case_of(row), []).append(row)
+    by_case = grouped((case_of(row), row) for row in comparison.rows)
     packed: list[dict[str, Any]] = []
     kept: list[Case] = []
     for case in cases:
-        made = _pack(comparison, case, by_case[case])
-        if made is None:
+        tracks = _pack(comparison, case, by_case[case])
+        if tracks is None:
             continue
-        budget -= _size(made)
+        budget -= _size(tracks)
         if budget < 0 and packed:
             break
-        packed.append(made)
+        packed.append(tracks)
         kept.append(case)
     return packed, kept
 
@@ -111,7 +108,7 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
         "title": case_title(comparison, case),
         "step": step,
         "samples": len(t),
-        "rotors": rotors_of(longest).tolist(),
+        "rotors": longest.rotor_position.tolist(),
         "centre": centre.tolist(),
         **_integers("reference", reference - centre),
         "left_out": ordered[MAX_TRACKS:],

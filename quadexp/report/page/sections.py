@@ -15,13 +15,13 @@ import numpy as np
 from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
 from quadexp.report.checked import versions_of
-from quadexp.report.document import Block, Cell, PageTable, Section
+from quadexp.report.document import Block, Cell, Section
 from quadexp.report.frame import flat
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.replay import Case, case_of, case_title
 from quadexp.report.page.source import TABLED, Comparison, Record
-from quadexp.report.pairing import Condition, condition_of
+from quadexp.report.pairing import Condition, condition_of, grouped
 from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
@@ -43,12 +43,12 @@ METHODS = (
 )
 
 
-def scoreboard(comparison: Comparison) -> PageTable:
+def scoreboard(comparison: Comparison) -> Table:
     """Every contestant in the main world: completed flights, error, difference to the baseline, computing time; by the
     share of completed flights, then by the error over the common flights."""
     factor, unit = shown(comparison.metric)
     base, verdict = comparison.reference, comparison.verdict
-    lines = []
+    lines: list[Any] = []
     for label in comparison.order:
         pooled, flights = comparison.overall.get(label), comparison.success(label)
         mean, own = (factor * comparison.geometric_mean(label, own=own) for own in (False, True))
@@ -67,7 +67,7 @@ def scoreboard(comparison: Comparison) -> PageTable:
         lines.append([*cells, *map(Cell, times)])
     heads = ["controller", "completed", TITLES.get(comparison.metric, comparison.metric)]
     heads += [f"against {base}"] if base else []
-    return PageTable("scoreboard", "", [*map(Cell, [*heads, "step, median", "step, 99 %"])], lines)
+    return Table([*heads, "step, median", "step, 99 %"], lines)
 
 
 def _change(pooled: Statistic | None) -> tuple[str, str]:
@@ -81,7 +81,7 @@ def _change(pooled: Statistic | None) -> tuple[str, str]:
 def numbers(comparison: Comparison) -> Section:
     """A tab a metric: means and paired differences over common flights; the main metric first."""
     metrics = [comparison.metric, *(m for m in TABLED if m != comparison.metric)]
-    blocks = [_number_block(comparison, metric) for metric in metrics if comparison.select(metric)]
+    blocks = [_number_block(comparison, metric) for metric in metrics if comparison.statistics.of(metric)]
     lead = (
         f"Means over the flights of a line that all compared controllers completed, with {comparison.confidence:.0%}"
         " intervals in brackets; bold: the best of a line, if it differs significantly from all others and nobody"
@@ -92,17 +92,16 @@ def numbers(comparison: Comparison) -> Section:
 
 def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
-    statistics, marks = comparison.select(metric), comparison.look
+    statistics, marks = comparison.statistics.of(metric), comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
     table = error_table(comparison.rows, metric, **options)
-    means = PageTable.of(table, metric)
-    heads = [
+    heads: list[Any] = [
         Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)
         for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True))
     ]
-    tables = [replace(means, heads=heads, lines=means.lines[1:], notes=())]
+    tables: dict[str, Table] = {metric: replace(table, columns=heads, rows=table.rows[1:], notes=())}
     if (differences := comparison_table(statistics)) is not None:
-        tables.append(PageTable.of(differences, f"{metric}-differences"))
+        tables[f"{metric}-differences"] = differences
     return Block(TITLES[metric], metric, tables=tables, notes=table_notes(statistics, ()))
 
 
@@ -135,7 +134,7 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapp
         f"Flights that were not completed, then the largest errors of every controller: {len(rows)} of"
         f" {len(comparison.rows)} flights{more}. {RULE[:1].upper()}{RULE[1:]}."
     )
-    lines = []
+    lines: list[Any] = []
     for row in rows:
         case, label, flight = case_of(row), comparison.label(row), comparison.flight(row)
         largest, when = "", ""
@@ -148,7 +147,7 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapp
         flown = Cell(case_title(comparison, case), lost=lost, replay=cases.get(case))
         lines.append([Cell(label, mark=label), flown, Cell(largest, (when,))])
     commands = [f"quadexp simulate {shlex.join(asked)}" for row in rows if (asked := comparison.asked(row))]
-    blocks = [Block(tables=[PageTable("worst", "", [*map(Cell, ("controller", "flight", "largest error"))], lines)])]
+    blocks = [Block(tables={"worst": Table(["controller", "flight", "largest error"], lines)})]
     blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
     return Section("worst", "Worst", "Worst flights", lead, blocks)
 
@@ -165,8 +164,8 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     sweep = sweep_command(comparison.grids, portable(comparison.root))
     blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
     if rows := settings(flights):
-        table = PageTable.of(Table(["setting", "value"], rows), "settings")
-        blocks.append(Block("Settings of the flights, those that differ first", tables=[table], folded=True))
+        tables = {"settings": Table(["setting", "value"], rows)}
+        blocks.append(Block("Settings of the flights, those that differ first", tables=tables, folded=True))
     blocks.append(Block("Statistical methods", lead=METHODS.format(f"{comparison.confidence:.0%}"), folded=True))
     lead = "Data, versions and commands that make every figure again."
     return Section("provenance", "Provenance", "Provenance", lead, blocks)
@@ -175,9 +174,9 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
 def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, str]]:
     """(term, text) of the origin; several of one term."""
     about = [flight.get("provenance", {}) for flight in flights]
-    git = [made.get("git") or {} for made in about]
+    git = [written.get("git") or {} for written in about]
     commits = {f"{g['commit'][:12]}{' with changes' if g.get('dirty') else ''}" for g in git if g.get("commit")}
-    machines = {", ".join(str(made[k]) for k in ("cpu", "platform") if made.get(k)) for made in about} - {""}
+    machines = {", ".join(str(written[k]) for k in ("cpu", "platform") if written.get(k)) for written in about} - {""}
     models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
     created = comparison.record.get("provenance", {}).get("created", "")
     versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
@@ -202,10 +201,8 @@ def margins(flights: Iterable[Record]) -> list[str]:
 
 def settings(flights: Sequence[Record]) -> list[list[str]]:
     """A line a setting with its values in order of appearance; those that differ between flights first."""
-    values: dict[str, list[str]] = {}
-    for flight in flights:
-        for key, value in flat(flight.get("config", {})).items():
-            values.setdefault(key, []).append(value if isinstance(value, str) else json.dumps(value))
+    stated = (pair for flight in flights for pair in flat(flight.get("config", {})).items())
+    values = grouped((key, value if isinstance(value, str) else json.dumps(value)) for key, value in stated)
     different = {key: list(dict.fromkeys(texts)) for key, texts in values.items() if set(texts) != {"null"}}
     lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
     return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections.abc import Mapping
@@ -16,10 +17,10 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, read_record, read_table
+from quadexp.log.store import read_flight, read_record
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.checked import Checked, check_flights
-from quadexp.report.metrics import from_columns
+from quadexp.report.frame import RESULTS, read_results
 from quadexp.report.notes import notes
 from quadexp.report.pairing import (
     Condition,
@@ -33,14 +34,12 @@ from quadexp.report.pairing import (
     is_bound,
     is_invalid,
 )  # fmt: skip
-from quadexp.report.statistics import CONFIDENCE, Statistic, overall, results_statistics
+from quadexp.report.statistics import CONFIDENCE, Statistic, Statistics, overall, results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
-from quadexp.report.winner import Verdict, verdicts
+from quadexp.report.winner import Verdict, verdict
 
-RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
-Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
 Record = Mapping[str, Any]  # metadata of a flight
 
 AIR = {  # baseline -> controllers that are the same but for what they know of the air
@@ -60,7 +59,7 @@ class Comparison:
     root: Path
     rows: list[dict[str, Any]]
     record: Mapping[str, Any]
-    statistics: list[Statistic]
+    statistics: Statistics
     metric: str
     baseline: str
     confidence: float
@@ -75,11 +74,6 @@ class Comparison:
     def contestants(self) -> dict[str, Contestant]:
         return {label: contestant for contestant, label in self.labels.items()}
 
-    @cached_property
-    def controllers(self) -> dict[str, str]:
-        """Label -> controller."""
-        return {label: contestant[0] for label, contestant in self.contestants.items()}
-
     def label(self, row: Mapping[str, Any]) -> str:
         return self.labels[contestant_of(row)]
 
@@ -90,14 +84,12 @@ class Comparison:
     @cached_property
     def courses(self) -> dict[tuple[str, str], str]:
         """(trajectory, other settings) -> its name."""
-        return course_labels((c[2], c[4]) for c in self.conditions)
+        return course_labels((c.trajectory, c.setting) for c in self.conditions)
 
-    def course_title(self, course: Course) -> str:
+    def course_title(self, at: Condition) -> str:
         """The trajectory, with settings, plant and vehicle as far as they distinguish it from the others."""
-        plant, vehicle, trajectory, setting = course
-        parts = [self.courses[trajectory, setting]]
-        parts += [plant] if len({world[0] for world in self.worlds}) > 1 else []
-        return ", ".join(parts + ([vehicle] if len({world[1] for world in self.worlds}) > 1 else []))
+        several = [name for name, *names in zip(at.world, *self.worlds, strict=True) if len({*names}) > 1]
+        return ", ".join([self.courses[at.trajectory, at.setting], *several])
 
     @cached_property
     def worlds(self) -> list[World]:
@@ -122,24 +114,18 @@ class Comparison:
     @cached_property
     def overall(self) -> dict[str, Statistic]:
         """Label -> comparison with the baseline over all conditions of the main world."""
-        made = overall(self.main_rows, metric=self.metric, baseline=self.baseline, confidence=self.confidence)
-        return {self.labels[one.controller, one.model, one.variant]: one for one in made}
+        options: Any = {"metric": self.metric, "baseline": self.baseline, "confidence": self.confidence}
+        return {self.labels[s.contestant]: s for s in overall(self.main_rows, **options)}
 
     @cached_property
     def groups(self) -> Groups:
         """The flights of the main world, with the main metric."""
-        return Groups(self.main_rows, self.baseline, (self.metric,))
+        return Groups(self.main_rows, self.baseline, (self.metric,), self.labels)
 
     @cached_property
     def verdict(self) -> Verdict:
         """Who has the least error in the main world."""
-        (verdict,) = verdicts(self.main_rows, metric=self.metric, confidence=self.confidence)
-        named = {label: self.labels[contestant] for contestant, label in self.groups.labels.items()} | {"": ""}
-        one: dict[str, Any] = {name: named[getattr(verdict, name)] for name in ("least", "next", "bound")}
-        several: dict[str, Any] = {
-            name: [named[label] for label in getattr(verdict, name)] for name in ("compared", "alike")
-        }
-        return verdict._replace(**one, **several)
+        return verdict(self.groups, self.groups.worlds[self.world], self.confidence)
 
     def geometric_mean(self, label: str, *, own: bool = False) -> float:
         """Over the conditions, of the mean errors over the common flights, SI; NaN for a label that is not compared.
@@ -160,7 +146,9 @@ class Comparison:
                 values = values[np.isfinite(values)]
                 if len(values) and np.mean(values) > 0:
                     means[self.labels[contestant], own].append(float(np.mean(values)))
-        return {at: float(np.exp(np.mean(np.log(found)))) if found else math.nan for at, found in means.items()}
+        return {
+            at: float(np.exp(np.mean(np.log(values_of)))) if values_of else math.nan for at, values_of in means.items()
+        }
 
     @cached_property
     def order(self) -> list[str]:
@@ -174,12 +162,12 @@ class Comparison:
 
     @property
     def bounds(self) -> list[str]:
-        return [label for label in self.order if is_bound(self.controllers[label])]
+        return [label for label in self.order if is_bound(self.contestants[label].controller)]
 
     @cached_property
     def reference(self) -> str | None:
         """Label of the baseline in the main world; None if it is not there once."""
-        there = [label for label in self.order if self.controllers[label] == self.baseline]
+        there = [label for label in self.order if self.contestants[label].controller == self.baseline]
         return there[0] if len(there) == 1 else None
 
     @property
@@ -190,8 +178,8 @@ class Comparison:
     @property
     def of_the_air(self) -> bool:
         """Whether the rival differs from the baseline by what it knows of the air, and by nothing else."""
-        known = AIR.get(self.controllers[self.reference], ()) if self.reference and self.rival else ()
-        return bool(known) and self.controllers[self.rival] in known
+        known = AIR.get(self.contestants[self.reference].controller, ()) if self.reference and self.rival else ()
+        return bool(known) and self.contestants[self.rival].controller in known
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:
@@ -217,21 +205,15 @@ class Comparison:
         """The grids of the sweep; empty if the record does not have them."""
         return [tuple(map(tuple, grid)) for grid in self.record.get("grids", [])]
 
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {row["key"]: i for i, row in enumerate(self.rows)}
-
     def asked(self, row: Mapping[str, Any]) -> tuple[str, ...]:
         """The overrides of a row's cell; empty if the record does not have them."""
         cells = Combinations(self.grids)
-        return cells.overrides(self._places[row["key"]]) if len(cells) == len(self.rows) else ()
+        places = (i for i, other in enumerate(self.rows) if other["key"] == row["key"])
+        return cells.overrides(next(places)) if len(cells) == len(self.rows) else ()
 
     def sampled(self, most: int) -> list[dict[str, Any]]:
         """At most so many rows, evenly chosen."""
         return self.rows[:: max(1, -(-len(self.rows) // most))]
-
-    def select(self, metric: str) -> list[Statistic]:
-        return [s for s in self.statistics if s.metric == metric and not s.is_overall]
 
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""
@@ -256,22 +238,18 @@ class Comparison:
         """The flight of a row; None if its file is missing, was changed, or holds no samples."""
         if self.flight_record(row) is None:  # Arrow can end the process over bytes that were changed
             return None
-        try:
+        with contextlib.suppress(UsageError, DataError):
             flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
-        except (UsageError, DataError):
-            return None
-        return flight if len(flight) > 1 else None
+            return flight if len(flight) > 1 else None
+        return None
 
 
 def read_comparison(path: str | Path, *, baseline: str | None = None) -> Comparison:
     """Results folder (or its results.parquet) with statistics; UsageError or DataError if there is none."""
-    path = Path(path)
-    file = path / RESULTS if path.is_dir() else path
-    columns, record = read_table(file, "results")
-    every = from_columns(columns)
+    root, every, record = read_results(path)
     rows = [row for row in every if not is_invalid(row)]  # the notes say how many there are
     if not rows:
-        raise DataError(f"{file}: holds no flights; run the sweep again")
+        raise DataError(f"{path}: holds no flights; run the sweep again")
     flown = {row["controller"] for row in rows}
     if baseline is not None and baseline not in flown:
         raise UsageError(f"--baseline {baseline}: did not fly here; there are {', '.join(sorted(flown))}")
@@ -279,15 +257,15 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
     chosen: str = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
-    statistics = results_statistics(every, baseline=chosen, confidence=confidence)
+    digest = hashlib.sha256((root / RESULTS if Path(path).is_dir() else Path(path)).read_bytes()).hexdigest()
     return Comparison(
-        root=file.parent,
+        root=root,
         rows=rows,
         record=record,
-        statistics=statistics.rows,
+        statistics=results_statistics(every, baseline=chosen, confidence=confidence),
         metric=record.get("metric", "mean_error"),
         baseline=chosen,
         confidence=confidence,
-        digest=hashlib.sha256(file.read_bytes()).hexdigest(),
+        digest=digest,
         notes=notes(every),
     )

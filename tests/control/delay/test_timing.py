@@ -14,8 +14,8 @@ from quadexp.control.delay.timing import LARGEST, SMALL_STEP, Search, Stream, fi
 from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import run
 from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.delays import told
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.identify import told
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, VELOCITY
 

@@ -10,12 +10,11 @@ import pytest
 
 from benchmarks.step import make_residual as benchmark_residual
 from benchmarks.stress import SITUATIONS, pinched, stress_vehicle
-from quadexp.compile.backend import BufferedFunction, compiler, realise_together
+from quadexp.compile.backend import compiler, realise_together
 from quadexp.control.mpc.active_set import ActiveSet, InterpretedSolver, Status, make_active_set
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import step_function
-from quadexp.control.mpc.subproblem import bounded_function
+from quadexp.control.mpc.step import Step, step_functions
 from tests.models.residuals import make_residual
 from tests.states import random_state
 
@@ -29,24 +28,22 @@ def solvers(request, vehicle):
     return make_solvers(vehicle, request.param, "plain")
 
 
-def make_solvers(vehicle, backend: str, attitude_error: str, nodes: int = NODES) -> tuple[BufferedFunction, ActiveSet]:
+def make_solvers(vehicle, backend: str, attitude_error: str, nodes: int = NODES) -> tuple[Step, ActiveSet]:
     if backend == "compiled" and compiler() is None:
         pytest.skip("no C compiler")
     residual = make_residual("linear_drag", vehicle)
-    step = step_function(vehicle, residual, nodes, attitude_error=attitude_error, scalar=backend == "compiled")
-    bounded = None
-    if backend == "compiled":
-        step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
-    step = BufferedFunction(step)
-    return step, make_active_set(step, bounded)
+    form = {"attitude_error": attitude_error, "scalar": backend == "compiled"}
+    prepare, feedback, *bounded = realise_together(step_functions(vehicle, residual, nodes, **form), backend)
+    step = Step(prepare, feedback)
+    return step, make_active_set(step, *bounded)
 
 
-def change(step: BufferedFunction, active_set: ActiveSet) -> tuple[np.ndarray, np.ndarray]:
+def change(step: Step, active_set: ActiveSet) -> tuple[np.ndarray, np.ndarray]:
     """dX (N, 13), dU (N, n) of the last solve."""
     return active_set.X_new[1:] - step.results["X_lin"][1:], active_set.U_new - step.results["U_lin"]
 
 
-def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float) -> None:
+def pose(step: Step, vehicle, rng, *, spread: float, terminal: float) -> None:
     """A subproblem around hover with the reference `spread` away."""
     settings, a = MPCSettings(terminal_weight=terminal), step.arguments
     x = random_state(rng, speed=1.0, rate=0.5)
@@ -65,13 +62,13 @@ def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float
     a["dt"][...], a["shift"][...] = 0.1, 0.2
 
 
-def blocks(step: BufferedFunction, name: str) -> np.ndarray:
+def blocks(step: Step, name: str) -> np.ndarray:
     """A or B as (N, 13, columns) from the horizontally stacked, perhaps sparse, result."""
-    stacked = ca.DM(step.function.sparsity_out(name), step.results[name].reshape(-1)).full()
+    stacked = ca.DM(step.sparsity[name], step.results[name].reshape(-1)).full()
     return np.stack(np.split(stacked, len(step.results["U_lin"]), axis=1))
 
 
-def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarray, turns=None) -> np.ndarray:
+def independent_solution(step: Step, low: np.ndarray, high: np.ndarray, turns=None) -> np.ndarray:
     """The same QP, states kept as variables, by qpOASES: no Riccati, no condensing, another solver.
 
     step: one in plain coordinates. turns: (N + 1, 13, 13), where the cost is on turns[k]' dx_k instead.
@@ -102,7 +99,7 @@ def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarr
     return np.array(solution["x"]).reshape(-1)[inputs].reshape(NODES, n)
 
 
-def bounds(step: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
+def bounds(step: Step) -> tuple[np.ndarray, np.ndarray]:
     """Of the inputs' change (N)."""
     u = step.results["U_lin"]
     return step.arguments["u_min"] - u, step.arguments["u_max"] - u
@@ -119,7 +116,7 @@ def error_turns(reference: np.ndarray) -> np.ndarray:
     return turns
 
 
-def condensed(step: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
+def condensed(step: Step) -> tuple[np.ndarray, np.ndarray]:
     """H, g of min 1/2 d'H d + g'd over all inputs' changes, by a forward simulation of each."""
     data, A, B = step.arguments | step.results, blocks(step, "A"), blocks(step, "B")
     nodes, n = data["U_lin"].shape

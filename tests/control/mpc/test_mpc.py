@@ -177,7 +177,7 @@ def test_quaternion_sign_does_not_matter(vehicle):
 def test_parameters_change_in_flight_without_rebuilding(vehicle):
     controller = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
     fresh = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
-    assert fresh._step.function is controller._step.function
+    assert fresh._step.prepare.function is controller._step.prepare.function
     x = HOVER.copy()
     x[7] = 5.0
     state, thrust = hover_reference(controller, vehicle)

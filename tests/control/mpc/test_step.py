@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import step_function
+from quadexp.control.mpc.step import Step, step_functions
 from quadexp.physics.state import ATTITUDE
 from tests.models.residuals import make_residual
 from tests.states import random_state
@@ -24,6 +24,15 @@ def trajectory(rng: np.random.Generator) -> np.ndarray:
     return states.T
 
 
+def step_of(vehicle, residual, error: str, arguments: dict) -> dict[str, np.ndarray]:
+    """What a step leaves, matrices as CasADi has them."""
+    step = Step(*step_functions(vehicle, residual, NODES, attitude_error=error, scalar=False))
+    for name, value in arguments.items():
+        step.arguments[name][...] = np.asarray(value).T
+    step()
+    return {name: array.T for name, array in step.results.items()}
+
+
 def test_both_errors_of_attitude_step_along_the_same_dynamics(vehicle, rng):
     """x'_{k+1} - x_{k+1} = A (x'_k - x_k) + B (u'_k - u_k) + b: the plain step gives A, B and b, the other one too
     must obey them, though it turns every node into the frame of that node's reference. No reference is near."""
@@ -34,12 +43,7 @@ def test_both_errors_of_attitude_step_along_the_same_dynamics(vehicle, rng):
     arguments |= {"Q": np.outer(settings.state_weight(), share), "Q_end": 2 * settings.state_weight()}
     arguments |= {"R": np.outer(settings.thrust_weight(vehicle), share), "dt": dt, "shift": 0.02 / dt}
     arguments |= {"u_min": np.zeros(4), "u_max": np.full(4, 20)}
-    plain, body = (
-        {name: value.full() for name, value in step(**arguments).items()}
-        for step in (
-            step_function(vehicle, residual, NODES, attitude_error=error, scalar=False) for error in ("plain", "body")
-        )
-    )
+    plain, body = (step_of(vehicle, residual, error, arguments) for error in ("plain", "body"))
     assert body["X_lin"] == pytest.approx(plain["X_lin"])
     assert np.abs(body["U_new"] - plain["U_new"]).max() > 0.1  # another cost, another answer
     for step in (plain, body):

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from quadexp.report.draw import line_figure
+from quadexp.report.draw import figure_of
+from quadexp.report.pairing import contestant_labels, grouped
 from quadexp.report.statistics import Statistic, compute_statistics
-from quadexp.report.style import Figure, save
+from quadexp.report.style import Figure
 from quadexp.report.table import Table
-from quadexp.report.tables import course_labels, plant_labels
+from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.report.view import Axis, Place, Point, View
-from quadexp.writer import write_text
 
 Row = Mapping[str, Any]
 First = Literal["plant", "world"]
@@ -35,14 +35,12 @@ class Means(NamedTuple):
     places: dict[tuple[str, str, float], dict[str, Statistic]]
 
 
-def draw(rows: Sequence[Row], out: Path) -> dict[str, str]:
-    """Table and figure of the ladder into <out>; returns name -> path."""
-    table = write_text(out / "ladder.md", ladder_table(rows).markdown())
-    figure = save(means_figure(means_by_place(rows, "world")), out / "figures" / "ladder", inside=out)
-    return {"table_ladder": str(table), "figure_ladder": str(figure)}
+def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+    """Table and figure of the ladder."""
+    return {"ladder": overview(rows).markdown()}, {"ladder": means_figure(means_by_place(rows, "world"))}
 
 
-def ladder_table(rows: Sequence[Row]) -> Table:
+def overview(rows: Sequence[Row]) -> Table:
     """Mean position error (mm) by world and controller, of every trajectory and speed."""
     return means_table(means_by_place(rows, "world"), TITLE)
 
@@ -52,7 +50,10 @@ def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ())
     before the others."""
     statistics = compute_statistics(rows, metrics=("mean_error",))
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
-    labels = plant_labels(statistics)
+    # By plant: the same controller has checkpoints of its own on another one.
+    flown = grouped((s.plant, s.contestant) for s in statistics)
+    told_apart = {plant: contestant_labels(contestants) for plant, contestants in flown.items()}
+    labels = [told_apart[s.plant][s.contestant] for s in statistics]
     speeds: dict[tuple[str, str], dict[float, dict[str, Statistic]]] = {}
     for s, label in zip(statistics, labels, strict=True):
         world = s.plant.partition("/")[2] or "clean"
@@ -94,4 +95,4 @@ def means_figure(means: Means) -> Figure:
     x, facet = Axis("world", tuple(worlds), "group"), ("trajectory", "trajectory.speed")
     if means.first == "plant":
         x, facet = Axis.of("trajectory.speed", speeds), ("plant", "trajectory")
-    return line_figure(View("lines", "mean_error", x, ("controller",), facet, places=places))
+    return figure_of(View("lines", "mean_error", x, ("controller",), facet, places=places))

@@ -1,1 +1,0 @@
-"""Tables and figures of Lei & Li 2017, and the two families of controllers on both plants."""
