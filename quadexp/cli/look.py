@@ -198,6 +198,9 @@ def show(
     path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or results.")],
     overrides: Overrides = (),
     margins: Annotated[bool, Ask("What delay and motor lag the loop tolerates along the path, from settings.")] = False,
+    beliefs: Annotated[bool, Ask("Of a flight with remedies=auto: what it believed, and what was true.")] = False,
+    out: Annotated[Path | None, Ask("Draw the beliefs too: a png, pdf or svg.", "PATH", "--out -o")] = None,
+    force: Force = False,
     conf: Conf = None,
 ) -> Answer:
     """Show what a file holds: its kind, configuration, units, seed, versions, size.
@@ -207,16 +210,36 @@ def show(
     quadexp show models/gp
     quadexp show --margins runs/a.parquet
     quadexp show --margins controller=nominal_mpc trajectory=circle trajectory.speed=8
+    quadexp show runs/a.parquet --beliefs --out beliefs.png
     """
+    if out is not None and not beliefs:
+        raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
     if margins:
         return _margins([str(path), *overrides], conf)
     if overrides or conf:
         raise UsageError("show: settings are for --margins")
+    if beliefs:
+        return _beliefs(path, out, force)
     from quadexp.report.summary import summarise
 
     summary = summarise(path)
     record = {key: value for key, value in summary.items() if key not in ("lines", "tables")}
     return Answer(record, summary.get("tables", []), summary["lines"])
+
+
+def _beliefs(path: Path, out: Path | None, force: bool) -> Answer:
+    from quadexp.report.beliefs import beliefs_figure, beliefs_table, read_beliefs
+    from quadexp.report.draw import check_path
+    from quadexp.report.style import save_figure
+
+    figure = None if out is None else check_path(out, force, ("png", "pdf", "svg"))
+    flight = read_beliefs(path)
+    table = beliefs_table(flight)
+    if figure is not None:
+        save_figure(beliefs_figure(flight), figure, force=force)
+    drawn = [] if figure is None else [str(figure)]
+    record = {"beliefs": [dict(zip(table.columns, row, strict=True)) for row in table.rows]}
+    return Answer(record, [table], [table, *drawn])
 
 
 def _margins(words: Sequence[str], conf: Path | None) -> Answer:

@@ -38,7 +38,7 @@ class Operation(NamedTuple):
     call    function, on its arguments and results
     copy    to = source
     move    the same, for what is remembered from instant to instant
-    window  states of the reference over the horizon to `to`, inputs to `other`
+    window  states of the reference over the horizon to `to`, inputs to `other`; source: which of them, None: all
     square  to = factor source^2
     divide  to = source / other[0]
     mix     to = factor source + (1 - factor) other
@@ -147,7 +147,8 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
         elif kind == "plan" or kind == "python":
             act()
         elif kind == "window":
-            to[...], other[...] = window.state, window.input
+            rows = np.arange(len(window.state)) if source is None else source.astype(int)
+            to[...], other[...] = window.state[rows], window.input[rows[:-1]]
         elif kind == "square":
             to[...] = factor * (source * source)
         elif kind == "divide":

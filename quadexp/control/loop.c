@@ -30,7 +30,8 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
     real *w;
 } function;
 
-typedef struct { /* see instant.py; kept: of a MOVE, what was there before; count: of a WINDOW, length of to's rows */
+typedef struct { /* see instant.py; kept: of a MOVE, what was there before; count: of a WINDOW, length of to's rows,
+   factor: how many, where source says which */
     integer kind, every, count;
     real factor;
     real *to, *kept, *other;
@@ -152,10 +153,13 @@ static int plan(mpc *p) {
     return 1;
 }
 
-static void look_ahead(const reference *r, integer at, real *states, integer width, real *inputs, integer n) {
-    const integer *rows = r->where + at * r->rows;
-    for (integer i = 0; i < r->rows; i++) copy(states + width * i, r->states + BODY * rows[i], BODY);
-    for (integer i = 0; i < r->rows - 1; i++) copy(inputs + n * i, r->inputs + n * rows[i], n);
+static void look_ahead(const reference *r, integer at, const operation *o, integer n) {
+    const integer *rows = r->where + at * r->rows, count = o->source ? (integer)o->factor : r->rows;
+    for (integer i = 0; i < count; i++) {
+        const integer row = rows[o->source ? (integer)o->source[i] : i];
+        copy(o->to + o->count * i, r->states + BODY * row, BODY);
+        if (i < count - 1) copy(o->other + n * i, r->inputs + n * row, n);
+    }
 }
 
 static int operate(const loop *l, const operation *o, const reference *r, integer at) {
@@ -164,7 +168,7 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
     case CALL: return !run(o->function);
     case MOVE: copy(o->kept, o->to, n); /* fall through */
     case COPY: copy(o->to, o->source, n); return 1;
-    case WINDOW: look_ahead(r, at, o->to, n, o->other, l->inputs); return 1;
+    case WINDOW: look_ahead(r, at, o, l->inputs); return 1;
     case SQUARE: for (integer i = 0; i < n; i++) o->to[i] = o->factor * (o->source[i] * o->source[i]); return 1;
     case DIVIDE: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] / o->other[0]; return 1;
     case ADD: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] + o->other[i]; return 1;

@@ -59,6 +59,10 @@ class Remedy(Part):
         """Whether it finds a scale of the controller's model of the air."""
         return False
 
+    def suited(self, settings: Any) -> Any:
+        """The MPCSettings that the MPC inside is made with, from those that are asked for."""
+        return settings
+
     def around(self, controller: Any) -> Any:
         """The controller inside the remedy. Raises UsageError where it cannot be put around this controller."""
         raise NotImplementedError

@@ -12,10 +12,10 @@ ALONE = ("nominal_mpc", "online_mpc", "dfbc", "geometric", "pid", "raptor", "rot
 AROUND = {
     "nominal_mpc": (
         "observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01",
-        "delay=strapdown delay.time=0.01", "delay=identified", "remedies=unknown_vehicle",
+        "delay=strapdown delay.time=0.01", "delay=identified", "remedies=unknown_vehicle", "remedies=auto",
     ),
     "perfect_mpc": ("observer=wind", "remedies=all"),
-    "dfbc": ("observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01"),
+    "dfbc": ("observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01", "remedies=auto"),
     "geometric": ("observer=disturbance", "adaptive=l1", "inner=indi", "controller.force_adaptation=1"),
     "pid": ("adaptive=l1", "inner=indi inner.rate=400"),
 }  # fmt: skip

@@ -330,6 +330,8 @@ REMEDIES = {
     "perfect_mpc observer=wind": ("wind=gust",),
     "nominal_mpc observer=disturbance observer.scale_walk=0.1 horizon=stiff": ("wind=gust",),
     "perfect_mpc remedies=unknown_vehicle": SPEEDS,
+    "perfect_mpc remedies=auto": ("world=everything",),
+    "dfbc remedies=auto": ("world=only_late_estimate",),
     "perfect_mpc controller.dead_time=0.03 horizon=robust": ("link=latency", "link.latency=0.03"),
     "perfect_mpc controller.dead_time=0.02 controller.motor_lead=0.03 horizon=robust observer=wind": (
         "actuator=lag_30ms", "link=latency", "link.latency=0.02",
@@ -364,7 +366,8 @@ def test_any_controller_with_what_is_around_it(monkeypatch, flown):
     loop = build_loop(compose([*given, *["controller.allow_unstable=true"] * ("mpc" in flown)]), None)
     path = build_trajectory(compose(world).trajectory, loop.vehicle)
     made = both(monkeypatch, loop.plant, loop.controller, path)
-    assert made.periods_in_c > 0.9 * len(made.flight)
+    least = 0.85 if "auto" in flown else 0.9  # its decisions are Python's
+    assert made.periods_in_c > least * len(made.flight)
 
 
 class Broken:

@@ -21,18 +21,17 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
+from quadexp.control.auto.ahead import CommandsAhead
 from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.built import built
 from quadexp.control.delay.moments import Moments
-from quadexp.control.delay.prediction import STEP, Prediction, prediction
+from quadexp.control.delay.prediction import Prediction
 from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.delay.timing import LEAST, Delays, Search
-from quadexp.control.delivered import SETTLED, SentCommands
-from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python, run
+from quadexp.control.delivered import SETTLED
+from quadexp.control.instant import Instant, Told, copy, instant_of, python
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor, MotorLead
-from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, layers
@@ -181,60 +180,6 @@ class Identified(WrappedController):
         self._made_good = (self._made_good[0], self._made_good[1], dead_time, lag)
         self.recompose()
         self._aim()
-
-
-class CommandsAhead:
-    """A DeadTimePredictor whose dead time and lag may change in flight; thrusts in N delivered."""
-
-    def __init__(self, mpc: ModelPredictiveController) -> None:
-        n = mpc.vehicle.n_rotors
-        parts = math.ceil(LARGEST / STEP - 1e-9)
-        self._sent = SentCommands(n, mpc.settings.control_period, LARGEST + SETTLED * LARGEST_LAG)
-        function = built(mpc.backend, prediction, mpc.vehicle, mpc.residual, parts, len(self._sent.values))
-        shared = {"theta": mpc.parameters, "commands": self._sent.values}
-        shared |= {} if mpc.disturbance is None else {"push": mpc.disturbance}
-        self._predict = BufferedFunction(function, shared)
-        self._predict.arguments["scale"][0] = 1.0
-        self._x, self._now = self._predict.arguments["x"], self._predict.results["now"]
-        self._parts, self._lag, self._thrust = parts, 0.0, np.zeros(n)
-
-    def tune(self, dead_time: float, lag: float, commands: np.ndarray) -> None:
-        """Dead time and lag (s) from now on, and what was delivered of the commands before, (k, n) (N), the oldest
-        first."""
-        self._lag = lag
-        self._sent.values[...] = commands[-len(self._sent.values) :]
-        starts = np.minimum(np.arange(self._parts) * STEP, dead_time)
-        ends = np.minimum(starts + STEP, dead_time)
-        self._predict.arguments["dt"][:] = ends - starts
-        weights = self._sent.weights(np.stack([starts, ends], axis=1), dead_time, lag)
-        self._predict.arguments["weights"].reshape(weights.shape)[...] = weights
-        self._last = self._sent.weights(np.array([[dead_time, dead_time]]), dead_time, lag)[0]
-
-    def reset(self, thrust: np.ndarray) -> None:
-        """See DeadTimePredictor.reset."""
-        self._sent.reset(thrust)
-
-    def predict(self, x: np.ndarray) -> np.ndarray:
-        """See DeadTimePredictor.predict."""
-        operations, predicted = self.before(x)
-        run(operations)
-        return predicted.copy()
-
-    def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
-        """See DeadTimePredictor.before."""
-        operations = [copy(self._x, state), call(self._predict)]
-        if not self._lag:
-            return operations, self._now
-        full = np.zeros(len(self._now) + len(self._thrust))
-        operations += [python(self._deliver), copy(full[:N_STATE], self._now), copy(full[N_STATE:], self._thrust)]
-        return operations, full
-
-    def after(self, command: np.ndarray) -> list[Operation]:
-        """See DeadTimePredictor.after."""
-        return self._sent.after(command)
-
-    def _deliver(self) -> None:
-        self._thrust[...] = self._last @ self._sent.values
 
 
 def soft(settings: MPCSettings, dead_time: float) -> MPCSettings:

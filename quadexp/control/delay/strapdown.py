@@ -48,9 +48,9 @@ class Strapdown(WrappedController):
 
     def __init__(self, inner: Controller, delay: float, largest: float | None = None) -> None:
         super().__init__(inner)
-        self.delay = delay  # may change in flight, up to `largest`
+        self.delay, self._tuned = delay, largest is not None
         self._periods = math.ceil((largest or delay) / self.control_period - 1e-9)
-        self._since, self._young, self._tuned = 0, np.ones(1), largest is not None
+        self._since, self._young = 0, np.ones(1)
         if self._periods:
             given = self._periods, self.vehicle.gravity, self.control_period
             self._propagate = BufferedFunction(built(inner.backend, propagation, *given))
@@ -65,7 +65,13 @@ class Strapdown(WrappedController):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self._since, self._young[0] = 0, 1.0
+        if self._tuned:
+            self._rates[...], self._forces[...] = x[RATE], (0.0, 0.0, self.vehicle.gravity)
         super().reset(x, window)
+
+    def tune(self, delay: float) -> None:
+        """Go on with another age (s), up to `largest`."""
+        self.delay, self._late[0] = delay, delay
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
@@ -88,11 +94,15 @@ class Strapdown(WrappedController):
                 self._forces[...] = told.force
             self._since += 1
             self._late[0] = min(self.delay, self._since * self.control_period)
-            self._young[0] = self._tuned or self._late[0] < self.delay
+            self._young[0] = self._late[0] < self.delay
 
         read, (older_rates, older_forces), (newer_rates, newer_forces) = told.read, self._older, self._newer
-        operations = [python(begin, self._young), move(older_rates, newer_rates, read)]
-        operations += [move(older_forces, newer_forces, read), move(self._rate, state[RATE], read)]
+        operations = [] if self._tuned else [python(begin, self._young)]
+        operations += [
+            move(older_rates, newer_rates, read),
+            move(older_forces, newer_forces, read),
+            move(self._rate, state[RATE], read),
+        ]
         operations += [move(self._force, told.force, read), copy(self._state, state), copy(self._now, state)]
         return [*operations, call(self._propagate, read)], self._now
 

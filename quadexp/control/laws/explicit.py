@@ -62,6 +62,7 @@ class ExplicitController(InOperations):
         if "belief" in arguments:
             arguments["belief"][:] = NO_BELIEF
         self._begun = np.zeros(1)
+        self.rows: np.ndarray | None = None  # of the horizon that it is told, where that is longer; None: all
 
     def forget(self) -> None:
         """See Controller.forget; nothing is learned that outlives a flight."""
@@ -88,7 +89,7 @@ class ExplicitController(InOperations):
         states, thrusts = np.empty((len(self.node_times), N_STATE)), np.empty((len(self.node_times) - 1, n))
         delivered, places = self._delivered, {"x": state, "path": told.path, "yaw": told.yaw[:3]}
         ahead = {"state": states[0], "input": thrusts[0], "middle": thrusts[-1]}
-        operations = [Operation("window", states, other=thrusts)] if ahead.keys() & arguments.keys() else []
+        operations = [Operation("window", states, self.rows, thrusts)] if ahead.keys() & arguments.keys() else []
         if delivered is not None:
             operations += delivered.before(told)
             places["delivered"] = delivered.thrust

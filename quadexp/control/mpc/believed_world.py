@@ -52,7 +52,8 @@ class BelievedWorld:
     mpc: made with disturbed=True. node_times: of the reference, from the measurement on, (k,) (s). targets: whether
     they are made anew. air: the model that references are made with; None: without.
     estimator: finds the belief; without one, it is `told`, (11,). numbers: what is believed since the last step, (11,).
-    thrust: an array with what the rotors deliver, (n,) (N), where somebody else knows it.
+    thrust: an array with what the rotors deliver, (n,) (N), where somebody else knows it. rows: of the horizon that it
+    is told, an array with those that are the MPC's; None: all.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class BelievedWorld:
     ) -> None:
         self._mpc, settings, self._estimator = mpc, mpc.settings, estimator
         self.thrust: np.ndarray | None = None
+        self.rows: np.ndarray | None = None
         model = None
         self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
         if air is not None and targets:
@@ -123,16 +125,27 @@ class BelievedWorld:
         self._memory[parts["commands"]] = np.tile(thrust, self._estimator.delays.pending)
         self._memory[parts["thrust"]], self._memory[parts["estimate"]] = thrust, begin
 
+    @property
+    def estimate(self) -> np.ndarray:
+        """The state of the estimator, which may be changed between two steps."""
+        return self._memory[self._layout.slices["estimate"]]
+
+    @property
+    def settings(self) -> np.ndarray:
+        """The numbers of the estimator's update, likewise."""
+        numbers: np.ndarray = self._given["settings"]
+        return numbers
+
     def estimate_by(self, settings: np.ndarray, state: np.ndarray) -> None:
         """Other settings of the estimator's update, and its state, from the next step on."""
         self._given["settings"].ravel()[:] = settings
-        self._memory[self._layout.slices["estimate"]] = state
+        self.estimate[:] = state
 
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the
         state (13,) in the array that is returned; the MPC is told of the rest."""
         given, left, (X, U) = self._given, self._left, self._mpc.reference
-        operations = [copy(given["x"], state), Operation("window", given["X_ref"], other=given["U_ref"])]
+        operations = [copy(given["x"], state), Operation("window", given["X_ref"], self.rows, given["U_ref"])]
         if self._estimator is not None:
             operations += [copy(given["known"][:1], told.read), copy(given["reading"], told.force)]
             if self.thrust is not None:

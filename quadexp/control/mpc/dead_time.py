@@ -106,8 +106,13 @@ class MotorLead:
 
     def __init__(self, vehicle: Vehicle, settings: MPCSettings, backend: str = "interpreted") -> None:
         self._invert = BufferedFunction(built(backend, inversion_function, vehicle.n_rotors))
-        gain = -1 / math.expm1(-settings.control_period / settings.motor_lead)
-        self._invert.arguments["numbers"][...] = gain, vehicle.thrust_min, vehicle.thrust_max
+        self._invert.arguments["numbers"][1:] = vehicle.thrust_min, vehicle.thrust_max
+        self.tune(settings)
+
+    def tune(self, settings: MPCSettings) -> None:
+        """Go on with the lag of other settings; without one, a command is what is planned."""
+        period, lag = settings.control_period, settings.motor_lead
+        self._invert.arguments["numbers"][0] = -1 / math.expm1(-period / lag) if lag else 1.0
 
     def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Inverts for the thrusts that are found there, (n,) (N), planned and now; and the array of the command."""

@@ -35,6 +35,8 @@ class PredictivePart(MPCSettings, ControllerPart):
             residual = scaled_residual(residual)
         told = any(one.believes for one in given.remedies)
         settings = part(MPCSettings, self)
+        for one in given.remedies:
+            settings = one.suited(settings)
         return PredictiveController(
             ModelPredictiveController(given.vehicle, residual, settings, backend=self.backend, disturbed=told)
         )

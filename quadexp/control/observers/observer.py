@@ -95,7 +95,7 @@ class Observer(WrappedController):
             self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
             self._belief = self._world.numbers
             return
-        self._delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
+        self.delivered: Any = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
         self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(inner)})
         self._given, self._result = self._update.arguments, self._update.results
         self._given["settings"].ravel()[:] = update.settings
@@ -110,6 +110,23 @@ class Observer(WrappedController):
             self._world.estimate_by(settings, self._begin(np.zeros(13) if x is None else x))
 
     @property
+    def estimate(self) -> np.ndarray:
+        """The state of the update, which may be changed between two steps."""
+        state: np.ndarray = self._given["s"] if self._world is None else self._world.estimate
+        return state
+
+    @property
+    def settings(self) -> np.ndarray:
+        """The numbers of the update, likewise."""
+        numbers: np.ndarray = self._given["settings"] if self._world is None else self._world.settings
+        return numbers
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """What is believed since the last step, (11,), in the order of Belief."""
+        return self._belief
+
+    @property
     def belief(self) -> Belief:
         """What is believed since the last step."""
         return belief_of(self._belief)
@@ -120,7 +137,7 @@ class Observer(WrappedController):
         if self._world is not None:
             self._world.reset(self._begin(x))
             return
-        self._delivered.reset(thrust_at_start(window, self.vehicle))
+        self.delivered.reset(thrust_at_start(window, self.vehicle))
         self._given["s"].ravel()[:] = self._begin(x)
         self._belief[...] = np.hstack([*no_belief()])
 
@@ -130,7 +147,7 @@ class Observer(WrappedController):
         inner = instant_of(self.inner, told, state)
         operations, logged = inner.operations, (*inner.logged, self._belief)
         if self._world is None:
-            given, result, delivered, read = self._given, self._result, self._delivered, told.read
+            given, result, delivered, read = self._given, self._result, self.delivered, told.read
             places = {"x": state, "reading": told.force, "thrust": delivered.thrust, "mean": delivered.mean}
             observing = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
             observing += [call(self._update, read), move(given["s"], result["s_next"], read)]

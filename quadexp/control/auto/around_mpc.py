@@ -1,0 +1,70 @@
+"""An MPC under one setting: its observer, the dead time and lag that it plans with, and the stiffness of its grid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from quadexp.control.auto.ahead import LARGEST, CommandsAhead, Delivered, sent_commands
+from quadexp.control.auto.auto import Auto
+from quadexp.control.auto.decide import LEAST_LAG, Acting, grids
+from quadexp.control.auto.following import following
+from quadexp.control.base import Window
+from quadexp.control.instant import Instant, Told, copy, instant_of
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.dead_time import MotorLead
+from quadexp.control.observers.observer import parameters_of
+from quadexp.parts.sensor_sheet import SensorSheet
+
+SPACING = 4  # samples of the reference in a control period, so that it may be asked for later ones
+
+
+class AutoMPC(Auto):
+    """The MPC plans in the world that its observer believes in; its grid and weights are one of decide.GRIDS."""
+
+    def __init__(self, core: PredictiveController, sheet: SensorSheet) -> None:
+        observer = following(core)
+        inner, world, mpc = observer.around(core), core.believed, core.mpc
+        assert world is not None and mpc.disturbance is not None
+        self._last = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # believed in the last step
+        believed = {"theta": parameters_of(core), **self._last}
+        commands = sent_commands(core.vehicle, core.control_period)
+        super().__init__(inner, core, sheet, mpc.residual, believed, observer, commands)
+        self._delivered = Delivered(commands, core.backend)
+        self._world, self._grids = world, grids(core.settings)
+        self._ahead, self._lead = CommandsAhead(mpc), MotorLead(core.vehicle, core.settings, core.backend)
+        self._spacing = self.control_period / SPACING
+        longest = LARGEST + max(settings.horizon for settings in self._grids)
+        self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
+        world.thrust, world.rows = self._delivered.thrust, self._rows
+        self._use(Acting())
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        for name, value in (("push", 0.0), ("wind", 0.0), ("scale", 1.0)):
+            self._last[name][...] = value
+
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        before, inside, now = self.before(told, state)
+        inner = instant_of(self.inner, inside, now)
+        numbers, push = self._world.numbers, self._core.mpc.disturbance
+        found = {"push": push, "wind": numbers[6:9], "scale": numbers[9:10]}
+        operations = [*before, *self._delivered.before(), *inner.operations, *self.after(told, state, inner.command)]
+        operations += [copy(self._last[name], value) for name, value in found.items()]
+        return inner._replace(operations=operations, logged=(*inner.logged, self._beliefs))
+
+    def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
+        """See Auto: the dead time in samples of the reference; what is left of it counts as lag, which is inverted."""
+        self._delivered.tune(0.0, 0.0, dead_time, lag)
+        waits = round(dead_time / self._spacing) * self._spacing
+        lags = lag + dead_time - waits
+        lags = lags if lags > LEAST_LAG else 0.0
+        settings = replace(self._grids[acting.grid], dead_time=waits, motor_lead=lags)
+        self._ahead.tune(waits, lags, self._world.numbers[9] * self._commands.values)
+        self._lead.tune(settings)
+        self._core.use(settings, self._ahead, self._lead)
+        self._rows[...] = np.round(self._core.node_times / self._spacing)

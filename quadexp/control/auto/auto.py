@@ -1,0 +1,178 @@
+"""One setting for a vehicle that nobody measured: what is late, off or blown, made good as far as the evidence goes.
+
+    told state, readings -> as of now, by what is known of the age -> observer -> MPC or law -> command
+                        bank (bank.py) -> posterior (posterior.py), every DECIDES -> what acts (decide.py)
+
+It is told the vehicle, which sensors there are and the noise of the accelerometer; nothing of delays, lags, air, load,
+battery or wind. A flight begins as if nothing were known. Columns: COLUMNS, delays in s, each with its standard
+deviation; what is believed of the world is in the columns of the observer.
+"""
+
+from __future__ import annotations
+
+import copy as copying
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from quadexp.control.auto.ahead import LARGEST, Ahead
+from quadexp.control.auto.bank import SPINS, Bank
+from quadexp.control.auto.decide import GATE, Acting, Decision, Senses
+from quadexp.control.auto.following import DEVIATIONS, UNKNOWN, ForceFollowing, WindFollowing
+from quadexp.control.auto.posterior import Posterior
+from quadexp.control.auto.senses import WALKS
+from quadexp.control.base import Controller, Window
+from quadexp.control.delay.strapdown import Strapdown
+from quadexp.control.delivered import SentCommands
+from quadexp.control.instant import Operation, Told, copy, python
+from quadexp.control.observers.observer import air_of, parameters_of
+from quadexp.control.wrapped import WrappedController, thrust_at_start
+from quadexp.models.residual import Residual
+from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.physics.state import N_STATE
+
+DECIDES = 0.2  # s, between decisions
+LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
+GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
+LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
+KNOWN = (
+    "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
+    "grid", "acts_lateral", "acts_vertical", "acts_torque", *DEVIATIONS,
+)  # fmt: skip
+COLUMNS = tuple(f"auto_{name}" for name in KNOWN)
+NOTHING_KNOWN = np.array([*([0.0, np.nan] * 3), *np.zeros(8), *UNKNOWN])
+
+
+class Auto(WrappedController):
+    """A controller that finds out in flight what makes its model wrong.
+
+    inner: what is told, the Observer first. core: the controller itself. sheet: of the sensors. believed: arrays of the
+    believed world, for Ahead. commands: for all that needs them. observer: what follows the world; None where the core
+    takes no belief.
+    A subclass says how it plans (`_plan`), and what its instant is.
+    """
+
+    delay = 0.0  # of a flight that begins
+
+    def __init__(
+        self, inner: Controller, core: Any, sheet: SensorSheet, residual: Residual, believed: dict[str, np.ndarray],
+        observer: WindFollowing | ForceFollowing | None, commands: SentCommands,
+    ) -> None:  # fmt: skip
+        super().__init__(inner)
+        self._core, self._observer, vehicle, period = core, observer, inner.vehicle, self.control_period
+        self._commands = commands
+        self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
+        self._strapdown = Strapdown(inner, 0.0, LARGEST)
+        noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
+        speeds = sheet.rotor_speed
+        self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
+        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
+        self._decides = round(DECIDES / self._bank.period)
+        self._posterior, self._decision = Posterior(self._bank), Decision()
+        self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
+        self._beliefs = NOTHING_KNOWN.copy()
+        self._rows = np.zeros(len(core.node_times))
+
+    def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
+        """Plan with these delays, and with what else is acted on, from now on; sets `_rows`, of the reference."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """See Controller.forget: nothing is known."""
+        self._use(Acting())
+        self.inner.forget()
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset: nothing is known."""
+        self._use(Acting())
+        rows = self._rows.astype(int)
+        inside = window._replace(state=window.state[rows], input=window.input[rows[:-1]])
+        super().reset(x, inside)
+        thrust = thrust_at_start(inside, self.vehicle)
+        self._strapdown.reset(x, inside)
+        self._commands.reset(thrust)
+        self._bank.reset(x, thrust)
+        self._posterior.reset()
+        self._decision.reset()
+        self._bank.weights[...] = self._posterior.weights(*self._posterior.best)
+        self._beliefs[...], self._minus_bias[...] = NOTHING_KNOWN, 0.0
+        self._time = self._again = 0.0
+        self._observe(Acting(), Acting(), Senses())
+
+    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], Told, np.ndarray]:
+        """What stands before the controller: decisions, and what it is told, its state in an array of its own."""
+        inside = copying.copy(told)
+        inside.force = self._unbiased
+        inside.turning = told.turning if self._turns else np.zeros(1)
+        decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
+        predicted, by_model = self._to_now.before(state)
+        propagated, by_readings = self._strapdown.before(inside, state)
+        now = np.zeros(N_STATE)
+        operations = [decide, Operation("add", self._unbiased, told.force, self._minus_bias), *predicted, *propagated]
+        operations += [copy(now, by_model), copy(now, by_readings, self._fresh)]
+        return operations, inside, now
+
+    def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
+        """What stands behind it."""
+        return [*self._bank.after(told, state, command), *self._commands.after(command)]
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log."""
+        return {**self.inner.log(), **dict(zip(COLUMNS, self._beliefs.tolist(), strict=True))}
+
+    def _decide(self) -> None:
+        """Look at the evidence so far, and act on it from this instant on."""
+        bank = self._bank
+        self._time += self._decides * bank.period
+        senses, before = self._senses(), self._decision.acting
+        if bank.count < self._decides or self._time < self._again:
+            self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
+            return
+        self._again = self._time * LATER
+        evidence = self._posterior.evidence()
+        acting = self._decision.take(evidence, senses, self._time)
+        late = 0.0 if evidence.fresh else evidence.mean[0]
+        bank.weights[...] = self._posterior.weights(late, *evidence.mean[1:])
+        bank.follow(evidence.spin)
+        bias, deviation = evidence.bias
+        bank.bias[...] = bias * (np.abs(bias) > GATE * deviation)
+        self._minus_bias[...] = -bank.bias
+        if replace(acting, timed=before.timed, push=before.push) != before:
+            self._use(acting)
+        self._observe(acting, before, senses)
+        known = (*evidence.mean, *evidence.deviation)
+        about = [known[i + j] for i in range(3) for j in (0, 3)]
+        doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
+        self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
+
+    def _senses(self) -> Senses:
+        """What the bank has measured beside the delays."""
+        part = self._bank.part
+        walk, variance, likelihood = (
+            part(name).reshape(-1, 3) for name in ("walk", "walk_variance", "walk_likelihood")
+        )
+        best = likelihood.argmax(0), np.arange(3)
+        away = np.abs(walk[best]) / np.sqrt(variance[best])
+        shares = np.exp(likelihood - likelihood.max(0))
+        strength = np.sqrt(np.square(WALKS) @ shares / shares.sum(0))
+        torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
+        (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
+        pushes = float(away[:2].max()), float(away[2]), torque
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist)
+
+    def _use(self, acting: Acting) -> None:
+        """Act on these delays from now on."""
+        age, dead_time, lag = (min(getattr(acting, name), LARGEST) for name in ("age", "dead_time", "lag"))
+        by_readings = age if acting.fresh else 0.0
+        self._to_now.tune(by_readings - age, 0.0, dead_time, lag)
+        self._strapdown.tune(by_readings)
+        self._fresh[0] = by_readings > 0
+        self._plan(acting, dead_time, lag)
+
+    def _observe(self, acting: Acting, before: Acting, senses: Senses) -> None:
+        """Gains of the observer: by the noise of what it compares; nothing of what has not shown itself."""
+        if self._observer is not None:
+            inner: Any = self.inner
+            inner.settings[...] = self._observer.follow(inner.estimate, acting, before, senses)
+            self._beliefs[-len(UNKNOWN) :] = self._observer.deviations(inner.estimate)

@@ -1,0 +1,261 @@
+"""Innovations of Kalman filters for every age, dead time and lag at once, as sums that grow with the flight.
+
+A hypothesis is an age a of the told state, a dead time d and a lag l of the commands. Three filters run for each:
+
+    gyro       w+ = w + T (J^-1 (tau - w x J w) + b),  b+ = b + noise       tells a + d and l
+    thrust     f_z = (1 + k) T_z / m + a_air,z + b,    b+ = b + noise       tells d and l
+    velocity   v+ = v + T (R (f(t - a) - beta) + g)                         tells a
+
+f: accelerometer, beta: its bias; tau, T_z: torque and thrust of the commands after d and l. The gains are the same for
+all hypotheses, and stationary. So a filter is linear, and an innovation is linear in the weights W that a hypothesis
+gives to the last commands (control.delivered) or to the last readings:
+
+    nu = y - W phi            y, phi: what the filter makes of the readings, and of each of the last commands by itself
+    sum nu^2 = [1, -W] G [1, -W]',      G = sum z z',      z = [y, phi]
+
+One matrix G of each filter has the sum of squares of every hypothesis, those between the points of a grid included. phi
+moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
+are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import accumulate, product
+
+import numpy as np
+
+from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
+from quadexp.control.auto.senses import UNSURE, WARM, sense_sizes, sensed
+from quadexp.control.built import built
+from quadexp.control.delivered import SETTLED
+from quadexp.control.instant import Operation, Told, call, copy
+from quadexp.models.residual import Residual
+from quadexp.physics.rigid_body import body_features
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+PERIOD = 0.01  # s, about: of the bank, a whole multiple of the control period
+AGE, DEAD_TIME, LAG = 0.06, 0.06, 0.064  # s, the largest hypotheses
+SPINS = tuple(
+    product((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0))
+)  # rad/s of a reading, rad/s^2 of b in a root of a second
+SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
+THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
+SKIPPED = 0.3  # s, until the filters are stationary
+FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves with the battery
+
+
+class Layout:
+    """Places in a bank's memory, by name. commands: m that are kept. readings: of the accelerometer. columns: of the
+    filter of the velocity: y, phi of each reading, phi of each axis of beta. rows: of a sum over commands: y, the y
+    before, phi of m + 1 commands."""
+
+    def __init__(self, period: float) -> None:
+        self.commands = math.ceil((AGE + DEAD_TIME + SETTLED * LAG + period) / period - 1e-9) + 1
+        self.readings = int(AGE / period + 1e-9) + 3
+        self.columns, self.rows = 1 + self.readings + 3, self.commands + 3
+        channels, speed = 2 * len(SPINS), 3 * self.columns * len(SPEEDS)
+        sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
+        sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
+        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
+        sizes |= sense_sizes()
+        ends = [*accumulate(sizes.values())]
+        self.size = ends[-1]
+        self.slices = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+
+class Bank:
+    """The sums of a flight and what else is measured in it; `reset` begins one, and its operations stand `after` the
+    controller's, at every control instant.
+
+    theta: parameters of the residual, shared. noise: standard deviation of a reading of the accelerometer (m/s^2).
+    period: of the bank (s), `every` control periods. memory: see Layout. sums: (filters, rows, rows), those of SPINS
+    and then of the thrust. speed_sums: of SPEEDS. weights: (2, m) on the commands, the newest last, of the likeliest
+    thrusts: now, and their mean over a period as old as the told rates. gains: (2,) of the torque, see senses.py.
+    bias: of the accelerometer, (3,) (m/s^2).
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, control_period: float, noise: float, backend: str
+    ) -> None:
+        self.vehicle, self.every = vehicle, max(1, round(PERIOD / control_period))
+        self.period = self.every * control_period
+        self.layout = Layout(self.period)
+        function = built(backend, bank_function, vehicle, residual, self.period, self.every)
+        self._update = BufferedFunction(function, {"theta": theta})
+        given = self._update.arguments
+        self.memory, self.weights, self.gains, self.bias = (given[k] for k in ("memory", "weights", "gains", "bias"))
+        rows, columns = self.layout.rows, 2 * self.layout.columns
+        self.sums, self.speed_sums = (
+            given["sums"].reshape(-1, rows, rows),
+            given["speed_sums"].reshape(-1, columns, columns),
+        )
+        given["noise"][...] = self.noise = noise
+        self._sent = given["u"]
+
+    def part(self, name: str) -> np.ndarray:
+        """What the memory has under a name."""
+        return self.memory[self.layout.slices[name]]
+
+    @property
+    def count(self) -> int:
+        """Innovations of an axis in the sums."""
+        return max(int(self.part("count")[0] - SKIPPED / self.period), 0)
+
+    def follow(self, spin: int) -> None:
+        """Estimate the torque by the filter of one of SPINS."""
+        self.spin = spin
+        *gains, self.torque_deviation = stationary(*SPINS[spin], self.period)
+        self.gains[...] = gains
+
+    @property
+    def reading_noise(self) -> np.ndarray:
+        """Standard deviation of readings from the model, (3,) (m/s^2)."""
+        least = np.array([self.noise, self.noise, math.hypot(self.noise, UNSURE)]) ** 2
+        warm = self.part("count")[0] > WARM / self.period
+        return np.sqrt(np.maximum(self.part("noise"), least) if warm else least)
+
+    @property
+    def pose_noise(self) -> np.ndarray:
+        """Standard deviations of the told position (m) and attitude (rad)."""
+        return np.sqrt(np.maximum(self.part("pose_noise"), 0.0)) * (self.part("count")[0] > WARM / self.period)
+
+    def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
+        """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
+        for array in (self.memory, self.sums, self.speed_sums, self.bias):
+            array[...] = 0.0
+        self.follow(0)
+        spin, pushed = spin_of(self.vehicle) @ thrust, thrust.sum() / self.vehicle.mass
+        self.part("x")[...], self.part("push")[...] = x, (pushed, pushed)
+        self.part("sent")[...] = np.tile([*spin, pushed], self.layout.commands)
+        self.part("forces")[...] = np.tile([0.0, 0.0, pushed], self.layout.readings)
+        self.part("spin")[: 2 * len(SPINS)] = np.tile(x[RATE][:2], len(SPINS))
+        self.part("torque")[:2] = x[RATE][:2]
+        self.part("walk_variance")[...] = 9.0
+        self.part("speed").reshape(len(SPEEDS), self.layout.columns, 3)[:, 0] = x[VELOCITY]
+        self._sent[...] = self.every * thrust
+
+    def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
+        """Takes in what is told, the state that is found there, (13,), and then the command, (n,) (N)."""
+        given, left = self._update.arguments, self._update.results
+        due = [copy(given["x"], state), copy(given["f"], told.force), call(self._update, told.read)]
+        due += [copy(given[name], left[f"{name}_next"], told.read) for name in ("memory", "sums", "speed_sums")]
+        due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
+        return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
+
+
+def spin_of(vehicle: Vehicle) -> np.ndarray:
+    """Angular acceleration about x and y of thrusts of 1 N, (2, n) (rad/s^2)."""
+    return (np.linalg.inv(vehicle.inertia_matrix) @ vehicle.allocation[1:])[:2]
+
+
+@cache
+def stationary(noise: float, walk: float, period: float) -> tuple[float, float, float]:
+    """Gains on w and b of the filter of the gyro, noise (rad/s) and walk as in SPINS, once it is stationary, and the
+    standard deviation of b then (rad/s^2)."""
+    F, H = np.array([[1.0, period], [0.0, 1.0]]), np.array([1.0, 0.0])
+    P, Q = np.eye(2), np.diag([0.005**2, walk**2 * period])
+    for _ in range(2000):
+        P = F @ P @ F.T + Q
+        K = P @ H / (P[0, 0] + noise**2)
+        P = P - np.outer(K, P[0])
+    return float(K[0]), float(K[1]), math.sqrt(P[1, 1])
+
+
+def stationary_scalar(noise: float, walk: float) -> float:
+    """Gain of the filter of one state, its walk in a period and the noise of a reading as standard deviations."""
+    ratio = (walk / noise) ** 2
+    P = ratio / 2 + math.sqrt(ratio**2 / 4 + ratio)  # before a reading, in units of noise^2
+    return P / (P + 1)
+
+
+def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: int) -> ca.Function:
+    """A period of the bank: memory, sums and speed_sums after it.
+
+    Inputs: memory, see Layout; sums (rows, rows * (filters)), speed_sums; x (13,), told; f (3,), reading; u (n,), the
+    commands since the last period, added; weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2); theta.
+    """
+    layout, n = Layout(period), vehicle.n_rotors
+    m, rows, columns, spins = layout.commands, layout.rows, layout.columns, len(SPINS)
+    shapes = {"memory": (layout.size, 1), "sums": (rows, rows * (spins + 1))}
+    shapes |= {"speed_sums": (2 * columns, 2 * columns * len(SPEEDS)), "x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
+    shapes |= {"weights": (m, 2), "gains": (2, 1), "bias": (3, 1), "noise": (1, 1)}
+    shapes |= {"theta": (residual.function.size1_in(1), 1)}
+    a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
+    kept = {name: a["memory"][place] for name, place in layout.slices.items()}
+    x, f, count = a["x"], a["f"], kept["count"] + 1
+    counts = count > SKIPPED / period
+    w, R = x[RATE], rotation_matrix(x[ATTITUDE])
+
+    # what was sent, the newest last: angular accelerations about x and y, and the thrust, over the mass
+    sent = ca.mtimes(ca.DM(np.vstack([spin_of(vehicle), np.full((1, n), 1 / vehicle.mass)])), a["u"]) / every
+    sent = ca.horzcat(ca.reshape(kept["sent"], 3, m)[:, 1:], sent)
+    likely = ca.mtimes(sent, a["weights"])  # (3, 2)
+    thrust = likely[2, 0]
+    y, slope = residual.function(body_features(x, thrust * vehicle.mass / n * ca.DM.ones(n)), a["theta"])
+    y, slope = ca.densify(y), ca.densify(slope)
+    more = 1 + vehicle.mass * ca.sum2(slope[2, 6:]) / n  # what the thrust gives with its effect on the air
+    lifted = f[2] - y[2] + (more - 1) * thrust
+
+    # gyro: y and phi of each noise and axis
+    K = np.array([stationary(noise, walk, period) for noise, walk in SPINS])
+    Kw, Kb = (ca.DM(np.repeat(K[:, i], 2)) for i in (0, 1))
+    inertia, middle = ca.DM(vehicle.inertia_matrix), (w + kept["x"][RATE]) / 2
+    turning = -ca.mtimes(ca.inv(inertia), ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
+    filters = []
+    for state, drive, reading in (
+        (ca.reshape(kept["spin"][: 4 * spins], 2 * spins, 2), turning, w[:2]),
+        (ca.reshape(kept["spin"][4 * spins :], 2 * spins, 2), sent[:2, -1], ca.DM.zeros(2)),
+    ):
+        predicted = state[:, 0] + period * (state[:, 1] + ca.repmat(drive, spins, 1))
+        nu = ca.repmat(reading, spins, 1) - predicted
+        filters.append((nu, ca.horzcat(predicted + Kw * nu, state[:, 1] + Kb * nu)))
+    (nu_y, spin_y), (nu_phi, spin_phi) = filters
+    gain = stationary_scalar(THRUST[0], THRUST[1] * math.sqrt(period))
+    lines = ca.vertcat(lifted, more * sent[2, -1]) - kept["push"]
+    push = kept["push"] + gain * lines
+    first, fresh = ca.vertcat(nu_y, lines[0]), ca.vertcat(-nu_phi, lines[1])
+    before = ca.reshape(kept["lines"], rows - 1, 2 * spins + 1)  # y, phi of m + 1, the newest first
+    lines = ca.vertcat(first.T, fresh.T, before[1:-1, :])
+    z = ca.vertcat(first.T, before[0, :], lines[1:, :])
+    fade, sums = math.exp(-period / FADING), []
+    for i, G in enumerate(ca.horzsplit(a["sums"], rows)):
+        part = z[:, 2 * i : 2 * i + 2] if i < spins else z[:, -1]
+        sums.append(fade * G + counts * ca.mtimes(part, part.T))
+
+    # velocity: y, phi of each reading, phi of each axis of beta
+    forces = ca.horzcat(f, ca.reshape(kept["forces"], 3, layout.readings)[:, :-1])  # the newest first
+    q = x[ATTITUDE]
+    other = kept["x"][ATTITUDE]
+    q = q + other * ca.sign(ca.dot(q, other))
+    turned = rotation_matrix(q / ca.norm_2(q))
+    drive = ca.horzcat(ca.vertcat(0, 0, -vehicle.gravity), ca.mtimes(turned, forces), turned)
+    speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
+    for state, before, G, noise in zip(
+        speed,
+        ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns),
+        ca.horzsplit(a["speed_sums"], 2 * columns),
+        SPEEDS,
+        strict=True,
+    ):
+        ratio = (period * a["noise"] / noise) ** 2
+        P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
+        predicted = state + period * drive
+        nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
+        into = ca.horzcat(nu[:, 0], -nu[:, 1:])
+        speed_next.append(predicted + P / (P + 1) * into)
+        nus.append(ca.mtimes(R[:, :2].T, nu))
+        z = ca.horzcat(nus[-1], before)
+        speed_sums.append(G + counts * ca.mtimes(z.T, z))
+
+    senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
+    now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
+    now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
+    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), **senses}
+    memory = ca.vertcat(*(now[name] for name in layout.slices))
+    names = ["memory_next", "sums_next", "speed_sums_next"]
+    return ca.Function("bank", [*a.values()], [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums)], [*a], names)

@@ -1,0 +1,126 @@
+"""When which part acts, from the evidence: nothing is corrected that has not shown itself.
+
+    age             from SURE in log odds on, CERTAIN times in a row, and LEAST_AGE
+    dead time, lag  from LIKELY in log odds on; the total is the likeliest one
+    stiffness       of the grid and weights (GRIDS), by what may be unknown of the timing,
+                        unknown = sd(d + l) + |d + l - what is acted on| + sd(a) / 2
+                    one grid at a time towards the stiffer, at once towards the softer
+    push            each of lateral, vertical and torque, once it is GATE deviations away from zero
+
+Where the timing of commands is not known to SURELY_TIMED, thrusts are not compared with readings: it would look like a
+force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from quadexp.control.auto.posterior import Evidence
+from quadexp.control.mpc.settings import MPCSettings
+
+SURE, CERTAIN, LEAST_AGE = 4.0, 3, 0.001  # log odds, decisions, s
+LIKELY = 2.0  # log odds
+GATE = 5.0  # deviations
+SURELY_TIMED = 0.005  # s
+SOFTEST_LATE = 0.04  # s, of a total that is not acted on: from there on the softest grid
+CHANGED = 0.0005, 0.0015, 0.004  # s, of age, total and lag: smaller changes are not worth one
+LEAST_LAG = 0.003  # s
+LARGE_NOISE = 0.002  # m, of the told position: then at most the second stiffest grid
+# first node (s), horizon (s), position weight; and up to which unknown time (s). The margins of a nominal MPC at 50 Hz
+# in hover are 67, 48, 35, 29, 13 ms.
+GRIDS = (
+    (0.0, 1.0, 10.0, np.inf), (0.06, 0.8, 10.0, np.inf), (0.06, 0.8, 100.0, 0.008), (0.04, 0.8, 50.0, 0.005),
+    (0.02, 0.6, 200.0, 0.0025),
+)  # fmt: skip
+STIFF_TOTAL = 0.015  # s, largest dead time and lag under the stiffest grid
+
+
+def grids(settings: MPCSettings) -> list[MPCSettings]:
+    """Settings of each of GRIDS, the softest first, for the nodes and control period of an MPC."""
+    made = []
+    for first, horizon, weight, _ in GRIDS:
+        first = max(first, settings.control_period) if first else 0.0
+        longer = max(horizon, settings.nodes * max(first, settings.control_period))
+        made.append(replace(settings, first_node=first, horizon=longer, position_weight=(weight,) * 3))
+    return made
+
+
+@dataclass(frozen=True)
+class Senses:
+    """What is measured beside the delays, see senses.py. away: deviations of the lateral push, the vertical one and the
+    torque from zero. walk: of the push, (3,) (m/s^2 in a root of a second). reading: deviation of a reading from the
+    model, (3,) (m/s^2). position (m), attitude (rad), rate (rad/s): of the told state. twist: walk of the torque
+    (rad/s^2 in a root of a second)."""
+
+    away: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    reading: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    position: float = 0.0
+    attitude: float = 0.0
+    rate: float = 0.0
+    twist: float = 0.0
+
+
+@dataclass(frozen=True)
+class Acting:
+    """What is acted on. age, dead_time, lag (s). fresh: the told rates are of now. grid: which of GRIDS. timed: the
+    commands' timing is known. push: lateral, vertical, torque."""
+
+    age: float = 0.0
+    dead_time: float = 0.0
+    lag: float = 0.0
+    fresh: bool = False
+    grid: int = 0
+    timed: bool = False
+    push: tuple[bool, bool, bool] = (False, False, False)
+
+    @property
+    def total(self) -> float:
+        """Dead time and lag (s)."""
+        return self.dead_time + self.lag
+
+
+class Decision:
+    """What is acted on now, and why it may change; `reset` begins a flight."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is acted on."""
+        self.acting, self._certain = Acting(), 0
+
+    def begin(self, senses: Senses) -> Acting:
+        """What to act on where nothing is known of the delays yet."""
+        self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
+        return self.acting
+
+    def take(self, evidence: Evidence, senses: Senses, time: float) -> Acting:
+        """What to act on with this evidence. time: of the flight (s)."""
+        before = self.acting
+        age, total, lag = evidence.mean
+        sd_age, sd_total, _ = evidence.deviation
+        self._certain = self._certain + 1 if evidence.late > SURE else 0
+        age = float(age) if self._certain >= CERTAIN and age > LEAST_AGE else 0.0
+        acts = evidence.slow > LIKELY
+        dead_time, lag = (float(max(total - lag, 0.0)), float(min(lag, total))) if acts else (0.0, 0.0)
+        changes = age - before.age, dead_time + lag - before.total, lag - before.lag
+        if all(abs(change) < least for change, least in zip(changes, CHANGED, strict=True)):
+            age, dead_time, lag = before.age, before.dead_time, before.lag
+        unknown = float(sd_total + abs(total - dead_time - lag) + sd_age / 2)
+        timed = unknown < SURELY_TIMED
+        far = total + 2 * sd_total - dead_time - lag > SOFTEST_LATE and time > 0.8
+        if time < 1.0:
+            grid = int(not far)
+        else:
+            grid = max(i for i, (*_, most) in enumerate(GRIDS) if unknown < most)
+            grid = min(grid, 3 if dead_time + lag >= STIFF_TOTAL or senses.position > LARGE_NOISE else 4)
+            grid = grid if grid > 1 else int(not far)
+        grid = min(grid, before.grid + 1)
+        lateral, vertical, torque = (away > GATE for away in senses.away)
+        shown = (lateral, timed and vertical, timed and torque)
+        push = tuple(a or b for a, b in zip(shown, before.push, strict=True))
+        self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, push)  # type: ignore[arg-type]
+        return self.acting

@@ -1,0 +1,124 @@
+"""An observer with gains by what its readings are worth, which believes nothing that has not shown itself.
+
+The wind where the model of the air has a drag that tells it, the force otherwise. Bandwidth of a low pass that follows
+a walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a period T: q / (r sqrt(T)).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from quadexp.control.auto.decide import Acting, Senses
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.observers.disturbance import DisturbanceObserver, disturbance_settings
+from quadexp.control.observers.observer import air_of, parameters_of
+from quadexp.control.observers.wind import N_AIR, WindObserver, wind_bandwidth, wind_settings
+
+LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the acceleration
+TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of the torque
+STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the observer's own settings
+UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
+SLOW = 3.0  # rad/s, of a force then
+DEVIATIONS = (*(f"wind_{axis}_sd" for axis in "xyz"), "force_sd", "thrust_scale_sd")  # m/s, N, 1
+UNKNOWN = np.full(len(DEVIATIONS), np.nan)
+
+
+class WindFollowing:
+    """Of the wind, and of the force that it leaves."""
+
+    def __init__(self, config: WindObserver, period: float) -> None:
+        self.config, self._period = config, period
+        self.around = config.around
+        first = N_AIR + N_AIR**2
+        self._wind, self._scale, self._force, self._torque = slice(0, 3), 3, slice(first, first + 3), slice(-3, None)
+        self._scaled = False
+
+    def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
+        """Settings of the update; estimate: its state, which is changed where something shows itself or does not."""
+        config, (lateral, vertical, torque) = self.config, acting.push
+        tilt = LIFT * senses.attitude
+        noise = (math.hypot(max(config.noise[0], float(senses.reading[:2].max())), tilt),) * 2
+        walk = min(1.0, float(senses.walk[:2].max()) / STRONG)
+        by_noise = float(senses.walk[2]) / (max(float(senses.reading[2]), 1e-3) * math.sqrt(self._period))
+        config = replace(
+            config,
+            noise=(*noise, max(config.noise[2], UNTIMED)),
+            wind_walk=config.wind_walk * walk,
+            wind_initial=config.wind_initial if lateral else 1e-3,
+            scale_walk=config.scale_walk if vertical and acting.timed else 0.0,
+            force_bandwidth=min(config.force_bandwidth / (1 + 15 * tilt), by_noise) * (vertical and acting.timed),
+            torque_bandwidth=torque_bandwidth(config.torque_bandwidth, acting, senses),
+        )
+        diagonal = N_AIR + (N_AIR + 1) * np.arange(N_AIR)
+        if lateral and not before.push[0]:
+            estimate[diagonal[:3]] = config.wind_initial**2
+        scaled = vertical and acting.timed
+        if not scaled:
+            estimate[diagonal[3]] = estimate[self._scale] = 0.0
+        elif not self._scaled:
+            estimate[diagonal[3]] = config.scale_initial**2
+        self._scaled = scaled
+        estimate[self._wind] *= lateral
+        estimate[self._force] *= vertical
+        estimate[self._torque] *= torque
+        return wind_settings(config, self._period)
+
+    def deviations(self, estimate: np.ndarray) -> np.ndarray:
+        """Standard deviations, in the order of DEVIATIONS; NaN of what is not estimated."""
+        variances = estimate[N_AIR + (N_AIR + 1) * np.arange(N_AIR)]
+        known = np.sqrt(np.where(variances > 1e-6, variances, np.nan))
+        return np.array([*known[:3], np.nan, known[3]])
+
+
+class ForceFollowing:
+    """Of the force alone. mass: kg."""
+
+    def __init__(self, config: DisturbanceObserver, period: float, mass: float) -> None:
+        self.config, self._period, self._mass = config, period, mass
+        self.around = config.around
+
+    def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
+        """See WindFollowing."""
+        config, (lateral, vertical, torque) = self.config, acting.push
+        shown, first = lateral or vertical, not (before.push[0] or before.push[1])
+        by_noise = float((senses.walk / np.maximum(senses.reading, 1e-3)).max()) / math.sqrt(self._period)
+        bandwidth = min(config.force_bandwidth / (1 + 15 * LIFT * senses.attitude), max(by_noise, 1e-3))
+        config = replace(
+            config,
+            force_bandwidth=bandwidth if acting.timed else min(bandwidth, SLOW),
+            torque_bandwidth=torque_bandwidth(config.torque_bandwidth, acting, senses),
+        )
+        if shown and first:
+            estimate[6] = config.force_initial**2
+        estimate[:3] *= shown
+        estimate[-3:] *= torque
+        settings = disturbance_settings(config, self._period)
+        if not shown:
+            settings[0] = settings[2] = settings[3] = 0.0
+            estimate[6] = 0.0
+        return settings
+
+    def deviations(self, estimate: np.ndarray) -> np.ndarray:
+        """See WindFollowing."""
+        force = self._mass * math.sqrt(estimate[6]) if estimate[6] > 0 else np.nan
+        return np.array([np.nan, np.nan, np.nan, force, np.nan])
+
+
+def torque_bandwidth(most: float, acting: Acting, senses: Senses) -> float:
+    """Of the torque (rad/s): by its walk, and less the noisier the rates are."""
+    if not (acting.timed and acting.push[2]):
+        return 0.0
+    return min(most, senses.twist / TWIST) / (1 + 40 * senses.rate * (senses.rate > 0.001))
+
+
+def following(core: Any) -> WindFollowing | ForceFollowing:
+    """The observer for a controller."""
+    wind = WindObserver(targets=False)  # of next to no weight beside that of the position
+    told = core.vehicle, air_of(core), parameters_of(core), wind, core.control_period
+    if isinstance(core, PredictiveController) and wind_bandwidth(*told) >= wind.least_bandwidth:
+        return WindFollowing(wind, core.control_period)
+    return ForceFollowing(DisturbanceObserver(targets=False), core.control_period, core.vehicle.mass)

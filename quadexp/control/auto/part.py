@@ -1,0 +1,46 @@
+"""One setting as an option: delay=auto, or remedies=auto."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from quadexp.control.auto.ahead import sent_commands
+from quadexp.control.auto.around_law import AutoLaw
+from quadexp.control.auto.around_mpc import AutoMPC
+from quadexp.control.auto.auto import Auto
+from quadexp.control.auto.decide import grids
+from quadexp.control.laws.explicit import ExplicitController
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.part import Remedy
+from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoPart(Remedy):
+    """What is late, off or blown, found in flight; alone around a controller."""
+
+    prefix = "delay."
+    believes = True
+    finds_delays = True
+
+    def suited(self, settings: Any) -> Any:
+        """See Remedy. UsageError where it is told of what it finds itself."""
+        if settings.dead_time or settings.known_lag:
+            raise UsageError(
+                f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
+                " controller.motor_lead must be 0"
+            )
+        return grids(replace(settings, input_hold="deviation"))[0]
+
+    def put_around(self, controller: Any, given: Given) -> Auto:
+        """See Remedy. UsageError where the controller learns its model itself, or has other remedies around it."""
+        if type(controller) is PredictiveController:
+            return AutoMPC(controller, given.sheet)
+        if isinstance(controller, ExplicitController):
+            return AutoLaw(controller, given.sheet, sent_commands(controller.vehicle, controller.control_period))
+        raise UsageError(
+            f"delay={self.name}: stands alone around an MPC whose model does not adapt, or a law in closed form:"
+            " observer, adaptive and inner must be none"
+        )

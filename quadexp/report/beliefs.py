@@ -1,0 +1,123 @@
+"""What a flight with remedies=auto believed of its world, with 95 % bands, and what was true where the world says so.
+
+What is believed no better than LIMITS was not identifiable on this path: nothing in it showed that quantity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight
+from quadexp.report.style import HUES, Figure, styled
+from quadexp.report.table import Table
+
+BAND = 1.96  # deviations
+MS = 1e3
+LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 2.0, "1": 0.05}  # half of a band from which on a quantity was not identifiable
+LAST = 2.0  # s, over which the scale of the thrust is taken
+QUANTITIES = {  # column: name, unit, factor, column of the deviation
+    "auto_age": ("age of the state", "ms", MS, "auto_age_sd"),
+    "auto_delay": ("dead time and lag of commands", "ms", MS, "auto_delay_sd"),
+    "observer_thrust_scale": ("scale of the thrust", "1", 1.0, "auto_thrust_scale_sd"),
+    **{f"observer_wind_{a}": (f"wind, {a}", "m/s", 1.0, f"auto_wind_{a}_sd") for a in "xyz"},
+    **{f"observer_force_{a}": (f"force, {a}", "N", 1.0, "auto_force_sd") for a in "xyz"},
+}
+
+
+class Belief(NamedTuple):
+    """One quantity over a flight. value, deviation: (k,). true: (k,), or NaN where the world does not say."""
+
+    name: str
+    unit: str
+    value: np.ndarray
+    deviation: np.ndarray
+    true: np.ndarray
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether it is known at the end."""
+        return bool(BAND * self.deviation[-1] < LIMITS[self.unit])
+
+
+def beliefs(flight: Flight) -> list[Belief]:
+    """Those of a flight with remedies=auto; DataError for another one."""
+    columns = flight.columns
+    if "auto_age" not in columns:
+        raise DataError("this flight believed nothing: it was not flown with remedies=auto")
+    true = truths(flight)
+    told = []
+    for column, (name, unit, factor, deviation) in QUANTITIES.items():
+        spread = factor * columns[deviation] if deviation in columns else np.full(len(flight), np.nan)
+        if column in columns and np.isfinite(spread).any():
+            value = factor * columns[column]
+            told.append(Belief(name, unit, value, spread, factor * true.get(column, np.full(len(flight), np.nan))))
+    return told
+
+
+def truths(flight: Flight) -> dict[str, np.ndarray]:
+    """What the world of a simulated flight states, by column of QUANTITIES, (k,)."""
+    columns, margins = flight.columns, flight.metadata.get("margins") or {}
+    config: Mapping[str, Any] = flight.metadata.get("config") or {}
+    found = {}
+    if "world_latency" in margins:
+        age = float((config.get("estimator") or {}).get("delay") or 0.0)
+        found["auto_age"] = np.full(len(flight), age)
+        found["auto_delay"] = np.full(len(flight), margins["world_latency"] - age + margins["world_lag"])
+        found |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
+    if "delivered_0" in columns:
+        n = sum(name.startswith("delivered_") for name in columns)
+        delivered, commanded = (np.sum([columns[f"{of}_{i}"] for i in range(n)], axis=0) for of in ("delivered", "u"))
+        spacing = float(columns["t"][1] - columns["t"][0])
+        window = np.ones(min(max(round(LAST / spacing), 1), len(flight)))
+        means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
+        found["observer_thrust_scale"] = means[0] / means[1]
+    return found
+
+
+def beliefs_table(flight: Flight) -> Table:
+    """At the end of the flight."""
+    rows = []
+    for belief in beliefs(flight):
+        value, half, true = (float(x[-1]) for x in (belief.value, BAND * belief.deviation, belief.true))
+        shown = f"{value:.3g}", f"{value - half:.3g} .. {value + half:.3g}", "" if np.isnan(true) else f"{true:.3g}"
+        said = "" if np.isnan(true) else "in the band" if abs(value - true) <= half else "outside"
+        rows.append(
+            (belief.name, belief.unit, *shown, said if belief.identifiable else "not identifiable on this path")
+        )
+    return Table(("believed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
+
+
+@styled
+def beliefs_figure(flight: Flight) -> Figure:
+    """A panel for each quantity: what was believed, its band, and what was true."""
+    told = beliefs(flight)
+    figure = Figure(figsize=(9.0, 1.5 * len(told) + 0.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(told), sharex=True))
+    for panel, belief in zip(panels, told, strict=True):
+        t, half = flight.columns["t"], BAND * belief.deviation
+        panel.fill_between(t, belief.value - half, belief.value + half, color=HUES["blue"], alpha=0.2, linewidth=0)
+        panel.plot(t, belief.value, color=HUES["blue"], label="believed, 95 % band")
+        if np.isfinite(belief.true).any():
+            panel.plot(t, belief.true, color=HUES["vermillion"], linestyle=":", label="true")
+        late = np.isfinite(half) & (t > t[-1] / 10)
+        if late.any():
+            ends = np.concatenate([(belief.value + side * half)[late] for side in (-1, 1)] + [belief.true[late]])
+            panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + 1e-9)
+        unit = "" if belief.unit == "1" else f", {belief.unit}"
+        panel.set_title(f"{belief.name}{unit}" + ("" if belief.identifiable else ": not identifiable on this path"))
+    panels[0].legend(loc="upper right")
+    panels[-1].set_xlabel("time, s")
+    return figure
+
+
+def read_beliefs(path: Path) -> Flight:
+    """A flight from its file; DataError where it believed nothing."""
+    flight = read_flight(path)
+    beliefs(flight)
+    return flight

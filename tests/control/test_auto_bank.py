@@ -1,0 +1,130 @@
+"""The bank and its posterior: against a Kalman filter of one hypothesis, and on readings whose delays are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.control.auto.bank import FADING, SKIPPED, SPINS, THRUST, Bank, spin_of, stationary
+from quadexp.control.auto.posterior import Posterior, command_weights
+from quadexp.control.delivered import SentCommands
+from quadexp.control.instant import Told, run
+from quadexp.models.residual import no_residual
+from quadexp.physics.state import RATE, VELOCITY
+
+PERIOD = 0.02
+
+
+def bank_of(vehicle):
+    model = no_residual(vehicle)
+    return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, 0.05, "interpreted")
+
+
+def integral(slopes, step):
+    """By the trapezoidal rule, from the first row on, which is a step after the beginning."""
+    before = np.concatenate([slopes[:1], slopes[:-1]])
+    return np.cumsum((slopes + before) / 2 * step, axis=0)
+
+
+def flown(vehicle, *, age=0.0, dead_time=0.0, lag=0.0, noise=0.005, correlation=0.0, steps=500, seed=0):
+    """A bank after a flight whose commands are noise: the vehicle turns about x and y, moves under a wind that pushes
+    to the side, and is told of it `age` (s) late. correlation: of successive errors of the rates."""
+    rng, n, fine = np.random.default_rng(seed), vehicle.n_rotors, 0.001
+    bank, told = bank_of(vehicle), Told(vehicle.n_rotors)
+    command, per = np.full(n, vehicle.hover_thrust), round(PERIOD / fine)
+    total = steps * per
+    commands = vehicle.hover_thrust * (1 + 0.2 * rng.normal(size=(steps, n)))
+    sent = np.repeat(commands, per, axis=0)
+    late = round(dead_time / fine)
+    sent = np.concatenate([np.full((late, n), vehicle.hover_thrust), sent])[:total]
+    thrust, decay = np.empty_like(sent), 0.0 if lag == 0 else np.exp(-fine / lag)
+    held = np.full(n, vehicle.hover_thrust)
+    for k in range(total):
+        held = decay * held + (1 - decay) * sent[k]
+        thrust[k] = held
+    rates = integral(thrust @ spin_of(vehicle).T, fine)
+    t = fine * np.arange(1, total + 1)
+    force = np.column_stack([2 * np.sin(9 * t), 2 * np.cos(7 * t), thrust.sum(1) / vehicle.mass])
+    speed = integral(force - [0, 0, vehicle.gravity], fine)
+    x = np.zeros(13)
+    x[3] = 1.0
+    bank.reset(x, command)
+    operations, error = bank.after(told, told.state, command), np.zeros(2)
+    for k in range(steps):
+        now = k * per - 1
+        error = correlation * error + np.sqrt(1 - correlation**2) * noise * rng.normal(size=2)
+        if k:
+            old = max(now - round(age / fine), 0)
+            told.state[:] = x
+            told.state[RATE][:2] = rates[old] + error
+            told.state[VELOCITY] = speed[old] + 1e-3 * rng.normal(size=3)
+            told.force[:], told.read[0] = force[now] + 0.05 * rng.normal(size=3), 1.0
+        command[:] = commands[k]
+        run(operations, k)
+    return bank
+
+
+def squares_of(G, W):
+    """Sum of squared innovations for weights (m,)."""
+    z = np.concatenate([[1, 0], -W, [0]])
+    return z @ G @ z
+
+
+def test_the_sums_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
+    """Of one hypothesis at a time, the filter written out, its gains those of a stationary one."""
+    bank, rng, n = bank_of(vehicle), np.random.default_rng(3), vehicle.n_rotors
+    told, command, x = Told(n), np.full(n, vehicle.hover_thrust), np.eye(13)[3]
+    bank.reset(x, command)
+    operations, sent = bank.after(told, told.state, command), SentCommands(n, PERIOD, 0.6)
+    sent.reset(command)
+    age, dead_time, lag = 0.013, 0.007, 0.021
+    mean = sent.weights(np.array([[-PERIOD, 0.0]]), dead_time + age, lag)[0]
+    now = sent.weights(np.zeros((1, 2)), dead_time, lag)[0]
+    spin, filters = spin_of(vehicle), [np.zeros((2, 2)) for _ in SPINS]
+    inertia, before, push = vehicle.inertia_matrix, np.zeros(3), command.sum() / vehicle.mass
+    squares, thrust_squares, level = np.zeros(len(SPINS)), 0.0, push
+    ratio = (THRUST[1] / THRUST[0]) ** 2 * PERIOD
+    variance = ratio / 2 + np.sqrt(ratio**2 / 4 + ratio)
+    for k in range(60):
+        told.state[:], told.read[0] = x, k > 0
+        told.state[RATE] = w = 0.3 * rng.normal(size=3) if k else np.zeros(3)
+        told.force[:] = rng.normal(size=3) + [0, 0, 9.81]
+        if k:
+            counted, middle = k > SKIPPED / PERIOD, (w + before) / 2
+            drive = spin @ (mean @ sent.values) - (np.linalg.inv(inertia) @ np.cross(middle, inertia @ middle))[:2]
+            for i, (noise, walk) in enumerate(SPINS):
+                gains, state = stationary(noise, walk, PERIOD), filters[i]
+                predicted = state[0] + PERIOD * (state[1] + drive)
+                nu = w[:2] - predicted
+                filters[i] = np.stack([predicted + gains[0] * nu, state[1] + gains[1] * nu])
+                squares[i] = np.exp(-PERIOD / FADING) * squares[i] + counted * nu @ nu
+            nu = told.force[2] - (now @ sent.values).sum() / vehicle.mass - (push - level)
+            push += variance / (variance + 1) * nu
+            thrust_squares = np.exp(-PERIOD / FADING) * thrust_squares + counted * nu**2
+        before = w
+        command[:] = vehicle.hover_thrust * (1 + 0.3 * rng.normal(size=n))
+        run([*operations, *sent.after(command)], k)
+    m = bank.layout.commands
+    total, lags = np.array([dead_time + age + lag]), np.array([lag])
+    W = command_weights(PERIOD, m, total.tobytes(), lags.tobytes(), mean=True)[0, 0]
+    assert [squares_of(G, W) for G in bank.sums[:-1]] == pytest.approx(squares, rel=1e-6)
+    W = command_weights(PERIOD, m, (total - age).tobytes(), lags.tobytes(), mean=False)[0, 0]
+    assert squares_of(bank.sums[-1], W) == pytest.approx(thrust_squares, rel=1e-4)
+
+
+@pytest.mark.parametrize(("age", "dead_time", "lag"), [(0, 0, 0), (0.01, 0.01, 0.03), (0.023, 0.017, 0.045)])
+def test_known_delays_lie_within_what_is_said_of_them(vehicle, age, dead_time, lag):
+    evidence = Posterior(flown(vehicle, age=age, dead_time=dead_time, lag=lag)).evidence()
+    off = np.abs(evidence.mean - [age, dead_time + lag, lag])
+    assert (off < 3 * evidence.deviation + 1e-3).all() and evidence.deviation[:2].max() < 2e-3
+    assert (evidence.late > 6) == (age > 0) and (evidence.slow > 6) == (dead_time > 0) and not evidence.fresh
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_the_bands_hold(vehicle, correlation):
+    """At two deviations, over noise that is drawn anew, white or correlated."""
+    known, off = {"age": 0.012, "dead_time": 0.01, "lag": 0.02, "steps": 200, "correlation": correlation}, []
+    for seed in range(12):
+        evidence = Posterior(flown(vehicle, seed=seed, **known)).evidence()
+        off.append((evidence.mean[:2] - [0.012, 0.03]) / evidence.deviation[:2])
+    assert np.mean(np.abs(off) < 2) > 0.8 and np.abs(off).max() < 4

@@ -1,0 +1,81 @@
+"""What acts, and when: nothing without evidence, one stiffer grid at a time, an observer that follows what shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.control.auto.decide import CERTAIN, GATE, GRIDS, SURE, Acting, Decision, Senses, grids
+from quadexp.control.auto.following import ForceFollowing, WindFollowing
+from quadexp.control.auto.posterior import Evidence
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.observers.disturbance import DisturbanceObserver
+from quadexp.control.observers.wind import WindObserver
+
+NO_BIAS = (np.zeros(3), np.ones(3))
+
+
+def evidence(age=0.0, total=0.0, lag=0.0, *, sd=0.001, late=0.0, slow=0.0):
+    return Evidence(np.array([age, total, lag]), np.full(3, sd), late, slow, False, (1.0, 0.1), NO_BIAS, 0)
+
+
+def test_an_age_acts_once_it_is_sure_for_some_decisions():
+    decision, sure = Decision(), evidence(age=0.01, late=SURE + 1)
+    acted = [decision.take(sure, Senses(), 3.0).age for _ in range(CERTAIN)]
+    assert acted == [*[0.0] * (CERTAIN - 1), 0.01]
+    assert Decision().take(evidence(age=0.01, late=SURE - 1), Senses(), 3.0).age == 0.0
+
+
+def test_small_changes_of_what_is_known_change_nothing():
+    decision = Decision()
+    first = decision.take(evidence(total=0.04, lag=0.03, slow=9), Senses(), 3.0)
+    assert (first.dead_time, first.lag) == pytest.approx((0.01, 0.03))
+    again = decision.take(evidence(total=0.0405, lag=0.031, slow=9), Senses(), 3.2)
+    assert (again.dead_time, again.lag) == (first.dead_time, first.lag)
+    assert decision.take(evidence(total=0.05, lag=0.031, slow=9), Senses(), 3.4).total == pytest.approx(0.05)
+
+
+def test_the_grid_gets_stiffer_step_by_step_and_softer_at_once():
+    decision, known = Decision(), evidence(sd=0.0005)
+    assert [decision.take(known, Senses(), 3.0).grid for _ in range(5)] == [1, 2, 3, 4, 4]
+    assert decision.take(evidence(sd=0.005), Senses(), 3.0).grid == 2
+    assert decision.take(evidence(total=0.03, sd=0.02), Senses(), 3.0).grid == 0  # late, and nothing acts on it
+    assert Decision().take(known, Senses(), 0.5).grid == 1
+    noisy = Decision()
+    assert max(noisy.take(known, Senses(position=0.005), 3.0).grid for _ in range(6)) == 3
+
+
+def test_grids_fit_any_rate_and_number_of_nodes():
+    for rate, nodes in ((50.0, 10), (100.0, 20), (20.0, 5)):
+        fitting = grids(MPCSettings(rate=rate, nodes=nodes, input_hold="deviation"))
+        assert len(fitting) == len(GRIDS) and {settings.nodes for settings in fitting} == {nodes}
+
+
+def test_a_push_acts_from_five_deviations_on_and_for_good():
+    decision = Decision()
+    assert decision.begin(Senses(away=(GATE - 1, 0, 0))).push == (False,) * 3
+    assert decision.begin(Senses(away=(GATE + 1, 9, 9))).push == (True, False, False)  # thrusts have no time yet
+    assert decision.take(evidence(), Senses(away=(0, 9, 9)), 3.0).push == (True, True, True)
+    assert decision.take(evidence(sd=0.05), Senses(), 4.0).push == (True, True, True)
+
+
+@pytest.mark.parametrize("kind", ["wind", "force"])
+def test_the_observer_believes_nothing_that_has_not_shown_itself(kind):
+    """And the less of what has, the noisier its readings are."""
+    wind = kind == "wind"
+    following = WindFollowing(WindObserver(), 0.02) if wind else ForceFollowing(DisturbanceObserver(), 0.02, 1.0)
+    state, senses = np.ones(29 if wind else 13), Senses(walk=np.ones(3), reading=np.full(3, 0.05), twist=3.0)
+    following.follow(state, Acting(), Acting(), senses)
+    believed = [0, 1, 2, 3, 20, 21, 22] if wind else [0, 1, 2]
+    assert not state[believed].any() and not state[-3:].any()
+    acting = Acting(timed=True, push=(True, True, True))
+    state[:] = 1.0
+    quiet = following.follow(state, acting, Acting(), senses)
+    assert state[believed].all() and state[4 if wind else 6] == (16.0 if wind else 9.0)
+    noisy = following.follow(
+        state, acting, acting, Senses(walk=np.ones(3), reading=np.full(3, 0.05), attitude=0.02, rate=0.05, twist=3.0)
+    )
+    gain = 7 if wind else 0
+    assert noisy[gain] < quiet[gain] and noisy[-3] < quiet[-3]
+    deviations = following.deviations(state)
+    assert np.isfinite(deviations[0 if wind else 3]) and np.isnan(deviations[3 if wind else 0])

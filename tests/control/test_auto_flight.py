@@ -1,0 +1,99 @@
+"""Flights with remedies=auto: never worse than none, better where something is wrong, and the same a second time."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from quadexp.control.auto.around_law import later
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
+from quadexp.report.beliefs import beliefs, beliefs_figure, beliefs_table
+from quadexp.report.metrics import position_error
+
+PATH = ("trajectory=circle", "trajectory.speed=8", "sensor.accelerometer_noise=[0.05,0.05,0.05]", "seed=5")
+
+
+@cache
+def flown(controller, *given):
+    unstable = ["controller.allow_unstable=true"] if "mpc" in controller else []
+    return fly_one(compose([f"controller={controller}", *PATH, *unstable, *given]))
+
+
+@pytest.mark.parametrize(
+    ("controller", "world", "most"),
+    [
+        ("perfect_mpc", "clean", 0.5),
+        ("perfect_mpc", "everything", 0.1),
+        ("perfect_mpc", "only_late_estimate", 0.5),
+        ("nominal_mpc", "only_wind", 0.1),
+        ("dfbc", "only_motor_lag", 0.5),
+        ("geometric", "only_wind", 0.5),
+    ],
+)
+def test_it_is_better_than_none(controller, world, most):
+    none, auto = (flown(controller, f"world={world}", f"remedies={name}") for name in ("none", "auto"))
+    assert auto.outcome == none.outcome == "ok"
+    assert position_error(auto).mean() < most * position_error(none).mean()
+
+
+def test_a_law_that_takes_no_belief_is_not_misled():
+    none, auto = (flown("pid", "world=everything", f"remedies={name}") for name in ("none", "auto"))
+    assert position_error(auto).mean() < 1.05 * position_error(none).mean()
+
+
+def test_what_it_believes_is_true_and_shown():
+    flight = flown("perfect_mpc", "world=everything", "remedies=auto")
+    told = {belief.name: belief for belief in beliefs(flight)}
+    age, delays = told["age of the state"], told["dead time and lag of commands"]
+    assert (age.true[-1], delays.true[-1]) == pytest.approx((10.0, 40.0))
+    for belief in (age, delays, told["wind, x"], told["scale of the thrust"]):
+        beside = 0.04 * abs(belief.true[-1])  # of errors of the model, which no deviation contains
+        off = abs(belief.value[-1] - belief.true[-1])
+        assert belief.identifiable and off < np.hypot(3 * belief.deviation[-1], beside)
+    lines = "\n".join(beliefs_table(flight).lines())
+    assert "age of the state" in lines and "in the band" in lines
+    assert len(beliefs_figure(flight).axes) == len(told)
+    with pytest.raises(DataError, match="believed nothing"):
+        beliefs(flown("perfect_mpc", "world=everything", "remedies=none"))
+    still = {
+        belief.name: belief.identifiable for belief in beliefs(flown("perfect_mpc", "world=clean", "remedies=auto"))
+    }
+    assert still["age of the state"]
+
+
+def test_a_second_flight_begins_as_if_nothing_were_known():
+    config = compose(
+        ["controller=perfect_mpc", *PATH, "world=everything", "remedies=auto", "controller.allow_unstable=true"]
+    )
+    first, second = flown("perfect_mpc", "world=everything", "remedies=auto"), fly_one(config)
+    assert all(np.array_equal(first[name], second[name], equal_nan=True) for name in ("p_x", "u_0", "auto_delay"))
+
+
+def test_a_path_is_known_later():
+    """Of a polynomial, its derivatives at another time."""
+    rng = np.random.default_rng(1)
+    powers, t = rng.normal(size=(3, 5)), 0.07
+    path = np.column_stack([[np.polyval(np.polyder(p, i), 0.0) for p in powers] for i in range(5)])
+    yaw = rng.normal(size=4)
+    moved, turned = (np.array(result) for result in later()(path, yaw, t))
+    assert moved == pytest.approx(
+        np.column_stack([[np.polyval(np.polyder(p, i), t) for p in powers] for i in range(5)])
+    )
+    assert turned.ravel() == pytest.approx([yaw[0] + t * yaw[1] + t**2 / 2 * yaw[2], yaw[1] + t * yaw[2], *yaw[2:]])
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["controller=nominal_mpc", "controller.dead_time=0.01"], "finds dead time and lag itself"),
+        (["controller=nominal_mpc", "observer=disturbance"], "stands alone"),
+        (["controller=static_feedback", "vehicle=lei_li"], "stands alone"),
+    ],
+)
+def test_what_it_cannot_stand_around_is_refused(given, said):
+    with pytest.raises(UsageError, match=f"delay=auto: {said}"):
+        fly_one(compose(["trajectory=hover", "delay=auto", *given]))
