@@ -70,9 +70,11 @@ def _stated(part: Any) -> dict[str, Any]:
     """The class of a part, and its settings that are not the class's defaults, without its name."""
     usual = {**plain(type(part)), "name": part.name}
     stated = {key: value for key, value in part.recorded().items() if usual.get(key) != value}
-    return {"kind": type(part).__name__, **stated}
+    name = type(part).__name__
+    return {"kind": FROZEN_AS.get(name, name), **stated}
 
 
+FROZEN_AS = {"Sensors": "AccelerometerPart"}  # classes that had another name when the protocol was frozen
 TASK = ("vehicle", "plant", "sensor", "trajectory")
 MADE_BY = {"collect": ("vehicle", "plant", "controller", "collect"), "fit": ("gp", "drag"), "network": ("nn",)}
 
