@@ -208,7 +208,9 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     metadata = describe(config, vehicle, model)
     flight = loop.fly(trajectory, generator(config), digest=path_digest, metadata=metadata, **limits)
     residual = {"name": controller.name, "source": controller.source}
-    flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins)
+    late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
+    timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
+    flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins, timing=timing)
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight

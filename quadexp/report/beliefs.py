@@ -5,9 +5,8 @@ What is believed no better than LIMITS was not identifiable on this path: nothin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,22 +61,20 @@ def beliefs(flight: Flight) -> list[Belief]:
 
 def truths(flight: Flight) -> dict[str, np.ndarray]:
     """What the world of a simulated flight states, by column of QUANTITIES, (k,)."""
-    columns, margins = flight.columns, flight.metadata.get("margins") or {}
-    config: Mapping[str, Any] = flight.metadata.get("config") or {}
-    found = {}
-    if "world_latency" in margins:
-        age = float((config.get("estimator") or {}).get("delay") or 0.0)
-        found["auto_age"] = np.full(len(flight), age)
-        found["auto_delay"] = np.full(len(flight), margins["world_latency"] - age + margins["world_lag"])
-        found |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
+    columns, timing = flight.columns, flight.metadata.get("timing")
+    true = {}
+    if timing is not None:
+        true["auto_age"] = np.full(len(flight), timing["age"])
+        true["auto_delay"] = np.full(len(flight), timing["dead_time"] + timing["lag"])
+        true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
     if "delivered_0" in columns:
         n = sum(name.startswith("delivered_") for name in columns)
         delivered, commanded = (np.sum([columns[f"{of}_{i}"] for i in range(n)], axis=0) for of in ("delivered", "u"))
         spacing = float(columns["t"][1] - columns["t"][0])
         window = np.ones(min(max(round(LAST / spacing), 1), len(flight)))
         means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
-        found["observer_thrust_scale"] = means[0] / means[1]
-    return found
+        true["observer_thrust_scale"] = means[0] / means[1]
+    return true
 
 
 def beliefs_table(flight: Flight) -> Table:

@@ -236,6 +236,11 @@ class World(SimulatedPlant):
         return sum(effect.loop_delay for effect in self.effects)
 
     @property
+    def age(self) -> float:
+        """The share of loop_delay that is of what is measured (s)."""
+        return sum(effect.loop_delay for effect in self.effects if effect.stage in ("sensor", "estimator"))
+
+    @property
     def loop_lag(self) -> float:  # type: ignore[override]  # an attribute there
         """The airframe's and the effects'."""
         return self.airframe.loop_lag + sum(effect.loop_lag for effect in self.effects)
