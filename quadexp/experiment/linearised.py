@@ -21,7 +21,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
-from quadexp.control.instant import Operation, in_operations, run
+from quadexp.control.instant import Instant, Operation, in_operations, run
 from quadexp.control.wrapped import innermost
 from quadexp.errors import ModelDomainError, QuadexpError
 from quadexp.experiment.linear_loop import LinearLoop, Phase
@@ -120,6 +120,7 @@ class _Flown:
         running = self._controller.running
         operations = [o for o in running.instant.operations if o.kind not in ("finite", "near")]  # which are C's
         operations = [o for o in operations if not (o.kind == "python" and o.when is running.told.read)]  # learns
+        operations = _on_the_way(operations, running.instant)
         sensors = [one.tick for one in self._drawn if not isinstance(one, Held) and one.tick > TICK]
         ratios = [Fraction(self._period / tick).limit_denominator(MOST_PHASES) for tick in sensors]
         read = math.lcm(*(ratio.denominator for ratio in ratios))
@@ -129,6 +130,8 @@ class _Flown:
         if read * len(self._plant.inner) > MOST_NUMBERS:
             raise UnknownLoopError(f"it has {len(self._plant.inner)} numbers at {read} different instants")
         memory, known, phases = _Memory(running, operations, count), dict[Any, Phase](), []
+        if (numbers := len(memory.values) + len(self._plant.inner)) > MOST_NUMBERS:
+            raise UnknownLoopError(f"it has {numbers} numbers")
         for _ in range(count):
             k, begun, guess = running.k, memory.values, [one.copy() for one in memory.planned]
             u = self._step()
@@ -222,6 +225,28 @@ class _Flown:
         A, B = np.zeros((body + m, body + m)), np.zeros((body + m, n))
         A[:body, :inner], A[body:], B[:body] = by_plant[:, :inner], by_all[n:], by_plant[:, inner:]
         return Phase(A, B, by_all[:n])
+
+
+def _on_the_way(operations: list[Operation], instant: Instant) -> list[Operation]:
+    """The operations from which a number gets to the command, at this instant or later; not what only watches."""
+    targets = [o.to for o in operations if o.to is not None]  # which operations in Python may read
+    needed, kept, more = _places([instant.command]), set[int](), True
+    while more:
+        more = False
+        for i, o in enumerate(operations):
+            reads = [one for one in (o.source, o.other, o.when) if one is not None and o.kind != "window"]
+            writes = [one for one in (o.to, o.other if o.kind == "window" else None) if one is not None]
+            if o.function is not None:
+                reads, writes = [*reads, *o.function.arguments.values()], [*o.function.results.values()]
+            elif o.kind == "plan":
+                reads = [*instant.plan.mpc.functions[0].arguments.values()]
+            elif o.kind == "python":
+                reads = targets
+            if i not in kept and (o.kind in ("plan", "python") or _places(writes) & needed):
+                kept.add(i)
+                needed |= _places(reads)
+                more = True
+    return [o for i, o in enumerate(operations) if i in kept]
 
 
 class _Memory:
