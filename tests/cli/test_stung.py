@@ -152,7 +152,7 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["tune", "--vary", "plant.mass=1..2"], "what is tuned is the controller"),
         (["tune", "controller=rls_feedback,static_feedback"], "one controller is tuned at a time"),
         (["tune", "trajectory=circle", "trajectory.speed=40"], "circle cannot be flown"),
-        (["plot", "nowhere"], "nowhere: holds no results"),
+        (["plot", "nowhere"], "nowhere: no such file"),
         (["simulate", "trajectory.speed=30"], "cannot be flown: it takes"),
         (["evaluate", "experiment=quick"], "add --sweep"),
         (["simulate", "controller=gp_mpc"], "gp_mpc needs a model and none is in models/"),

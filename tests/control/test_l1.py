@@ -153,7 +153,14 @@ def test_a_known_lag_and_dead_time_are_no_disturbance(lag, dead_time):
     assert len(blind._sent) == 1
 
 
-LAGGING = ["controller=geometric", "actuator=lag_30ms", "adaptive=l1", "trajectory=hover", "trajectory.duration=5"]
+LAGGING = [
+    "controller=geometric",
+    "controller.allow_unstable=true",
+    "actuator=lag_30ms",
+    "adaptive=l1",
+    "trajectory=hover",
+    "trajectory.duration=5",
+]
 
 
 def test_a_bandwidth_far_above_the_motors_loses_the_vehicle_unless_it_knows_them():

@@ -142,7 +142,7 @@ def _period(sensors: InertialSensors, estimator: Navigation, clock: Clock) -> ca
     }
     step = ca.MX(clock.step)
     x, inner, known, draws, parameters, believed, fixes = symbols.values()
-    at = Readings(ca.MX(0), x, inner, parameters, draws, step, clock)
+    at = Readings(ca.MX(0), x, inner, parameters, draws, step, clock, *[None] * 3)  # an IMU asks for no more
     told: Any = {"state": x[:, -1], "specific_force": ca.MX.zeros(3)}
     inner_next, told = sensors.measure(at, told)
     told |= {aid.name: fixes * told[aid.name] for aid in sensors.aids}
