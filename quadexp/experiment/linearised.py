@@ -256,7 +256,7 @@ class _Memory:
     def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
         self.planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
         targets = [o.to for o in operations if o.to is not None]  # which operations in Python may read
-        self._read, early, late = set[int](), set[int](), set[int]()
+        self._read, early, late, seen = set[int](), set[int](), set[int](), dict[int, None]()
         for k in range(running.k, running.k + count):
             written = set[int]()
             for o in operations:
@@ -268,12 +268,14 @@ class _Memory:
                     reads, writes = [*o.function.arguments.values()], [*o.function.results.values()]
                 elif o.kind in ("plan", "python"):
                     reads, writes = ([], self.planned) if o.kind == "plan" else (targets, [])
+                seen |= dict.fromkeys(_in_order(reads))
                 places = _places(reads)
                 self._read |= places
                 early |= places - written
                 written |= _places(writes)
             late |= written
-        memory = np.array(sorted(early & late), np.int64)
+        order = [place for place in seen if place in early and place in late]  # not of addresses, which are others
+        memory = np.array(order, np.int64)
         runs = np.split(memory, np.flatnonzero(np.diff(memory) != NUMBER) + 1) if len(memory) else []
         pieces = [(ctypes.c_double * len(one)).from_address(int(one[0])) for one in runs]
         self._pieces = [np.ctypeslib.as_array(one) for one in pieces]
@@ -291,15 +293,19 @@ class _Memory:
         _scatter(self._pieces, values)
 
 
-def _places(arrays: Iterable[np.ndarray]) -> set[int]:
-    """Addresses of all numbers of some arrays."""
-    found = set[int]()
+def _in_order(arrays: Iterable[np.ndarray]) -> list[int]:
+    """Addresses of all numbers of some arrays, one array after another."""
+    addresses = list[int]()
     for array in arrays:
         places = np.array([array.ctypes.data])
         for count, stride in zip(array.shape, array.strides, strict=True):
             places = np.add.outer(places, stride * np.arange(count)).ravel()
-        found.update(places.tolist())
-    return found
+        addresses += places.tolist()
+    return addresses
+
+
+def _places(arrays: Iterable[np.ndarray]) -> set[int]:
+    return set(_in_order(arrays))
 
 
 def _scatter(arrays: Iterable[np.ndarray], values: np.ndarray) -> None:
