@@ -54,7 +54,7 @@ class WindFollowing:
             torque_bandwidth=torque_bandwidth(config.torque_bandwidth, acting, senses),
         )
         diagonal = N_AIR + (N_AIR + 1) * np.arange(N_AIR)
-        if lateral and not before.push[0]:
+        if not (lateral and before.push[0]):  # as it begins; the first reading would else be taken for a wind
             estimate[diagonal[:3]] = config.wind_initial**2
         scaled = vertical and acting.timed
         if not scaled:

@@ -7,7 +7,9 @@ gyro's filter another one that is kept near it: a scale that is wrong would be t
 is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order process. The grid is
 over the age, the total d + l, which is known much better than either, and the lag.
 
-The told rates are as old as the rest of the state, or of now (`fresh`), whichever the gyro says.
+The told rates are as old as the rest of the state, or of now (`fresh`), whichever the gyro says. In the second case the
+velocity alone tells the age, against readings whose noise every age adds up in another way: it counts by the share of
+what an age changes that is not noise.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.control.auto.bank import AGE, DEAD_TIME, FADING, LAG, SPEEDS, Bank
+from quadexp.control.auto.bank import AGE, DEAD_TIME, FADING, LAG, SPEEDS, Bank, stationary_scalar
 from quadexp.control.delivered import INSTANT, NO_LAG
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
@@ -113,18 +115,19 @@ class Posterior:
             W = self._of_commands(few, lags[::3], mean=True)
             least = [G[0, 0] - np.max(by**2 / square) for G in bank.sums[:-1] for by, square in [_moments(G, W)]]
             self._spin = int(np.argmin(least))
-        rest = self._velocity(ages, choose=choose)[:, None, None]
-        rest = rest - worth * faded / 2 * np.log(thrust / faded + 1e-12)
+        by_velocity, share = self._velocity(ages, choose=choose)
+        by_velocity = by_velocity[:, None, None]
+        rest = by_velocity - worth * faded / 2 * np.log(thrust / faded + 1e-12)
         rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL
         waits = totals[:, None] - lags
         J = np.where((waits < -INSTANT) | (waits > DEAD_TIME + INSTANT), -np.inf, rest)
         late = fresh = np.full_like(J, -np.inf)
-        if choose or self._fresh:
-            fresh = J + self._gyro(totals[None], lags, scales)
+        if choose or self._fresh:  # then the velocity alone tells the age
+            fresh = J - (1 - share) * by_velocity + self._gyro(totals[None], lags, scales)
         if choose or not self._fresh:
             late = J + self._gyro(ages[:, None] + totals, lags, scales)
         if choose:
-            self._fresh = bool(fresh.max() > late.max() + FRESHER)
+            self._fresh = bool(fresh.max() > (late - (1 - share) * by_velocity).max() + FRESHER)
         J = fresh if self._fresh else late
         at = np.unravel_index(int(J.argmax()), J.shape)[1:]
         variance = thrust[at] / faded / worth
@@ -150,18 +153,20 @@ class Posterior:
         likelihood: np.ndarray = -worth * n / 2 * np.log(squares / n + 1e-14)
         return likelihood
 
-    def _velocity(self, ages: np.ndarray, *, choose: bool) -> np.ndarray:
-        """Log likelihood of ages; the bias, and with `choose` the likeliest noise."""
+    def _velocity(self, ages: np.ndarray, *, choose: bool) -> tuple[np.ndarray, float]:
+        """Log likelihood of ages (a,), and what it is worth where nothing else tells the age: the share of what an age
+        changes that is not noise of the readings. Finds the bias, and with `choose` the likeliest noise."""
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
         W = np.stack([_of_readings(age, bank.period, readings) for age in ages])
         a, n = np.hstack([np.ones((len(ages), 1)), -W]), 2 * bank.count
         plain, turned = slice(0, 1 + readings), slice(1 + readings, columns)
-        likelihoods = {}
+        likelihoods, now = {}, _of_readings(0.0, bank.period, readings)
         for i in range(len(SPEEDS)) if choose else [self._speed]:
             G = bank.speed_sums[i]
-            share = (bank.period * bank.noise) ** 2
-            share /= share + SPEEDS[i] ** 2
-            even = 1 + share * ((W**2).sum(1) / 0.5 - 1)  # of the accelerometer's noise, in its mean over a period
+            reading, speed = bank.period * bank.noise, SPEEDS[i]
+            told = 2 * speed**2 / (2 - stationary_scalar(speed, reading))
+            noise = told + _of_noise(np.vstack([now, W]), reading, speed)
+            even = noise[1:] / noise[0]
             by_a, against = ((a @ G[plain, plain]) * a).sum(1), a @ G[plain, turned]
             known = np.linalg.inv(G[turned, turned] + by_a.min() / n / BIAS**2 * np.eye(3))
             bias = -against @ known
@@ -173,8 +178,10 @@ class Posterior:
         G, whole = bank.speed_sums[self._speed], np.concatenate([a[k], bias[k]])
         worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
-        tempered: np.ndarray = worth * likelihood
-        return tempered
+        apart = _of_readings(TYPICAL, bank.period, readings) - now
+        moved = apart @ G[1 : 1 + readings, 1 : 1 + readings] @ apart
+        by_noise = 3 * bank.count * _of_noise(apart[None], bank.period * bank.noise, SPEEDS[self._speed])[0]
+        return worth * likelihood, float(max(1 - by_noise / max(moved, 1e-30), 0.0))
 
     def _worth(self, G: np.ndarray, likely: np.ndarray) -> float:
         """Of an innovation, for the likeliest weights (m,)."""
@@ -215,6 +222,18 @@ def _moments(G: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """W G_phi,y and W G_phi,phi W' of a sum G, for weights (.., m): of k W they leave G_yy - 2 k first + k^2 second."""
     slots = slice(2, 2 + W.shape[-1])
     return W @ G[0, slots], ((W @ G[slots, slots]) * W).sum(-1)
+
+
+def _of_noise(W: np.ndarray, reading: float, speed: float) -> np.ndarray:
+    """Variance that the noise of readings has in an innovation of the velocity, (k,), by weights (k, m) on them.
+
+    reading: deviation of the velocity by one reading, speed: of a told one (m/s). The bank's filter leaves b^i of what
+    a reading was off i periods before: of an average over readings less stays in one innovation, but as much in many.
+    """
+    stays = 1 - stationary_scalar(speed, reading)
+    apart = np.abs(np.subtract.outer(range(W.shape[1]), range(W.shape[1])))
+    variance: np.ndarray = reading**2 * ((W @ stays**apart) * W).sum(1) / (1 - stays**2)
+    return variance
 
 
 def _of_readings(age: float, period: float, count: int) -> np.ndarray:
