@@ -30,7 +30,8 @@ QUANTITIES = {  # column: name, unit, factor, column of the deviation
 
 
 class Belief(NamedTuple):
-    """One quantity over a flight. value, deviation: (k,). true: (k,), or NaN where the world does not say."""
+    """One quantity over a flight. value, deviation: (k,), NaN as long as nothing is believed. true: (k,), or NaN where
+    the world does not say."""
 
     name: str
     unit: str
@@ -49,14 +50,13 @@ def beliefs(flight: Flight) -> list[Belief]:
     columns = flight.columns
     if "auto_age" not in columns:
         raise DataError("this flight believed nothing: it was not flown with remedies=auto")
-    true = truths(flight)
-    told = []
+    true, unknown, quantities = truths(flight), np.full(len(flight), np.nan), []
     for column, (name, unit, factor, deviation) in QUANTITIES.items():
-        spread = factor * columns[deviation] if deviation in columns else np.full(len(flight), np.nan)
+        spread = factor * columns.get(deviation, unknown)
         if column in columns and np.isfinite(spread).any():
-            value = factor * columns[column]
-            told.append(Belief(name, unit, value, spread, factor * true.get(column, np.full(len(flight), np.nan))))
-    return told
+            value = np.where(np.isfinite(spread), factor * columns[column], np.nan)
+            quantities.append(Belief(name, unit, value, spread, factor * true.get(column, unknown)))
+    return quantities
 
 
 def truths(flight: Flight) -> dict[str, np.ndarray]:
@@ -77,26 +77,29 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
     return true
 
 
+def _text(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.3g}"
+
+
 def beliefs_table(flight: Flight) -> Table:
     """At the end of the flight."""
     rows = []
     for belief in beliefs(flight):
         value, half, true = (float(x[-1]) for x in (belief.value, BAND * belief.deviation, belief.true))
-        shown = f"{value:.3g}", f"{value - half:.3g} .. {value + half:.3g}", "" if np.isnan(true) else f"{true:.3g}"
         said = "" if np.isnan(true) else "in the band" if abs(value - true) <= half else "outside"
-        rows.append(
-            (belief.name, belief.unit, *shown, said if belief.identifiable else "not identifiable on this path")
-        )
+        verdict = said if belief.identifiable else "not identifiable on this path"
+        band = "" if np.isnan(half) else f"{value - half:.3g} .. {value + half:.3g}"
+        rows.append((belief.name, belief.unit, _text(value), band, _text(true), verdict))
     return Table(("believed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
 
 
 @styled
 def beliefs_figure(flight: Flight) -> Figure:
     """A panel for each quantity: what was believed, its band, and what was true."""
-    told = beliefs(flight)
-    figure = Figure(figsize=(9.0, 1.5 * len(told) + 0.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(told), sharex=True))
-    for panel, belief in zip(panels, told, strict=True):
+    quantities = beliefs(flight)
+    figure = Figure(figsize=(9.0, 1.5 * len(quantities) + 0.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(quantities), sharex=True))
+    for panel, belief in zip(panels, quantities, strict=True):
         t, half = flight.columns["t"], BAND * belief.deviation
         panel.fill_between(t, belief.value - half, belief.value + half, color=HUES["blue"], alpha=0.2, linewidth=0)
         panel.plot(t, belief.value, color=HUES["blue"], label="believed, 95 % band")

@@ -50,7 +50,7 @@ def steps(settings, monkeypatch, *, in_c, seed=0, count=150):
 
 
 def answer(flown, k, window, rng):
-    """One step: the thrusts, or what is said against it, and what the loop tells of it."""
+    """One step: its thrusts, or the error that it raises, and the loop's record of it."""
     state = flown.reference_state(k * flown.period) + 0.05 * rng.normal(size=13)
     kind = rng.integers(14)
     state[:3] += (kind == 0) * rng.normal(size=3)

@@ -1,4 +1,4 @@
-"""Delay remedies in flight, the margins of the loop around which they are put, and what is said of these."""
+"""Remedies against delays: what they bring in flight, and the margins of the loop with them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Flights from configurations: paired noise, also of earlier versions, the same bits whoever flies them."""
+"""Flights from configurations: their noise is paired, and the same bits come from every way to fly them."""
 
 import hashlib
 import json

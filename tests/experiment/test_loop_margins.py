@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from quadexp import requests
-from quadexp.experiment.evaluate import InfeasibleError, fly_one
+from quadexp.experiment.evaluate import InfeasibleError, build_loop, fly_one
+from quadexp.experiment.loop_margins import hover_loop
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose
 from quadexp.report.page.sections import margins as margins_of
@@ -33,6 +34,13 @@ def test_a_flight_says_what_its_loop_tolerates(controller, line):
     metadata = flown(*controller.split())
     assert f"loop        {line}" in flight_lines(metadata) and not world_note(metadata["margins"])
     assert margins_of([metadata, metadata, {}]) == [f"{metadata['controller']}: {line}"]
+
+
+@pytest.mark.parametrize("controller", ["nominal_mpc", "geometric"])
+def test_what_only_watches_is_not_linearised(controller):
+    """Of remedies=auto the sums over all hypotheses, some 10,000 numbers, lead to no command but by decisions."""
+    loop = build_loop(compose([f"controller={controller}", *HOVER, "remedies=auto"]), None)
+    assert len(hover_loop(loop.controller, loop.plant).phases[0].A) < 500
 
 
 def test_a_predicted_dead_time_that_is_there_is_no_surprise():

@@ -98,7 +98,7 @@ class CommandedThrust:
         self._mean.tune(-self._period, 0.0, dead_time, lag)
 
     def reset(self, thrust: np.ndarray) -> None:
-        """See DeliveredThrust; the commands are reset by whoever has them."""
+        """See DeliveredThrust. The commands are shared: their owner resets them."""
 
     def before(self, told: Told) -> list[Operation]:
         """See DeliveredThrust."""

@@ -52,9 +52,9 @@ class AutoMPC(Auto):
         before, inside, now = self.before(told, state)
         inner = instant_of(self.inner, inside, now)
         numbers, push = self._world.numbers, self._core.mpc.disturbance
-        found = {"push": push, "wind": numbers[6:9], "scale": numbers[9:10]}
+        beliefs = {"push": push, "wind": numbers[6:9], "scale": numbers[9:10]}
         operations = [*before, *self._delivered.before(), *inner.operations, *self.after(told, state, inner.command)]
-        operations += [copy(self._last[name], value) for name, value in found.items()]
+        operations += [copy(self._last[name], value) for name, value in beliefs.items()]
         return inner._replace(operations=operations, logged=(*inner.logged, self._beliefs))
 
     def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:

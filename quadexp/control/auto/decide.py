@@ -39,12 +39,12 @@ STIFF_TOTAL = 0.015  # s, largest dead time and lag under the stiffest grid
 
 def grids(settings: MPCSettings) -> list[MPCSettings]:
     """Settings of each of GRIDS, the softest first, for the nodes and control period of an MPC."""
-    made = []
+    of_grids = []
     for first, horizon, weight, _ in GRIDS:
         first = max(first, settings.control_period) if first else 0.0
         longer = max(horizon, settings.nodes * max(first, settings.control_period))
-        made.append(replace(settings, first_node=first, horizon=longer, position_weight=(weight,) * 3))
-    return made
+        of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=(weight,) * 3))
+    return of_grids
 
 
 @dataclass(frozen=True)
@@ -119,8 +119,7 @@ class Decision:
             grid = min(grid, 3 if dead_time + lag >= STIFF_TOTAL or senses.position > LARGE_NOISE else 4)
             grid = grid if grid > 1 else int(not far)
         grid = min(grid, before.grid + 1)
-        lateral, vertical, torque = (away > GATE for away in senses.away)
-        shown = (lateral, timed and vertical, timed and torque)
-        push = tuple(a or b for a, b in zip(shown, before.push, strict=True))
-        self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, push)  # type: ignore[arg-type]
+        (lateral, vertical, torque), shown = (away > GATE for away in senses.away), before.push
+        push = lateral or shown[0], (timed and vertical) or shown[1], (timed and torque) or shown[2]
+        self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, push)
         return self.acting

@@ -118,7 +118,7 @@ def torque_bandwidth(most: float, acting: Acting, senses: Senses) -> float:
 def following(core: Any) -> WindFollowing | ForceFollowing:
     """The observer for a controller."""
     wind = WindObserver(targets=False)  # of next to no weight beside that of the position
-    told = core.vehicle, air_of(core), parameters_of(core), wind, core.control_period
-    if isinstance(core, PredictiveController) and wind_bandwidth(*told) >= wind.least_bandwidth:
+    known = core.vehicle, air_of(core), parameters_of(core), wind, core.control_period
+    if isinstance(core, PredictiveController) and wind_bandwidth(*known) >= wind.least_bandwidth:
         return WindFollowing(wind, core.control_period)
     return ForceFollowing(DisturbanceObserver(targets=False), core.control_period, core.vehicle.mass)

@@ -164,8 +164,8 @@ class Posterior:
         for i in range(len(SPEEDS)) if choose else [self._speed]:
             G = bank.speed_sums[i]
             reading, speed = bank.period * bank.noise, SPEEDS[i]
-            told = 2 * speed**2 / (2 - stationary_scalar(speed, reading))
-            noise = told + _of_noise(np.vstack([now, W]), reading, speed)
+            by_speed = 2 * speed**2 / (2 - stationary_scalar(speed, reading))
+            noise = by_speed + _of_noise(np.vstack([now, W]), reading, speed)
             even = noise[1:] / noise[0]
             by_a, against = ((a @ G[plain, plain]) * a).sum(1), a @ G[plain, turned]
             known = np.linalg.inv(G[turned, turned] + by_a.min() / n / BIAS**2 * np.eye(3))

@@ -69,8 +69,8 @@ def sensed(
     both = -drift * kept["drift"]
     pose = ca.vertcat(ca.sum1(both[:3]), ca.sum1(both[3:])) / 3
     pose = kept["pose_noise"] + (count > 2) * (pose - kept["pose_noise"]) / ca.fmin(count + 1, AVERAGED / period)
-    left = {"walk": ca.vec(walk), "walk_variance": ca.vec((1 - P / S) * P), "walk_likelihood": ca.vec(likelihood)}
-    return left | {
+    after = {"walk": ca.vec(walk), "walk_variance": ca.vec((1 - P / S) * P), "walk_likelihood": ca.vec(likelihood)}
+    return after | {
         "torque": torque,
         "reading": e,
         "change": change,
