@@ -63,8 +63,8 @@ class LinearLoop:
             kept = sent[:held] + keeps * (sent[n : n + held] - sent[:held]) if held else sent[:0]
             closed = np.vstack([moved, kept]) @ closed
         modes = np.linalg.eigvals(closed)
-        own = np.abs(modes[:, None] - self._fixed).min(axis=1, initial=math.inf) > FIXED
-        return math.log(max(np.abs(modes[own]).max(initial=0.0), 1e-300)) / (self.period * len(self.phases))
+        of_the_loop = np.abs(modes[:, None] - self._fixed).min(axis=1, initial=math.inf) > FIXED
+        return math.log(max(np.abs(modes[of_the_loop]).max(initial=0.0), 1e-300)) / (self.period * len(self.phases))
 
     def gain(self, frequencies: np.ndarray) -> np.ndarray:
         """Complex gains (k, n, n) from v back to u at frequencies (k,) (rad/s) below pi / period. Of u it is the part

@@ -227,24 +227,31 @@ class _Flown:
         return Phase(A, B, by_all[:n])
 
 
+def _touched(o: Operation, targets: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What an operation reads and writes; one in Python may read all targets. Nothing of the MPC's step."""
+    if o.function is not None:
+        return [*o.function.arguments.values()], [*o.function.results.values()]
+    if o.kind in ("plan", "python"):
+        return (targets if o.kind == "python" else []), []
+    sources, to = ([], [o.to, o.other]) if o.kind == "window" else ([o.source, o.other], [o.to])
+    return [one for one in sources if one is not None], [one for one in to if one is not None]
+
+
+def _targets(operations: list[Operation]) -> list[np.ndarray]:
+    return [o.to for o in operations if o.to is not None]
+
+
 def _on_the_way(operations: list[Operation], instant: Instant) -> list[Operation]:
     """The operations from which a number gets to the command, at this instant or later; not what only watches."""
-    targets = [o.to for o in operations if o.to is not None]  # which operations in Python may read
-    needed, kept, more = _places([instant.command]), set[int](), True
+    targets, needed, kept, more = _targets(operations), _places([instant.command]), set[int](), True
     while more:
         more = False
         for i, o in enumerate(operations):
-            reads = [one for one in (o.source, o.other, o.when) if one is not None and o.kind != "window"]
-            writes = [one for one in (o.to, o.other if o.kind == "window" else None) if one is not None]
-            if o.function is not None:
-                reads, writes = [*reads, *o.function.arguments.values()], [*o.function.results.values()]
-            elif o.kind == "plan":
-                reads = [*instant.plan.mpc.functions[0].arguments.values()]
-            elif o.kind == "python":
-                reads = targets
+            reads, writes = _touched(o, targets)
             if i not in kept and (o.kind in ("plan", "python") or _places(writes) & needed):
+                planned = instant.plan.mpc.functions[0].arguments.values() if o.kind == "plan" else []
+                needed |= _places([*reads, *planned, *([] if o.when is None else [o.when])])
                 kept.add(i)
-                needed |= _places(reads)
                 more = True
     return [o for i, o in enumerate(operations) if i in kept]
 
@@ -255,19 +262,16 @@ class _Memory:
 
     def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
         self.planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
-        targets = [o.to for o in operations if o.to is not None]  # which operations in Python may read
+        targets = _targets(operations)
         self._read, early, late, seen = set[int](), set[int](), set[int](), dict[int, None]()
         for k in range(running.k, running.k + count):
             written = set[int]()
             for o in operations:
                 if k % o.every or (o.when is not None and not o.when[0]):
                     continue
-                reads = [one for one in (o.source, o.other) if one is not None and o.kind != "window"]
-                writes = [one for one in (o.to, o.other if o.kind == "window" else None) if one is not None]
-                if o.function is not None:
-                    reads, writes = [*o.function.arguments.values()], [*o.function.results.values()]
-                elif o.kind in ("plan", "python"):
-                    reads, writes = ([], self.planned) if o.kind == "plan" else (targets, [])
+                reads, writes = _touched(o, targets)
+                if o.kind == "plan":
+                    writes = self.planned
                 seen |= dict.fromkeys(_in_order(reads))
                 places = _places(reads)
                 self._read |= places

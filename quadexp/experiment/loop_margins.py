@@ -161,11 +161,11 @@ def instability(
     grids: list[dict[str, float]] = [{"rate": max(rate, controller.rate)} for rate in RATES]
     if hasattr(controller, "horizon"):
         grids = [grid | {"horizon": round(share * controller.horizon, DIGITS)} for grid in grids for share in SHARES]
-    told = next((_keys(unknown | grid) for grid in grids if unknown and stable(unknown | grid)), "")
+    known = next((_keys(unknown | grid) for grid in grids if unknown and stable(unknown | grid)), "")
     if unknown and stable(unknown):
-        told = f"{_keys(unknown)} at this rate and horizon"
+        known = f"{_keys(unknown)} at this rate and horizon"
     faster = next((_keys(grid) for grid in grids if stable(grid)), "")
-    helps = ", or ".join(filter(None, (told, faster))) or "nothing that was tried"
+    helps = ", or ".join(filter(None, (known, faster))) or "nothing that was tried"
     causing = {"motors that lag by": lag, "commands and measurements that are late by": late}
     causes = " and ".join(f"{words} {1e3 * value:.0f} ms" for words, value in causing.items() if value) or "no delay"
     return (

@@ -303,10 +303,10 @@ class _Parts:
         given = [states[:, 0], own, known, theta, times[0], step]
         S, before, of_effects, of_airframe, began, h = (ca.MX.sym(f"s{i}", one.numel()) for i, one in enumerate(given))
         after = self.settled(S, before, of_effects, of_airframe, began + h, h)
-        one = ca.Function("settled", [S, before, of_effects, of_airframe, began, h], [select(*after)])
+        settled = ca.Function("settled", [S, before, of_effects, of_airframe, began, h], [select(*after)])
         steps = states.size2()
         held = [ca.repmat(value, 1, steps) for value in (own, known, theta)]
-        return one.map(steps)(states, *held, times, ca.repmat(step, 1, steps))
+        return settled.map(steps)(states, *held, times, ca.repmat(step, 1, steps))
 
     def step(self) -> ca.Function:
         """(S, t, still, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s,
