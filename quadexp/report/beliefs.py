@@ -111,7 +111,7 @@ def beliefs_figure(flight: Flight) -> Figure:
             panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + 1e-9)
         unit = "" if belief.unit == "1" else f", {belief.unit}"
         panel.set_title(f"{belief.name}{unit}" + ("" if belief.identifiable else ": not identifiable on this path"))
-    panels[0].legend(loc="upper right")
+    panels[0].legend(loc="best", ncols=2)
     panels[-1].set_xlabel("time, s")
     return figure
 
