@@ -154,7 +154,6 @@ COMBINATIONS = {
     "prediction": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03 delay=prediction"
     " delay.time=0.03",
     "late": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03",
-    "identified": "controller=nominal_mpc delay=identified",
     "rate_100": "controller=nominal_mpc controller.rate=100",
     "rate_25": "controller=nominal_mpc controller.rate=25",
     "geometric_indi": "controller=geometric inner=indi",

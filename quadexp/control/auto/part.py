@@ -23,7 +23,6 @@ class AutoPart(Remedy):
 
     prefix = "delay."
     believes = True
-    finds_delays = True
 
     def suited(self, settings: Any) -> Any:
         """See Remedy. UsageError where it is told of what it finds itself."""
