@@ -71,10 +71,10 @@ class Auto(WrappedController):
         self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
-        turning = tuple(0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
+        rate, attitude = (0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
-        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, turning)
+        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, (rate, attitude))
         self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
         self._posterior, self._decision = Posterior(self._bank), Decision()
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)

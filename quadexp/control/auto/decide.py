@@ -44,8 +44,8 @@ def grids(settings: MPCSettings) -> list[MPCSettings]:
     for first, horizon, weight, _ in GRIDS:
         first = max(first, settings.control_period) if first else 0.0
         longer = max(horizon, settings.nodes * max(first, settings.control_period))
-        weights = tuple(max(weight, asked) for asked in settings.position_weight)
-        of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=weights))
+        x, y, z = (max(weight, asked) for asked in settings.position_weight)
+        of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=(x, y, z)))
     return of_grids
 
 
@@ -95,7 +95,7 @@ class Decision:
         self.acting, self._certain = Acting(), 0
 
     def begin(self, senses: Senses, age: float = 0.0, late: float = 0.0) -> Acting:
-        """What to act on where nothing is known of the delays yet, but an age by attitude and rates, and its log odds."""
+        """What to act on where no more is known of delays than an age by attitude and rates (s), and its log odds."""
         self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
         if late > PLAIN and age > LEAST_AGE:
             self.acting, self._certain = replace(self.acting, age=age, fresh=True), CERTAIN
@@ -106,9 +106,8 @@ class Decision:
         before = self.acting
         age, total, lag = evidence.mean
         sd_age, sd_total, _ = evidence.deviation
-        self._certain = (
-            self._certain + 1 + CERTAIN * (evidence.fresh and evidence.late > PLAIN) if evidence.late > SURE else 0
-        )
+        at_once = CERTAIN if evidence.fresh and evidence.late > PLAIN else 1
+        self._certain = self._certain + at_once if evidence.late > SURE else 0
         age = float(age) if self._certain >= CERTAIN and age > LEAST_AGE else 0.0
         acts = evidence.slow > LIKELY
         dead_time, lag = (float(max(total - lag, 0.0)), float(min(lag, total))) if acts else (0.0, 0.0)

@@ -44,7 +44,8 @@ class AutoPart(Remedy):
         return grids(replace(settings, input_hold="deviation"))[0]
 
     def put_around(self, controller: Any, given: Given) -> Auto | INDI:
-        """See Remedy; inside INDI where rotor speeds are told. UsageError where the controller learns its model itself, or has other remedies around it."""
+        """See Remedy; inside INDI where rotor speeds are told. UsageError where the controller learns its model itself,
+        or has other remedies around it."""
         if type(controller) is PredictiveController:
             around = AutoMPC(controller, given.sheet)
             if not speeds_tell(given.vehicle, given.sheet):

@@ -102,7 +102,7 @@ class Posterior:
         return Evidence(mean, deviation, late, slow, self._fresh, self._scale, self._bias, self._spin)
 
     def early(self) -> tuple[float, float]:
-        """The likeliest age by attitude and rates alone (s), and its log odds against 0; before there is other evidence."""
+        """The likeliest age by attitude and rates alone (s), and its log odds against 0."""
         ages = np.arange(0, AGE + STEPS[0] / FINER / 2, STEPS[0] / FINER)
         J = self._attitude(ages) - ages / TYPICAL
         return float(ages[J.argmax()]), float(J.max() - J[0])
@@ -251,8 +251,8 @@ def _moments(G: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _of_ages(
     G: np.ndarray, W: np.ndarray, now: np.ndarray, n: int, reading: float, told: float, likely: float
 ) -> tuple[np.ndarray, ...]:
-    """Of each age, by weights (a, k) on readings: sum of squared innovations, what noise makes of it against an age of 0,
-    with weights now (k,), bias of the sensor (a, 3), and its covariance in units of an innovation's variance.
+    """Of each age, by weights (a, k) on readings: sum of squared innovations, what noise makes of it against an age of
+    0, with weights now (k,), bias of the sensor (a, 3), and its covariance in units of an innovation's variance.
 
     G: of a bank, of n innovations. reading, told: deviations, see _of_noise. likely: of the bias, beforehand.
     """

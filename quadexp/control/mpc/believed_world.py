@@ -214,8 +214,8 @@ def enter_function(
 
     Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); times (s N + 1,) of the reference from now, period (s);
     memory, see Layout; belief (11,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
-    known (2,), whether these two are, seen (13,), the state then, sent (n,), the last command (N), settings, delays (see Delays); theta (p,), where
-    the model or the estimator has parameters.
+    known (2,), whether these two are, seen (13,), the state then, sent (n,), the last command (N), settings, delays
+    (see Delays); theta (p,), where the model or the estimator has parameters.
     Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); low, high (n,), limits of delivered
     thrusts (N); found (11,), the belief; change (5,): of
     the wind, its size (m/s), and the sum of the squares of x_in, X_in and U_in; memory_next.
