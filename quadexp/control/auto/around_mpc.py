@@ -25,7 +25,7 @@ class AutoMPC(Auto):
     """The MPC plans in the world that its observer believes in; its grid and weights are one of decide.GRIDS."""
 
     def __init__(self, core: PredictiveController, sheet: SensorSheet) -> None:
-        observer = following(core)
+        observer = following(core, sheet)
         inner, world, mpc = observer.around(core), core.believed, core.mpc
         assert world is not None and mpc.disturbance is not None
         self._last = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # believed in the last step

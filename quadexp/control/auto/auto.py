@@ -30,7 +30,7 @@ from quadexp.control.observers.observer import air_of, parameters_of
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet
-from quadexp.physics.state import N_STATE
+from quadexp.physics.state import N_STATE, VELOCITY
 
 DECIDES = 0.2  # s, between decisions
 LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
@@ -65,6 +65,8 @@ class Auto(WrappedController):
         self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
+        inertial = (sensor.delay for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
+        self._inertial_age = sum(age or 0.0 for age in inertial)  # by which age and delays cannot be told apart
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
         self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
@@ -141,7 +143,7 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        known = (*evidence.mean, *evidence.deviation)
+        known = (*evidence.mean, *np.hypot(evidence.deviation, self._inertial_age))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
@@ -159,7 +161,8 @@ class Auto(WrappedController):
         torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
         (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
         pushes = float(away[:2].max()), float(away[2]), torque
-        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist)
+        velocity = part("x")[VELOCITY].copy()
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""

@@ -16,6 +16,9 @@ gives to the last commands (control.delivered) or to the last readings:
 One matrix G of each filter has the sum of squares of every hypothesis, those between the points of a grid included. phi
 moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
 are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
+
+Where in a period a reading jumped by df is not known, nor so the attitude that it belongs to: while the vehicle turns, an
+innovation of the velocity is off by up to e = T^2 |w| |df| / 8, and counts by s^2 / (s^2 + e^2), s = INEXACT.
 """
 
 from __future__ import annotations
@@ -44,6 +47,7 @@ SPINS = tuple(
     product((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0))
 )  # rad/s of a reading, rad/s^2 of b in a root of a second
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
+INEXACT = 0.0005  # m/s: an innovation of the velocity that is surely off by more counts less
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
 SKIPPED = 0.3  # s, until the filters are stationary
 FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves with the battery
@@ -61,7 +65,7 @@ class Layout:
         channels, speed = 2 * len(SPINS), 3 * self.columns * len(SPEEDS)
         sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
         sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
-        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
+        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS), "speed_count": 1}
         sizes |= sense_sizes()
         ends = [*accumulate(sizes.values())]
         self.size = ends[-1]
@@ -235,6 +239,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     turned = rotation_matrix(q / ca.norm_2(q))
     drive = ca.horzcat(ca.vertcat(0, 0, -vehicle.gravity), ca.mtimes(turned, forces), turned)
     speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
+    jumped = ca.sqrt(ca.mmax(ca.sum1((forces[:, 1:] - forces[:, :-1]) ** 2)))
+    share = INEXACT**2 / (INEXACT**2 + (period**2 / 8 * ca.norm_2(w) * jumped) ** 2)
     for state, before, G, noise in zip(
         speed,
         ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns),
@@ -248,14 +254,14 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
         into = ca.horzcat(nu[:, 0], -nu[:, 1:])
         speed_next.append(predicted + P / (P + 1) * into)
-        nus.append(ca.mtimes(R[:, :2].T, nu))
+        nus.append(ca.sqrt(share) * ca.mtimes(R[:, :2].T, nu))
         z = ca.horzcat(nus[-1], before)
         speed_sums.append(G + counts * ca.mtimes(z.T, z))
 
     senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
     now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
     now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
-    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), **senses}
+    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), "speed_count": kept["speed_count"] + counts * share, **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
     names = ["memory_next", "sums_next", "speed_sums_next"]
     return ca.Function("bank", [*a.values()], [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums)], [*a], names)
