@@ -64,11 +64,13 @@ def beliefs(flight: Flight) -> list[Belief]:
 
 def truths(flight: Flight) -> dict[str, np.ndarray]:
     """What the world of a simulated flight states, by column of QUANTITIES, (k,)."""
-    columns, timing = flight.columns, flight.metadata.get("timing")
+    columns, config, timing = flight.columns, flight.metadata["config"], flight.metadata.get("timing")
     true = {}
     if timing is not None:
+        ways = [config.get("actuator", {}).get(f"time_constant_{way}", 0.0) for way in ("up", "down")]
+        lag = timing["lag"] - abs(ways[1] - ways[0]) / 2  # of which the slower way is stated
         true["auto_age"] = np.full(len(flight), timing["age"])
-        true["auto_delay"] = np.full(len(flight), timing["dead_time"] + timing["lag"])
+        true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
     if "delivered_0" in columns:
         n = sum(name.startswith("delivered_") for name in columns)
@@ -76,9 +78,9 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         spacing = float(columns["t"][1] - columns["t"][0])
         window = np.ones(min(max(round(LAST / spacing), 1), len(flight)))
         means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
-        true["observer_thrust_scale"] = means[0] / means[1]
+        true["observer_thrust_scale"] = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
     if timing is not None and flight.metadata["residual"]["name"] == "none" and "thinned" not in flight.metadata:
-        force = true_force(flight, timing["dead_time"], timing["lag"])
+        force = true_force(flight, timing["dead_time"], lag)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
 

@@ -205,8 +205,8 @@ class Sensors(SensorKeys, Effect):
         return found
 
     def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
-        """What is set, wrong by sheet_factor; the delay of a low pass is one of its readings. An age of zero of the pose
-        is nobody's statement, and an estimator's delay is none of the sensors'."""
+        """What is set, wrong by sheet_factor; a low pass makes its readings older. An age of zero of the pose is
+        nobody's statement, and an estimator's delay is none of the sensors'."""
         ages = dict.fromkeys(POSE, self.pose_delay + self.pose_jitter / 2 or None) | {
             "accelerometer": self.accelerometer_delay + group_delay(self.accelerometer_cutoff),
             "gyroscope": None if self.later_rates else self.gyroscope_delay + group_delay(self.gyroscope_cutoff),

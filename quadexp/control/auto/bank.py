@@ -17,8 +17,8 @@ One matrix G of each filter has the sum of squares of every hypothesis, those be
 moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
 are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
 
-Where in a period a reading jumped by df is not known, nor so the attitude that it belongs to: while the vehicle turns, an
-innovation of the velocity is off by up to e = T^2 |w| |df| / 8, and counts by s^2 / (s^2 + e^2), s = INEXACT.
+Where in a period a reading jumped by df is not known, nor so the attitude that it belongs to: while the vehicle turns,
+an innovation of the velocity is off by up to e = T^2 |w| |df| / 8, and counts by s^2 / (s^2 + e^2), s = INEXACT.
 """
 
 from __future__ import annotations

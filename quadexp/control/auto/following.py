@@ -3,9 +3,9 @@
 The wind where the model of the air has a drag that tells it, the force otherwise. Bandwidth of a low pass that follows
 a walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a period T: q / (r sqrt(T)).
 
-Deviations, for the bands: of a force that walks by q under a gain K, sqrt(((1 - K)^2 q^2 T + K^2 r^2) / (1 - (1 - K)^2)),
-and what readings are off all along by their data sheet. Of a wind, by the filter; and what these offsets are as a wind,
-and an airspeed times the thrust scale's distance from 1: where that is a wrong mass, the drag is off as much.
+Deviations, for the bands: of a force that walks by q, under a gain K, ((1 - K)^2 q^2 T + K^2 r^2) / (1 - (1 - K)^2) is
+the variance; beside it what readings are off all along by their data sheet. Of a wind that of the filter, these offsets
+as a wind, and an airspeed times the thrust scale's distance from 1: by a wrong mass the drag is off as much.
 """
 
 from __future__ import annotations
