@@ -69,6 +69,7 @@ class Auto(WrappedController):
         self._inertial_age = sum(age or 0.0 for age in inertial)  # by which age and delays cannot be told apart
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
+        self._sheet = sheet
         self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
         self._decides = round(DECIDES / self._bank.period)
         self._posterior, self._decision = Posterior(self._bank), Decision()
@@ -118,6 +119,17 @@ class Auto(WrappedController):
     def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
         """What stands behind it."""
         return [*self._bank.after(told, state, command), *self._commands.after(command)]
+
+    @property
+    def lacking(self) -> list[str]:
+        """What it lacks here, and what that leaves undone; a line each."""
+        missing = {
+            "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
+            "no exact and prompt speeds of rotors: thrusts follow from the commands": not self._turns,
+            "a law that takes no belief: a late state alone is made good": not self._observer,
+            "no drag in the model that shows a wind: it is a force": isinstance(self._observer, ForceFollowing),
+        }
+        return [line for line, holds in missing.items() if holds]
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
