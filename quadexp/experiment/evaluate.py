@@ -211,6 +211,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
     flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins, timing=timing)
+    flight.metadata["lacking"] = list(getattr(controller, "lacking", ()))
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight
