@@ -147,6 +147,13 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         if part not in ("best", self.kind, self.kind.removesuffix("_drag")):
             raise UsageError(f"{source}: holds {self.kind}, not '{part}'")
 
+    def weighed(self, vehicle: Vehicle, residual: Residual) -> Residual:
+        """`residual` of this model, weighed by its own variance: outside its data it falls back to a mean function.
+
+        Raises UsageError where the model states no variance.
+        """
+        raise UsageError(f"{residual.source}: {self.kind} states no variance to fall back by; a Gaussian process does")
+
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
         """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit."""
         raise NotImplementedError

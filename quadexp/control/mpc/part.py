@@ -50,7 +50,18 @@ class PredictivePart(MPCSettings, ControllerPart):
 class MPC(PredictivePart):
     """Model predictive control (Torrente et al. 2021). residual: its model of the air."""
 
+    added = ("fallback",)
     residual: str = key(REQUIRED, RESIDUAL)
+    fallback: bool = key(False, "weigh a Gaussian process by its variance: outside its data it is drag fitted to it")
+
+    def model(self, given: Given) -> Any:
+        """See PredictivePart."""
+        model = super().model(given)
+        if not self.fallback:
+            return model
+        if not self.learned:
+            raise UsageError(f"controller.fallback: residual={self.residual} has no data; gaussian_process has")
+        return given.checkpoint(0).weighed(given.vehicle, model)
 
 
 @dataclass(frozen=True, kw_only=True)
