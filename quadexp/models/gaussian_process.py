@@ -293,7 +293,9 @@ def gaussian_process_residual(
     scales = [1.0 / (np.sqrt(2.0) * o.lengthscale) for o in outputs]
     points = [(o.inducing * scale).T.ravel() for o, scale in zip(outputs, scales, strict=True)]
     known = [fallback(o, continued=mean_terms is None) for o in outputs] if weighed else []
-    factors = [(o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel() for o, f in zip(outputs, known)]
+    factors = [
+        (o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel() for o, f in zip(outputs, known, strict=False)
+    ]
     theta = np.concatenate([mean, *scales, *points, *(o.alpha for o in outputs), *known, *factors])
 
     names = feature_names(vehicle.n_rotors)
@@ -375,9 +377,7 @@ def _compiled_sums(
         )
         for m, d in shapes
     }  # fmt: skip
-    sizes = ([size(m, d) for m, d in shapes] for size in (
-        lambda m, d: d, lambda m, d: m * d, lambda m, d: m, lambda m, d: m * m * weighed
-    ))  # fmt: skip
+    sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
     arguments = zip(*map(_split, (scaled, points, alpha, factor), sizes), strict=True)
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
     return tuple(map(list, zip(*results, strict=True)))

@@ -4,7 +4,7 @@
 
    and with FACTOR = M, 0 for neither, of the variance that the points explain,
 
-       known = ||F e||^2,   known_slope_i = sum_j (F' F e)_j e_j d_ij,     e_j = exp(-sum_i d_ij^2)
+       known = ||F e||^2,   known_slope_i = (F e)' F (e d_i),     e_j = exp(-sum_i d_ij^2)
 
    Declared before: POINTS = M, FEATURES = D; in: feature (D), points (D, M), alpha (M), factor (FACTOR, M) by columns,
    upper triangular; out: value, slope (D), known, known_slope (D). */
@@ -22,19 +22,19 @@ for (int j = 0; j < POINTS; ++j) {
 }
 value[0] = sum;
 if (FACTOR) {
-  double root[POINTS] = {0.0}, back[POINTS];
-  for (int j = 0; j < POINTS; ++j)
+  double root[POINTS] = {0.0}, turn[FEATURES][POINTS] = {{0.0}};
+  for (int j = 0; j < POINTS; ++j) {
     for (int r = 0; r < POINTS; ++r) root[r] += factor[j * POINTS + r] * explained[j];
+    for (int i = 0; i < FEATURES; ++i) {
+      const double moved = explained[j] * (feature[i] - points[i * POINTS + j]);
+      for (int r = 0; r < POINTS; ++r) turn[i][r] += factor[j * POINTS + r] * moved;
+    }
+  }
   known[0] = 0.0;
   for (int r = 0; r < POINTS; ++r) known[0] += root[r] * root[r];
-  for (int j = 0; j < POINTS; ++j) {
-    back[j] = 0.0;
-    for (int r = 0; r <= j; ++r) back[j] += factor[j * POINTS + r] * root[r];
-    back[j] *= explained[j];
-  }
   for (int i = 0; i < FEATURES; ++i) {
     known_slope[i] = 0.0;
-    for (int j = 0; j < POINTS; ++j) known_slope[i] += back[j] * (feature[i] - points[i * POINTS + j]);
+    for (int r = 0; r < POINTS; ++r) known_slope[i] += root[r] * turn[i][r];
   }
 }
 for (int i = 0; i < FEATURES; ++i) {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
@@ -20,7 +20,7 @@ class PredictivePart(MPCSettings, ControllerPart):
     """What every MPC has, whatever its model of the air."""
 
     former_kind = "mpc"
-    added = ()
+    added: ClassVar[tuple[str, ...]] = ()
     backend: Backend = "auto"
 
     def build(self, given: Given) -> Any:
