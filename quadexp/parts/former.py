@@ -40,6 +40,7 @@ FORMER = {
     "engine.shared": _JOBS.format("shared_temp_directory: FOLDER"),
     "engine.interface": _JOBS.format("interface: ib0"),
     "plant.payload": "payload=fixed payload.mass=KG; on plant=blade_element also plant.schedule=[{t: 0, payload: KG}]",
+    "payload=slung": "payload=fixed, or an Effect of your own for a load on a cable (quadexp/world/effect.py)",
     "gp.split": "whole flights are held out, always",
     "gp.alternatives": "fit again with other gp.features.a_x=[..], whose verdict says what they are worth",
     "gp.max_exact_rows": "gp.method=subset gp.inducing=ROWS",
@@ -48,6 +49,11 @@ FORMER = {
     "engine.tls_cert": _DASK,
     "engine.tls_key": _DASK,
     "engine.python": _JOBS.format("python: PATH"),
+}
+
+FORMER_WORDS = {  # options of commands
+    "validate --figures": "is no more: the printed tables, and validation.json, have the numbers",
+    "import --describe": "is no more: write the mapping (docs/real_flights.md), and `check` prints what mends it",
 }
 
 # Former names that no option has today, and their classes; any other is that of the option of the same name.

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from quadexp.cli.terminal import fitted
+from quadexp.parts.former import FORMER_WORDS
 from tests.cli.command import run, run_main
 from tests.faults.test_hostile_files import on_a_terminal
 
@@ -37,7 +38,6 @@ def made(tmp_path_factory):
 COMMANDS = {  # what each takes
     ("show", "FILE"): {"flight.parquet", "data.parquet", "results"},
     ("compare", "flight.parquet", "FILE"): {"flight.parquet"},
-    ("compare", "results", "FILE"): {"results"},
     ("report", "FILE", "--out", "page.html", "--force"): {"results"},
     ("export", "FILE", "--to", "csv", "--out", "out.csv", "--force"): {"flight.parquet"},
     ("animate", "FILE", "--out", "a.gif", "--to", "0.1", "--force"): {"flight.parquet"},
@@ -126,6 +126,7 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["simulat"], "No such command"),
         (["simulate", "--ot", "x"], "No such option: --ot"),
         (["fit-gp"], "Missing argument"),
+        *((word.split(), f": {text}") for word, text in FORMER_WORDS.items()),
         (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
         (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),
