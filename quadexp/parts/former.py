@@ -40,7 +40,6 @@ FORMER = {
     "engine.shared": _JOBS.format("shared_temp_directory: FOLDER"),
     "engine.interface": _JOBS.format("interface: ib0"),
     "plant.payload": "payload=fixed payload.mass=KG; on plant=blade_element also plant.schedule=[{t: 0, payload: KG}]",
-    "payload=slung": "payload=fixed, or an Effect of your own for a load on a cable (quadexp/world/effect.py)",
     "gp.split": "whole flights are held out, always",
     "gp.alternatives": "fit again with other gp.features.a_x=[..], whose verdict says what they are worth",
     "gp.max_exact_rows": "gp.method=subset gp.inducing=ROWS",

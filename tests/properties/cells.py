@@ -54,7 +54,7 @@ AROUND: dict[str, tuple[tuple[str, ...], ...]] = {
     "inner": (("indi",), ("indi", "inner.rate=200")),
     "delay": (("strapdown", "delay.time=0.02"), ("prediction", "delay.time=0.02")),
     "truth": (("nominal", "truth.mass=1.05"), ("nominal", "truth.inertia=[0.9,1,1]"), ("nominal", "truth.drag=1.5")),
-    "payload": (("fixed", "payload.mass=0.01"),),
+    "payload": (("fixed", "payload.mass=0.01"), ("slung", "payload.mass=0.01", "payload.stretch=0.1")),
     "wind": (("constant",), ("dryden",), ("gust", "wind.onset=0.1"), ("gusty",)),
     "external": (("push", "external.onset=0.1"),),
     "link": (("latency",), ("radio",), ("onboard",)),
