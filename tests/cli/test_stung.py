@@ -38,6 +38,7 @@ def made(tmp_path_factory):
 COMMANDS = {  # what each takes
     ("show", "FILE"): {"flight.parquet", "data.parquet", "results"},
     ("compare", "flight.parquet", "FILE"): {"flight.parquet"},
+    ("compare", "results", "FILE"): {"results"},
     ("report", "FILE", "--out", "page.html", "--force"): {"results"},
     ("export", "FILE", "--to", "csv", "--out", "out.csv", "--force"): {"flight.parquet"},
     ("animate", "FILE", "--out", "a.gif", "--to", "0.1", "--force"): {"flight.parquet"},

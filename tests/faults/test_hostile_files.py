@@ -283,8 +283,8 @@ def test_a_report_that_is_no_mapping(tmp_path):
     make_checkpoint(tmp_path / "drag")
     for text in ("[1, 2]", '{"rows": 3}', '{"rows": [{"output": 1}]}'):
         (tmp_path / "drag" / "report.json").write_text(text)
-        done = run("show", tmp_path / "drag")
-        assert done.returncode == 0 and "linear_drag" in done.stdout, done.stderr
+        done = run("compare", tmp_path / "drag", tmp_path / "drag")
+        assert done.returncode == 0 and "drag_x" in done.stdout, done.stderr
     (tmp_path / "drag" / "report.json").write_text("[1, 2]")
     with pytest.raises(DataError, match=r"report.json: damaged.*`object`, got `array`"):
         load_report(tmp_path / "drag")
