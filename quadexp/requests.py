@@ -46,6 +46,7 @@ ANSWERED = {
     "vehicle_of": "experiment.vehicle_of.config_for",
     "import_logs": "experiment.import_flights.import_files",
     "ImportOptions": "log.importers.Options",
+    "describe_log": "log.importers.describe.describe_log",
     "export": "log.exporters.export_flight",
     "select": "sweeps.results.select",
     "prune": "sweeps.results.prune",

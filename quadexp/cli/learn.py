@@ -37,6 +37,7 @@ def import_(
     out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("flights"),
     mapping: Annotated[Path | None, Ask("What the columns of a table are (YAML).")] = None,
     rate: Annotated[float | None, Ask("Of the flight; the log's own unless given.", "HZ")] = None,
+    describe: Annotated[bool, Ask("Propose a mapping for a table, and say how sure it is.")] = False,
     crop: Annotated[bool, Ask("Cut off what is on the ground.", flag="--crop/--no-crop")] = True,
     align: Annotated[bool, Ask("Move gyro and accelerometer by the offsets found.")] = False,
     mounting: Annotated[str | None, Ask("Roll, pitch, yaw of the accelerometer in the body (deg).", "R,P,Y")] = None,
@@ -50,10 +51,16 @@ def import_(
 
     \b
     quadexp import logs/*.ulg --vehicle crazyflie --out flights
+    quadexp import --describe log.csv > mapping.yaml
     quadexp import log.csv --mapping mapping.yaml --out flights
     """
     from quadexp import requests
 
+    if describe:
+        if len(logs) != 1:
+            raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
+        proposed = requests.describe_log(logs[0])
+        return Answer(proposed.record(), [], proposed.yaml().splitlines(), proposed.warnings)
     turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
     options = requests.ImportOptions(log_format, mapping, rate, crop, align, *turned, bad_rows)
     records: list[dict[str, Any]] = []
@@ -355,7 +362,8 @@ def validate(
     flights: Annotated[tuple[Path, ...], Ask("Flights to predict; several may follow.", "FLIGHT", "--flights")] = (),
     horizons: Annotated[str, Ask("Horizons of the open-loop predictions (s).", "S,S,...")] = "0.1,0.5,1",
     leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,
-    out: Annotated[Path | None, Ask("Write the report there.", "DIR", "--out -o")] = None,
+    out: Annotated[Path | None, Ask("Write report and figures there.", "DIR", "--out -o")] = None,
+    figures: Annotated[bool, Ask("Draw figures (with --out).", flag="--figures/--no-figures")] = True,
     conf: Conf = None,
     force: Force = False,
 ) -> Answer:
@@ -382,8 +390,8 @@ def validate(
     config = requests.vehicle_of(tested, overrides, conf)
     with Progress("validate") as progress:
         report = requests.validate(
-            models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, force=force,
-            progress=progress,
+            models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
+            force=force, progress=progress,
         )  # fmt: skip
     record = {key: value for key, value in report.items() if key != "lines"}
     return Answer(record, report["rows"], [*report["lines"], *([out] if out else [])])

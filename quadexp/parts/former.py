@@ -50,11 +50,6 @@ FORMER = {
     "engine.python": _JOBS.format("python: PATH"),
 }
 
-FORMER_WORDS = {  # options of commands
-    "validate --figures": "is no more: the printed tables, and validation.json, have the numbers",
-    "import --describe": "is no more: write the mapping (docs/real_flights.md), and `check` prints what mends it",
-}
-
 # Former names that no option has today, and their classes; any other is that of the option of the same name.
 FORMER_CLASSES = {
     "vehicle/rigid": "physics.vehicle.Vehicle",

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from quadexp.cli.terminal import fitted
-from quadexp.parts.former import FORMER_WORDS
 from tests.cli.command import run, run_main
 from tests.faults.test_hostile_files import on_a_terminal
 
@@ -127,7 +126,6 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["simulat"], "No such command"),
         (["simulate", "--ot", "x"], "No such option: --ot"),
         (["fit-gp"], "Missing argument"),
-        *((word.split(), f": {text}") for word, text in FORMER_WORDS.items()),
         (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
         (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),
