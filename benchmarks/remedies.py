@@ -46,9 +46,9 @@ Log = list[tuple[Measurement, Window]]
 def contestants(vehicle: Vehicle) -> dict[str, Controller]:
     """By what is around the MPC; the first is the one that ratios refer to."""
 
-    def mpc(*, disturbed: bool = True, **settings: Any) -> PredictiveController:
+    def mpc(*, disturbed: bool = True, weighed: bool = False, **settings: Any) -> PredictiveController:
         form = MPCSettings(first_node=0.02, horizon=0.6, **settings)
-        residual = make_residual(CASE, vehicle)[0]
+        residual = make_residual(CASE, vehicle, weighed=weighed)[0]
         return PredictiveController(
             ModelPredictiveController(vehicle, residual, form, backend="compiled", disturbed=disturbed)
         )
@@ -57,6 +57,7 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
     still = WindObserver(name="wind", targets=False)
     return {
         f"{CASE}": mpc(disturbed=False),
+        f"{CASE}, controller.fallback=true": mpc(disturbed=False, weighed=True),
         f"{CASE}, dead time predicted": mpc(disturbed=False, dead_time=0.02),
         f"{CASE} and terms that adapt": AdaptingController(
             vehicle,

@@ -52,8 +52,7 @@ class Remedy(Part):
 
     believes: ClassVar[bool] = False
 
-    @property
-    def scales_air(self) -> bool:
+    def scales_air(self, given: Given) -> bool:
         """Whether it finds a scale of the controller's model of the air."""
         return False
 

@@ -86,6 +86,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         lines.append(f"stored      a sample every {every:g} s, not every {period:g} s")
     if line := margin_line(metadata.get("margins")):
         lines.append(f"loop        {line}")
+    lines += [f"{'' if i else 'auto':<12}{line}" for i, line in enumerate(metadata.get("lacking", ()))]
     share = row.get("reference_residual")
     if share is not None and share < 1:
         contained = f"{math.floor(100 * share)} % of the residual ({name})"

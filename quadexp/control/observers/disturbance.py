@@ -40,6 +40,7 @@ from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
+from quadexp.parts.part import Given
 from quadexp.parts.settings import key
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix
@@ -125,8 +126,7 @@ class DisturbanceObserver(ObserverPart):
     air_walk: float = key(0.0, "likewise of the scale of the air's force; 0: not estimated", "[0, 10]")
     air_initial: float = key(1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]")
 
-    @property
-    def scales_air(self) -> bool:
+    def scales_air(self, given: Given) -> bool:
         """See Remedy."""
         return self.air_walk > 0
 
