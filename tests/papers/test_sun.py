@@ -54,7 +54,7 @@ def test_published_data():
         ("sun", True, 20 * 4),
         ("sun_infeasible", False, 2),
         ("sun_ours", True, 20 * 5 + 3),
-        ("equal_knowledge", True, 80),
+        ("sun_equal", True, 80),
     ],
 )
 def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, others):
@@ -66,7 +66,7 @@ def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, oth
             numbers = (float(given[f"trajectory.{name}"]) for name in ("speed", "acceleration", "ratio"))
             found.add((given["trajectory.plane"], *numbers))
     wanted = {(e.plane, e.speed, e.acceleration, e.ratio) for e in ellipses() if e.feasible is feasible}
-    spread = experiment == "equal_knowledge"  # a quarter of them, in all planes, ratios and speeds
+    spread = experiment == "sun_equal"  # a quarter of them, in all planes, ratios and speeds
     assert len(cells) == others * len(found) and (found < wanted if spread else found == wanted)
     if spread:
         values = [[set(one) for one in np.array(sorted(some), dtype=object).T] for some in (found, wanted)]

@@ -191,15 +191,18 @@ def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figu
     return {"sun": "\n\n".join(texts)}, {"sun": sun_figure(flown)}
 
 
-def compared(rows: Iterable[Row]) -> Table:
+def compared(flights: Iterable[Row]) -> Table:
     """Every controller against OURS with the same remedies, paired by ellipse; no line without one.
 
     Mean over ellipses of the RMSE with its 95 % interval, a lost flight counted as there. The ellipses are what varies:
     none of these plants has noise.
     """
     errors: dict[tuple[str, str], dict[Ellipse, float]] = {}
-    for row in rows:
-        key = (str(row["controller"]).removesuffix(KNOWN_AGE), _world(row))
+    rows = [(str(row["controller"]), _world(row), row) for row in flights]
+    plain = {(name, world) for name, world, _ in rows}
+    for name, world, row in rows:
+        short = name.removesuffix(KNOWN_AGE)
+        key = (name if (short, world) in plain else short, world)
         lost = row["outcome"] not in COMPLETED
         errors.setdefault(key, {})[_ellipse(row)] = CRASHED[0] if lost else float(row["rmse"])
     pairs = {}
@@ -219,10 +222,8 @@ def compared(rows: Iterable[Row]) -> Table:
         return f"{_mean(values):.3f}{limits}{'*' * bool(differs.get((name, world)))}" if len(values) else ""
 
     worlds = _in_order(dict.fromkeys(world for _, world in pairs))
-    title = (
-        f"RMSE (m), mean over ellipses [95 % interval], a lost flight {CRASHED[0]:g} m; * differs from {OURS} with the"
-    )
-    title += f" same remedies (p < {ALPHA:g}, permutations paired by ellipse, Holm over {len(pairs)})"
+    title = f"RMSE (m), mean over ellipses [95 % interval], a lost flight {CRASHED[0]:g} m; * differs from {OURS} with"
+    title += f" the same remedies (p < {ALPHA:g}, permutations paired by ellipse, Holm over {len(pairs)})"
     lines = [[TITLES.get(world, world), *(text(name, world) for name in names)] for world in worlds]
     return Table(["condition", *names], lines, title)
 
