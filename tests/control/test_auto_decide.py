@@ -39,8 +39,8 @@ def test_an_age_acts_once_it_is_sure_for_some_decisions():
 def test_an_age_that_is_plain_acts_at_once():
     """By attitude and rates alone, before there is other evidence; and it stays while the evidence does."""
     decision = Decision()
-    assert decision.begin(Senses(), 0.05, PLAIN - 1).age == 0.0
-    began = decision.begin(Senses(), 0.05, PLAIN + 1)
+    assert decision.at_once(0.05, PLAIN - 1).age == 0.0
+    began = decision.at_once(0.05, PLAIN + 1)
     assert (began.age, began.fresh) == (0.05, True)
     assert decision.take(evidence(age=0.05, late=SURE + 1), Senses(), 0.6).age == 0.05
     fresh = evidence(age=0.05, late=PLAIN + 1)._replace(fresh=True)
