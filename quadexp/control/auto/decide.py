@@ -95,11 +95,15 @@ class Decision:
         """Nothing is acted on."""
         self.acting, self._certain = Acting(), 0
 
-    def begin(self, senses: Senses, age: float = 0.0, late: float = 0.0) -> Acting:
-        """What to act on where no more is known of delays than an age by attitude and rates (s), and its log odds."""
-        self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
-        if late > PLAIN and age > LEAST_AGE:
+    def at_once(self, age: float, late: float) -> Acting:
+        """What to act on where nothing is known but an age by attitude and rates (s), and its log odds."""
+        if late > PLAIN and age > LEAST_AGE and not self.acting.age:
             self.acting, self._certain = replace(self.acting, age=age, fresh=True), CERTAIN
+        return self.acting
+
+    def begin(self, senses: Senses) -> Acting:
+        """What to act on where nothing is known of the delays yet."""
+        self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
         return self.acting
 
     def take(self, evidence: Evidence, senses: Senses, time: float) -> Acting:
