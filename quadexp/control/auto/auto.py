@@ -173,8 +173,8 @@ class Auto(WrappedController):
         torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
         (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
         pushes = float(away[:2].max()), float(away[2]), torque
-        velocity = part("x")[VELOCITY].copy()
-        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity)
+        velocity, swing = part("x")[VELOCITY].copy(), float(part("sent")[2::3].std())
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity, swing)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""

@@ -27,6 +27,7 @@ LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the
 TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of the torque
 STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the observer's own settings
 UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
+SWING = 10.0  # m/s^2: where thrusts swing by more, a scale of theirs would look like a force that jumps with them
 SLOW = 3.0  # rad/s, of a force then
 DEVIATIONS = (*(f"wind_{axis}_sd" for axis in "xyz"), "force_sd", "thrust_scale_sd")  # m/s, N, 1
 UNKNOWN = np.full(len(DEVIATIONS), np.nan)
@@ -96,7 +97,8 @@ class ForceFollowing:
         config, (lateral, vertical, torque) = self.config, acting.push
         shown, first = lateral or vertical, not (before.push[0] or before.push[1])
         by_noise = float((senses.walk / np.maximum(senses.reading, 1e-3)).max()) / math.sqrt(self._period)
-        bandwidth = min(config.force_bandwidth / (1 + 15 * LIFT * senses.attitude), max(by_noise, 1e-3))
+        most = config.force_bandwidth / (1 + 15 * LIFT * senses.attitude + max(senses.swing - SWING, 0.0) / SWING)
+        bandwidth = min(most, max(by_noise, 1e-3))
         config = replace(
             config,
             force_bandwidth=bandwidth if acting.timed else min(bandwidth, SLOW),
