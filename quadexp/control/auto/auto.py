@@ -35,6 +35,7 @@ from quadexp.physics.state import N_STATE, VELOCITY
 DECIDES = 0.2  # s, between decisions
 LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
+INEXACT = 0.03  # of a delay: motors lag up and down unlike, and messages take unlike times
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
@@ -155,7 +156,8 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        known = (*evidence.mean, *np.hypot(evidence.deviation, self._inertial_age))
+        inexact = np.hypot(INEXACT * evidence.mean, self._inertial_age)
+        known = (*evidence.mean, *np.hypot(evidence.deviation, inexact))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
