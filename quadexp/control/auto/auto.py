@@ -41,6 +41,7 @@ from quadexp.physics.state import N_STATE, VELOCITY
 
 LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
+INEXACT = 0.03  # of a delay: motors lag up and down unlike, and messages take unlike times
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
@@ -170,7 +171,8 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        known = (*evidence.mean, *np.hypot(evidence.deviation, self._inertial_age))
+        inexact = np.hypot(INEXACT * evidence.mean, self._inertial_age)
+        known = (*evidence.mean, *np.hypot(evidence.deviation, inexact))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
@@ -194,8 +196,8 @@ class Auto(WrappedController):
         torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
         (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
         pushes = float(away[:2].max()), float(away[2]), torque
-        velocity = part("x")[VELOCITY].copy()
-        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity)
+        velocity, swing = part("x")[VELOCITY].copy(), float(part("sent")[2::3].std())
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity, swing)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""
