@@ -50,12 +50,7 @@ def test_published_data():
 
 @pytest.mark.parametrize(
     ("experiment", "feasible", "others"),
-    [
-        ("sun", True, 20 * 4),
-        ("sun_infeasible", False, 2),
-        ("sun_ours", True, 20 * 5 + 3),
-        ("sun_equal", True, 80),
-    ],
+    [("sun", True, 20 * 4), ("sun_infeasible", False, 2), ("sun_ours", True, 20 * 5 + 3), ("sun_equal", True, 80)],
 )
 def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, others):
     with session() as composer:
