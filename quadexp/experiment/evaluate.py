@@ -12,7 +12,14 @@ import numpy as np
 
 import quadexp
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, check_remedies
+from quadexp.experiment.build import (
+    build_controller,
+    build_trajectory,
+    build_vehicle,
+    build_world,
+    check_remedies,
+    keep,
+)
 from quadexp.experiment.identity import ModelFile, digest, find_model, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.schema import Flight
@@ -36,9 +43,9 @@ class InfeasibleError(UsageError):
     """The reference exceeds the vehicle's total thrust, or the plant's lag what the loop tolerates."""
 
 
-def generator(config: Config) -> np.random.Generator:
+def generator(config: Config, record: dict[str, Any] | None = None) -> np.random.Generator:
     """Random generator of a flight: the same for every controller on one trajectory, plant, vehicle and seed."""
-    return np.random.default_rng(np.random.SeedSequence(flight_entropy(config)))
+    return np.random.default_rng(np.random.SeedSequence(flight_entropy(config, record)))
 
 
 def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
@@ -200,18 +207,26 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     model = model or find_model(config)
     vehicle = build_vehicle(config.vehicle)
     trajectory = build_trajectory(config.trajectory, vehicle)
-    note = check_feasible(config, trajectory, vehicle)
-    loop = build_loop(config, model)
-    controller = loop.controller
     known = config.trajectory.shipped and not hasattr(config.trajectory, "path")  # another file may lie there
     path_digest = digest([config.trajectory.recorded(), vehicle.fingerprint]) if known else ""
+    beside = [vehicle.name, config.plant.recorded(), getattr(config.ground, "height", 0.0)]  # what a note names too
+
+    def check() -> str:
+        return check_feasible(config, trajectory, vehicle)
+
+    note = keep(["path", path_digest, *beside], check) if known else check()
+    loop = build_loop(config, model)
+    controller = loop.controller
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
     metadata = describe(config, vehicle, model)
-    flight = loop.fly(trajectory, generator(config), digest=path_digest, metadata=metadata, **limits)
+    flight = loop.fly(
+        trajectory, generator(config, metadata["config"]), digest=path_digest, metadata=metadata, **limits
+    )
     residual = {"name": controller.name, "source": controller.source}
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
     flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins, timing=timing)
+    flight.metadata["lacking"] = list(getattr(controller, "lacking", ()))
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight
@@ -304,13 +319,16 @@ def failed_row(config: Config, model: ModelFile | None, cause: str, outcome: str
 
 
 def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) -> dict[str, Any]:
-    """Fly one cell of a sweep, write it to `path`, and return its row."""
+    """Fly one cell of a sweep, write it to `path`, and return its row.
+
+    The disk may hold the file later; what a power cut takes of it, its hash shows.
+    """
     try:
         flight = fly_one(config, model)
     except InfeasibleError as error:
         flight = infeasible_flight(config, model, str(error))
     flight.metadata["row"]["key"] = key
-    write_flight(Path(path), _thinned(flight, config.evaluate.log_period), key=key)
+    write_flight(Path(path), _thinned(flight, config.evaluate.log_period), key=key, durable=False)
     return flight.metadata["row"]
 
 

@@ -114,7 +114,8 @@ def heading_error(flight: Flight) -> np.ndarray:
 def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> float:
     """Share of the samples in which at least one rotor is commanded to a limit."""
     margin = SATURATION_MARGIN * (thrust_max - thrust_min)
-    at_limit = (flight.input <= thrust_min + margin) | (flight.input >= thrust_max - margin)
+    thrust = flight.input
+    at_limit = (thrust <= thrust_min + margin) | (thrust >= thrust_max - margin)
     return float(at_limit.any(axis=1).mean())
 
 

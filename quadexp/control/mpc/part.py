@@ -29,7 +29,7 @@ class PredictivePart(MPCSettings, ControllerPart):
         from quadexp.control.mpc.mpc import ModelPredictiveController
 
         residual = self.model(given)
-        if any(one.scales_air for one in given.remedies):
+        if any(one.scales_air(given) for one in given.remedies):
             from quadexp.models.residual import scaled_residual
 
             residual = scaled_residual(residual)
