@@ -37,10 +37,11 @@ from quadexp.control.observers.observer import air_of, parameters_of
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet
-from quadexp.physics.state import N_STATE
+from quadexp.physics.state import N_STATE, VELOCITY
 
 LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
+INEXACT = 0.03  # of a delay: motors lag up and down unlike, and messages take unlike times
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
@@ -72,8 +73,11 @@ class Auto(WrappedController):
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
         rate, attitude = (0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
+        inertial = (sensor.delay for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
+        self._inertial_age = sum(age or 0.0 for age in inertial)  # by which age and delays cannot be told apart
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
+        self._sheet = sheet
         self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, (rate, attitude))
         self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
         self._begins = np.ones(1)  # whether there is no other evidence yet
@@ -132,6 +136,17 @@ class Auto(WrappedController):
         """What stands behind it."""
         return [*self._bank.after(told, state, command), *self._commands.after(command)]
 
+    @property
+    def lacking(self) -> list[str]:
+        """What it lacks here, and what that leaves undone; a line each."""
+        missing = {
+            "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
+            "no exact and prompt speeds of rotors: thrusts follow from the commands": not self._turns,
+            "a law that takes no belief: a late state alone is made good": not self._observer,
+            "no drag in the model that shows a wind: it is a force": isinstance(self._observer, ForceFollowing),
+        }
+        return [line for line, holds in missing.items() if holds]
+
     def log(self) -> dict[str, float]:
         """See Controller.log."""
         return {**self.inner.log(), **dict(zip(COLUMNS, self._beliefs.tolist(), strict=True))}
@@ -156,7 +171,8 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        known = (*evidence.mean, *evidence.deviation)
+        inexact = np.hypot(INEXACT * evidence.mean, self._inertial_age)
+        known = (*evidence.mean, *np.hypot(evidence.deviation, inexact))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
@@ -180,7 +196,8 @@ class Auto(WrappedController):
         torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
         (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
         pushes = float(away[:2].max()), float(away[2]), torque
-        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist)
+        velocity, swing = part("x")[VELOCITY].copy(), float(part("sent")[2::3].std())
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity, swing)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""

@@ -17,6 +17,9 @@ gives to the last commands (control.delivered) or to the last readings:
 One matrix G of each filter has the sum of squares of every hypothesis, those between the points of a grid included. phi
 moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
 are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
+
+Where in a period a reading jumped by df is not known, nor so the attitude that it belongs to: while the vehicle turns,
+an innovation of the velocity is off by up to e = T^2 |w| |df| / 8, and counts by s^2 / (s^2 + e^2), s = INEXACT.
 """
 
 from __future__ import annotations
@@ -44,6 +47,7 @@ PERIOD = 0.01  # s, about: of the bank, a whole multiple of the control period
 AGE, DEAD_TIME, LAG = 0.06, 0.06, 0.064  # s, the largest hypotheses
 SPINS = tuple(pairs((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0)))  # rad/s of a reading, rad/s^2 of b in a root of a second
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
+INEXACT = 0.0005  # m/s: an innovation of the velocity that is surely off by more counts less
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
 LEAST_TURN, LEAST_ATTITUDE = 3e-4, 1e-5  # rad/s of a reading of the gyroscope, rad of a told attitude
 SUMMED = "memory", "sums", "speed_sums", "turn_sums"
@@ -64,7 +68,7 @@ class Layout:
         channels, speed = 2 * len(SPINS), 3 * self.columns * len(SPEEDS)
         sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
         sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
-        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
+        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS), "speed_count": 1}
         sizes |= {"rates": 3 * self.readings, "turn": 3 * self.columns}
         sizes |= sense_sizes()
         ends = [*accumulate(sizes.values())]
@@ -252,6 +256,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     turned = rotation_matrix(q / ca.norm_2(q))
     drive = ca.horzcat(ca.vertcat(0, 0, -vehicle.gravity), ca.mtimes(turned, forces), turned)
     speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
+    jumped = ca.sqrt(ca.mmax(ca.sum1((forces[:, 1:] - forces[:, :-1]) ** 2)))
+    share = INEXACT**2 / (INEXACT**2 + (period**2 / 8 * ca.norm_2(w) * jumped) ** 2)
     for state, before, G, noise in zip(
         speed,
         ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns),
@@ -265,7 +271,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
         into = ca.horzcat(nu[:, 0], -nu[:, 1:])
         speed_next.append(predicted + P / (P + 1) * into)
-        nus.append(ca.mtimes(R[:, :2].T, nu))
+        nus.append(ca.sqrt(share) * ca.mtimes(R[:, :2].T, nu))
         z = ca.horzcat(nus[-1], before)
         speed_sums.append(G + counts * ca.mtimes(z.T, z))
 
@@ -284,7 +290,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
     now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
     now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
-    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), "rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
+    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), "speed_count": kept["speed_count"] + counts * share}
+    now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
     results = [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums), turn_sums]
     return ca.Function("bank", [*a.values()], results, [*a], [f"{name}_next" for name in SUMMED])

@@ -54,7 +54,8 @@ class Senses:
     """What is measured beside the delays, see senses.py. away: deviations of the lateral push, the vertical one and the
     torque from zero. walk: of the push, (3,) (m/s^2 in a root of a second). reading: deviation of a reading from the
     model, (3,) (m/s^2). position (m), attitude (rad), rate (rad/s): of the told state. twist: walk of the torque
-    (rad/s^2 in a root of a second)."""
+    (rad/s^2 in a root of a second). velocity: that is told, (3,) (m/s). swing: deviation of the last thrusts over
+    the mass (m/s^2)."""
 
     away: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -63,6 +64,8 @@ class Senses:
     attitude: float = 0.0
     rate: float = 0.0
     twist: float = 0.0
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    swing: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ class AutoPart(Remedy):
 
     prefix = "delay."
     believes = True
-    finds_delays = True
 
     def scales_air(self, given: Given) -> bool:
         """See Remedy."""

@@ -173,7 +173,8 @@ class Posterior:
         """Log likelihood of ages (a,), and what it is worth where nothing else tells the age: the share of what an age
         changes that is not noise of the readings. Finds the bias, and with `choose` the likeliest noise."""
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
-        W, n = np.stack([_of_readings(age, bank.period, readings) for age in ages]), 2 * bank.count
+        W = np.stack([_of_readings(age, bank.period, readings) for age in ages])
+        n = 2 * bank.part("speed_count")[0]
         likelihoods, now = {}, _of_readings(0.0, bank.period, readings)
         for i in range(len(SPEEDS)) if choose else [self._speed]:
             squares, even, bias, known = _of_ages(
@@ -188,7 +189,7 @@ class Posterior:
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
         apart = _of_readings(TYPICAL, bank.period, readings) - now
         moved = apart @ G[1 : 1 + readings, 1 : 1 + readings] @ apart
-        by_noise = 3 * bank.count * _of_noise(apart[None], bank.period * bank.noise, SPEEDS[self._speed])[0]
+        by_noise = 1.5 * n * _of_noise(apart[None], bank.period * bank.noise, SPEEDS[self._speed])[0]
         return worth * likelihood, float(max(1 - by_noise / max(moved, 1e-30), 0.0))
 
     def _attitude(self, ages: np.ndarray) -> np.ndarray:

@@ -138,11 +138,6 @@ class BelievedWorld:
         numbers: np.ndarray = self._given["settings"]
         return numbers
 
-    def estimate_by(self, settings: np.ndarray, state: np.ndarray) -> None:
-        """Other settings of the estimator's update, and its state, from the next step on."""
-        self._given["settings"].ravel()[:] = settings
-        self.estimate[:] = state
-
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the
         state (13,) in the array that is returned; the MPC is told of the rest."""
