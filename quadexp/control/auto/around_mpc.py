@@ -44,7 +44,8 @@ class AutoMPC(Auto):
         world.rows = self._rows
         self._by_speeds = isinstance(observer, SpeedFollowing)
         if self._by_speeds:
-            self._earlier = Earlier(N_STATE + 4, later_speeds(sheet), self.control_period)
+            whole = round(later_speeds(sheet) / self.control_period) * self.control_period  # thrusts jump in between
+            self._earlier = Earlier(N_STATE + 4, whole, self.control_period)
             world.seen = self._earlier.then[:N_STATE]
         else:
             world.thrust = self._delivered.thrust

@@ -108,6 +108,7 @@ class SpeedFollowing:
             force_bandwidth=min(FASTEST, STRONGEST / (noise * math.sqrt(period))),
             force_noise=max(noise, DisturbanceObserver.force_noise),
             force_limit=MOST_FORCE,
+            thrust_noise=2 * speeds / math.sqrt(vehicle.n_rotors),
             torque_bandwidth=0.0,
             scale_walk=0.005,
             air_walk=0.01,

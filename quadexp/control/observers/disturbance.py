@@ -48,18 +48,19 @@ from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 N_FORCE_STATE = 7  # a^, v^, P
-N_FORCE_SETTINGS = 8
+N_FORCE_SETTINGS = 9
 
 
 def disturbance_settings(config: DisturbanceObserver, period: float) -> np.ndarray:
     """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variances that the
-    scales of thrust and air gain in a step, gain of what the filter of the scales leaves] and those of the torque."""
+    scales of thrust and air gain in a step, gain of what the filter of the scales leaves, relative variance of the
+    thrust] and those of the torque."""
     z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
     apart = min(config.force_bandwidth, APART) if config.scale_walk or config.air_walk else config.force_bandwidth
     K = 1 - float(np.exp(-apart * period))
     force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, config.force_limit]
     force += [config.scale_walk**2 * period, config.air_walk**2 * period]
-    force.append(1 - z if apart < config.force_bandwidth else 0.0)
+    force += [1 - z if apart < config.force_bandwidth else 0.0, config.thrust_noise**2]
     return np.array(force + torque_settings(config.torque_bandwidth, config.torque_limit, period))
 
 
@@ -76,13 +77,13 @@ def disturbance_function(
     y, slope = model(body_features(x, a["thrust"]), a["theta"][: model.size1_in(1)])
     y = ca.densify(y)
     force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
-    q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest = ca.vertsplit(settings[:N_FORCE_SETTINGS])
+    q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
     known: Any = ca.vertcat(0, 0, thrust) + y[:3]
     if scaled:
         by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
         unexplained, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
         drag, walks = ca.mtimes(R, y[:3]), ca.vertcat(q, scale_walk, air_walk)
-        scaled_state, P, rest = scaled_force_update(s[:first], unexplained, turned, drag, walks, r, for_rest)
+        scaled_state, P, rest = scaled_force_update(s[:first], unexplained, turned, drag, walks, r, for_rest, doubt)
         force, scale, air = scaled_state[:3] + rest, 1 + scaled_state[3], 1 + scaled_state[4]
     elif velocity:
         mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
@@ -123,6 +124,7 @@ class DisturbanceObserver(ObserverPart):
         0.0, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
     )
     scale_initial: float = key(0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    thrust_noise: float = key(0.0, "relative standard deviation of the thrust that is measured", "[0, 1]")
     air_walk: float = key(0.0, "likewise of the scale of the air's force; 0: not estimated", "[0, 10]")
     air_initial: float = key(1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]")
 

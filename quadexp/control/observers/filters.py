@@ -22,6 +22,10 @@ known, and it is shared by how much each is thought to change (P).
 A force that sets in at once is no random walk, and is not to be learned as a scale: where the innovation nu is beyond
 what is expected, nu' S^-1 nu > SURPRISE^2, the scales follow it that much less. P is that of the gain in use.
 
+Noise of the thrust, of relative variance n, is in y and, the other way round, in h: K (y - H x) contains on average
+-P e_k n (1 + k) h' S^-1 h, which would pull k towards -1 where little else moves h. It is added back,
+to first order.
+
 However fast the estimated force is, the filter believes in one of APART at most: a faster one takes the noise of the
 readings for forces, the controller answers them with thrust, and what it answered with is taken for a scale. What the
 filter leaves of y goes through a low pass of the whole bandwidth, e^ += gain (y - H [a, k, c] - e^); a^ + e^ is told.
@@ -76,12 +80,19 @@ SURPRISE = 4.0
 
 
 def scaled_force_update(
-    s: Expression, y: Expression, h: Expression, g: Expression, walks: Expression, noise: Expression, gain: Expression
+    s: Expression,
+    y: Expression,
+    h: Expression,
+    g: Expression,
+    walks: Expression,
+    noise: Expression,
+    gain: Expression,
+    doubt: Expression,
 ) -> tuple[Expression, Expression, Expression]:
     """[a (m/s^2), k, c], (5,), P, (25,), and e^, (3,).
 
     s: the three of the last step. y, h, g: (3,), world (m/s^2). walks: variances that a, k and c gain in a step, (3,).
-    noise: variance r of a reading. gain: of the low pass.
+    noise: variance r of a reading. gain: of the low pass. doubt: n, relative variance of the thrust.
     """
     estimate, P, fast = ca.vertsplit(s, [0, N_SCALED, N_SCALED + N_SCALED**2, N_SCALED_STATE])
     P = ca.reshape(P, N_SCALED, N_SCALED)
@@ -92,7 +103,8 @@ def scaled_force_update(
     surprise = ca.mtimes([error.T, inverted, error])
     trust = ca.fmin(1, SURPRISE / ca.sqrt(surprise + 1e-12))
     K = ca.mtimes([ca.diag(ca.vertcat(1, 1, 1, trust, trust)), P, H.T, inverted])
-    estimate = estimate + ca.mtimes(K, error)
+    mended = doubt * (1 + estimate[3]) * ca.mtimes([h.T, inverted, h]) * P[:, 3]
+    estimate = estimate + ca.mtimes(K, error) + ca.vertcat(1, 1, 1, trust, trust) * mended
     reduction = ca.DM.eye(N_SCALED) - ca.mtimes(K, H)
     P = ca.mtimes([reduction, P, reduction.T]) + noise * ca.mtimes(K, K.T)  # Joseph's form
     scales = [ca.fmin(ca.fmax(estimate[3 + i], low), high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
