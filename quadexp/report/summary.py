@@ -117,19 +117,6 @@ def world_note(margins: Mapping[str, Any]) -> str:
     return f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s"
 
 
-def delays_note(columns: Mapping[str, Any]) -> str:
-    """What delay=identified found in a flight, and how the controller flew until then; "" of other flights."""
-    if "delay_known" not in columns:
-        return ""
-    soft = "the published grid with soft weights"
-    known = columns["t"][columns["delay_known"] != 0]
-    if not len(known):
-        return f"the delays were not all found in this flight: {soft} flew"
-    names = {"delay_time": "state", "delay_dead_time": "commands", "delay_lag": "motors"}
-    delays = ", ".join(f"{word} {_milliseconds(float(columns[name][-1]))}" for name, word in names.items())
-    return f"delays found in flight: {delays}; {soft} flew until t={known[0]:.2f} s"
-
-
 def _milliseconds(time: float) -> str:
     return "over 500 ms" if time > LONG else f"{1e3 * time:.0f} ms"
 

@@ -19,7 +19,14 @@ import numpy as np
 from quadexp.control.auto.ahead import LARGEST, Ahead
 from quadexp.control.auto.bank import SPINS, Bank
 from quadexp.control.auto.decide import GATE, Acting, Decision, Senses
-from quadexp.control.auto.following import DEVIATIONS, UNKNOWN, ForceFollowing, WindFollowing
+from quadexp.control.auto.following import (
+    DEVIATIONS,
+    LEAST_NOISE,
+    UNKNOWN,
+    ForceFollowing,
+    SpeedFollowing,
+    WindFollowing,
+)
 from quadexp.control.auto.posterior import Posterior
 from quadexp.control.auto.senses import WALKS
 from quadexp.control.base import Controller, Window
@@ -32,8 +39,7 @@ from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE, VELOCITY
 
-DECIDES = 0.2  # s, between decisions
-LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
+LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
 INEXACT = 0.03  # of a delay: motors lag up and down unlike, and messages take unlike times
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
@@ -58,7 +64,7 @@ class Auto(WrappedController):
 
     def __init__(
         self, inner: Controller, core: Any, sheet: SensorSheet, residual: Residual, believed: dict[str, np.ndarray],
-        observer: WindFollowing | ForceFollowing | None, commands: SentCommands,
+        observer: WindFollowing | SpeedFollowing | ForceFollowing | None, commands: SentCommands,
     ) -> None:  # fmt: skip
         super().__init__(inner)
         self._core, self._observer, vehicle, period = core, observer, inner.vehicle, self.control_period
@@ -66,13 +72,15 @@ class Auto(WrappedController):
         self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
+        rate, attitude = (0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
         inertial = (sensor.delay for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
         self._inertial_age = sum(age or 0.0 for age in inertial)  # by which age and delays cannot be told apart
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
         self._sheet = sheet
-        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
-        self._decides = round(DECIDES / self._bank.period)
+        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, (rate, attitude))
+        self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
+        self._begins = np.ones(1)  # whether there is no other evidence yet
         self._posterior, self._decision = Posterior(self._bank), Decision()
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
@@ -101,7 +109,7 @@ class Auto(WrappedController):
         self._decision.reset()
         self._bank.weights[...] = self._posterior.weights(*self._posterior.best)
         self._beliefs[...], self._minus_bias[...] = NOTHING_KNOWN, 0.0
-        self._time = self._again = 0.0
+        self._time, self._again, self._begins[0] = 0.0, 0.0, 1.0
         self._observe(Acting(), Acting(), Senses())
 
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], Told, np.ndarray]:
@@ -109,11 +117,18 @@ class Auto(WrappedController):
         inside = copying.copy(told)
         inside.force = self._unbiased
         inside.turning = told.turning if self._turns else np.zeros(1)
+        look = python(self._look, self._begins)._replace(every=self._looks * self._bank.every)
         decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)
         now = np.zeros(N_STATE)
-        operations = [decide, Operation("add", self._unbiased, told.force, self._minus_bias), *predicted, *propagated]
+        operations = [
+            look,
+            decide,
+            Operation("add", self._unbiased, told.force, self._minus_bias),
+            *predicted,
+            *propagated,
+        ]
         operations += [copy(now, by_model), copy(now, by_readings, self._fresh)]
         return operations, inside, now
 
@@ -144,7 +159,7 @@ class Auto(WrappedController):
         if bank.count < self._decides or self._time < self._again:
             self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
             return
-        self._again = self._time * LATER
+        self._again, self._begins[0] = self._time * LATER, 0.0
         evidence = self._posterior.evidence()
         acting = self._decision.take(evidence, senses, self._time)
         late = 0.0 if evidence.fresh else evidence.mean[0]
@@ -161,6 +176,12 @@ class Auto(WrappedController):
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
+
+    def _look(self) -> None:
+        """Act on an age that attitude and rates show before there is other evidence."""
+        before = self._decision.acting
+        if self._bank.turns and self._decision.at_once(*self._posterior.early()) != before:
+            self._use(self._decision.acting)
 
     def _senses(self) -> Senses:
         """What the bank has measured beside the delays."""

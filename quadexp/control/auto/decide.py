@@ -21,6 +21,7 @@ from quadexp.control.auto.posterior import Evidence
 from quadexp.control.mpc.settings import MPCSettings
 
 SURE, CERTAIN, LEAST_AGE = 4.0, 3, 0.001  # log odds, decisions, s
+PLAIN = 8.0  # log odds of an age by attitude and rates that acts at once
 LIKELY = 2.0  # log odds
 GATE = 5.0  # deviations
 SURELY_TIMED = 0.005  # s
@@ -43,7 +44,8 @@ def grids(settings: MPCSettings) -> list[MPCSettings]:
     for first, horizon, weight, _ in GRIDS:
         first = max(first, settings.control_period) if first else 0.0
         longer = max(horizon, settings.nodes * max(first, settings.control_period))
-        of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=(weight,) * 3))
+        x, y, z = (max(weight, asked) for asked in settings.position_weight)
+        of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=(x, y, z)))
     return of_grids
 
 
@@ -95,6 +97,12 @@ class Decision:
         """Nothing is acted on."""
         self.acting, self._certain = Acting(), 0
 
+    def at_once(self, age: float, late: float) -> Acting:
+        """What to act on where nothing is known but an age by attitude and rates (s), and its log odds."""
+        if late > PLAIN and age > LEAST_AGE and not self.acting.age:
+            self.acting, self._certain = replace(self.acting, age=age, fresh=True), CERTAIN
+        return self.acting
+
     def begin(self, senses: Senses) -> Acting:
         """What to act on where nothing is known of the delays yet."""
         self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
@@ -105,7 +113,8 @@ class Decision:
         before = self.acting
         age, total, lag = evidence.mean
         sd_age, sd_total, _ = evidence.deviation
-        self._certain = self._certain + 1 if evidence.late > SURE else 0
+        at_once = CERTAIN if evidence.fresh and evidence.late > PLAIN else 1
+        self._certain = self._certain + at_once if evidence.late > SURE else 0
         age = float(age) if self._certain >= CERTAIN and age > LEAST_AGE else 0.0
         acts = evidence.slow > LIKELY
         dead_time, lag = (float(max(total - lag, 0.0)), float(min(lag, total))) if acts else (0.0, 0.0)

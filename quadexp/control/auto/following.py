@@ -21,9 +21,11 @@ from quadexp.control.auto.decide import Acting, Senses
 from quadexp.control.auto.posterior import SCALE
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.disturbance import DisturbanceObserver, disturbance_settings
+from quadexp.control.observers.filters import N_SCALED
 from quadexp.control.observers.observer import air_of, parameters_of
 from quadexp.control.observers.wind import N_AIR, WindObserver, wind_bandwidth, wind_settings
 from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.physics.vehicle import Vehicle
 
 LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the acceleration
 TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of the torque
@@ -31,6 +33,10 @@ STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the ob
 UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
 SWING = 10.0  # m/s^2: where thrusts swing by more, a scale of theirs would look like a force that jumps with them
 SLOW = 3.0  # rad/s, of a force then
+LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
+# Where rotor speeds are told: readings of them in a second, the largest bandwidth of the force (rad/s), its walk (m/s^2
+# in a root of a second), and the largest one over the mass (m/s^2)
+LEAST_RATE, FASTEST, STRONGEST, MOST_FORCE = 100.0, 100.0, 1.5, 50.0
 DEVIATIONS = (*(f"wind_{axis}_sd" for axis in "xyz"), "force_sd", "thrust_scale_sd")  # m/s, N, 1
 UNKNOWN = np.full(len(DEVIATIONS), np.nan)
 
@@ -87,6 +93,45 @@ class WindFollowing:
         return np.array([*np.hypot(known[:3], by_thrust + math.hypot(self._offset, by_drag)), np.nan, known[3]])
 
 
+class SpeedFollowing:
+    """Of the force and the scales of thrust and air, where rotor speeds tell the thrusts, so that no time of commands
+    has to be known; torques are left to INDI. Believed from the first reading on, as far as its noise lets it."""
+
+    def __init__(self, vehicle: Vehicle, sheet: SensorSheet, period: float) -> None:
+        accelerometer, speeds, attitude = (
+            0.0 if sensor is None else sensor.noise
+            for sensor in (sheet.accelerometer, sheet.rotor_speed, sheet.attitude)
+        )
+        thrust = 2 * speeds * vehicle.gravity / math.sqrt(vehicle.n_rotors)
+        noise = math.hypot(max(accelerometer, LEAST_NOISE), thrust, LIFT * attitude)
+        config = DisturbanceObserver(
+            force_bandwidth=min(FASTEST, STRONGEST / (noise * math.sqrt(period))),
+            force_noise=max(noise, DisturbanceObserver.force_noise),
+            force_limit=MOST_FORCE,
+            torque_bandwidth=0.0,
+            scale_walk=0.005,
+            air_walk=0.01,
+        )
+        self.around, self._mass = config.around, vehicle.mass
+        self._settings = disturbance_settings(config, period)
+
+    def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
+        """See WindFollowing."""
+        return self._settings
+
+    def deviations(self, estimate: np.ndarray) -> np.ndarray:
+        """See WindFollowing."""
+        variances = np.maximum(estimate[N_SCALED : N_SCALED + N_SCALED**2 : N_SCALED + 1], 0.0)
+        force = self._mass * math.sqrt(variances[:3].max())
+        return np.array([np.nan, np.nan, np.nan, force, math.sqrt(variances[3])])
+
+
+def speeds_tell(vehicle: Vehicle, sheet: SensorSheet) -> bool:
+    """Whether the speeds of all rotors are told, often enough, and what thrusts they are."""
+    speeds = sheet.rotor_speed
+    return speeds is not None and vehicle.thrust_coefficient is not None and not 0 < speeds.rate < LEAST_RATE
+
+
 class ForceFollowing:
     """Of the force alone. mass: kg. offset: of readings (m/s^2)."""
 
@@ -135,8 +180,10 @@ def torque_bandwidth(most: float, acting: Acting, senses: Senses) -> float:
     return min(most, senses.twist / TWIST) / (1 + 40 * senses.rate * (senses.rate > 0.001))
 
 
-def following(core: Any, sheet: SensorSheet) -> WindFollowing | ForceFollowing:
+def following(core: Any, sheet: SensorSheet) -> WindFollowing | SpeedFollowing | ForceFollowing:
     """The observer for a controller."""
+    if isinstance(core, PredictiveController) and speeds_tell(core.vehicle, sheet):
+        return SpeedFollowing(core.vehicle, sheet, core.control_period)
     drift = (0.0 if sensor is None else sensor.drift for sensor in (sheet.accelerometer, sheet.attitude))
     by_reading, by_attitude = drift
     offset = math.hypot(by_reading, LIFT * by_attitude)
