@@ -90,11 +90,12 @@ def _of_size(config: Config) -> list[str]:
 
 
 def _flyable(settings: list[str]) -> bool:
-    """Whether the path is within the thrust of the true vehicle."""
+    """Whether the path is within the thrust of the vehicle that is believed and of the true one."""
     config = compose(settings, EXAMPLES)
     vehicle = build_vehicle(config.vehicle)
     try:
-        check_feasible(config, build_trajectory(config.trajectory, vehicle), config.truth.true_vehicle(vehicle))
+        for flies in (vehicle, config.truth.true_vehicle(vehicle)):
+            check_feasible(config, build_trajectory(config.trajectory, vehicle), flies)
     except InfeasibleError:
         return False
     return True

@@ -139,9 +139,10 @@ class Auto(WrappedController):
     @property
     def lacking(self) -> list[str]:
         """What it lacks here, and what that leaves undone; a line each."""
+        by_speeds = self._turns or isinstance(self._observer, SpeedFollowing)
         missing = {
             "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
-            "no exact and prompt speeds of rotors: thrusts follow from the commands": not self._turns,
+            "no speeds of rotors that tell thrusts: these follow from the commands": not by_speeds,
             "a law that takes no belief: a late state alone is made good": not self._observer,
             "no drag in the model that shows a wind: it is a force": isinstance(self._observer, ForceFollowing),
         }
