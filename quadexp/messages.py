@@ -8,7 +8,7 @@ its format, and each gives one line, one cell or one word, whatever the text was
     markdown        text within a line, or a cell of a table
     latex           text or a cell of LaTeX
     csv_line        a row of CSV, with no formula
-    html, script    text and values of attributes in HTML and SVG; JSON within <script>
+    html            text and values of attributes in HTML and SVG
     yaml            a value of YAML
     shlex.quote     a word of a command
 
@@ -90,11 +90,6 @@ def _csv_cell(value: Any) -> str:
 def html(text: object) -> str:
     """Text, or the value of an attribute in quotes, of HTML and SVG."""
     return markup.escape(clean(str(text)).encode(errors="backslashreplace").decode())
-
-
-def script(value: Any) -> str:
-    """JSON to stand within <script>."""
-    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def yaml(value: Any) -> str:

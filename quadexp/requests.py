@@ -90,7 +90,7 @@ def simulate(
     from quadexp.experiment.identity import unused_model
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import compose
-    from quadexp.report.summary import delays_note, world_note
+    from quadexp.report.summary import world_note
 
     if out is not None and out.suffix in FOREIGN:
         parquet = out.with_suffix(".parquet")
@@ -105,7 +105,7 @@ def simulate(
     if path is not None:
         write_flight(path, flight, force=force)
     about = flight.metadata
-    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"]), delays_note(flight.columns)]
+    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"])]
     return Flown(flight, path, [note for note in notes if note])
 
 

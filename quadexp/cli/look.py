@@ -298,7 +298,7 @@ def report(
     baseline: Annotated[str | None, Ask("Controller to compare the others with.", "CONTROLLER")] = None,
     force: Force = False,
 ) -> Answer:
-    """Write a comparison as one page that opens without a network: answer, tables, figures, replay, provenance.
+    """Write a comparison as one page that opens without a network: answer, tables, figures, provenance.
 
     \b
     quadexp report results/table1 --out report.html

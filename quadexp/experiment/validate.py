@@ -8,9 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from msgspec.structs import replace as with_changes
-
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.vehicle_of import refuse_repeated
@@ -19,9 +16,8 @@ from quadexp.log.store import read_flight
 from quadexp.models import validation
 from quadexp.models.checkpoint import load_model
 from quadexp.models.recorded import recorded_dataset
-from quadexp.models.samples import FlightRows, gather, read_rows
+from quadexp.models.samples import FlightRows, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.torque import TorqueModel, explained, torque_lines
 from quadexp.models.validation import Predictor, Track
 from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
 from quadexp.parts.schema import Config
@@ -61,13 +57,11 @@ def validate(
     folds = [[name] for name in flown] if leave_one_out else [list(flown)]
     by_predictor: dict[str, list[tuple[Predictor, FlightRows]]] = {}
     notes: list[str] = []
-    torques: list[str] = []
     for done, tested in enumerate(folds):
         progress(done, len(folds))
         others = {name: flight for name, flight in flown.items() if name not in tested}
         chosen = refitted(loaded, others, vehicle) if leave_one_out else loaded
-        used, lines = _torque_tested(_predictors(chosen, vehicle), [flown[name] for name in tested], tested, vehicle)
-        torques += [f"{tested[0]}: {line}" if leave_one_out else line for line in lines]
+        used = _predictors(chosen, vehicle)
         rows = [read_rows(flown[name], name, used[0].curve.signal, used[0].curve.delay) for name in tested]
         for predictor in used:
             by_predictor.setdefault(predictor.name, []).extend((predictor, of_flight) for of_flight in rows)
@@ -82,7 +76,7 @@ def validate(
         "nominal": None if leave_one_out else str(used[0].curve),
         "rows": validation.score_rows(scored), "bands": validation.band_rows(scored),
         "rollouts": [row for predicted in by_predictor.values() for row in _rollouts(predicted, horizons, vehicle)],
-        "torque": torques, "notes": list(dict.fromkeys(notes)), "versions": versions(), "provenance": provenance(),
+        "notes": list(dict.fromkeys(notes)), "versions": versions(), "provenance": provenance(),
     }  # fmt: skip
     from quadexp.report.model_lines import validation_lines
 
@@ -101,44 +95,16 @@ def validate(
 def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Predictor]:
     """All predictors, nominal first, with unique names where several identified vehicles are compared."""
     curve: ThrustCurve | None = None
-    torque: TorqueModel | None = None
     all_of_them: list[Predictor] = []
     several = sum(isinstance(model, VehicleModel) for _, model in loaded) > 1
     for label, model in loaded:
         for predictor in validation.predictors(model, label, vehicle, curve):
             prefix = f"{label}: " if several and isinstance(model, VehicleModel) else ""
-            named = replace(predictor, name=f"{prefix}{predictor.name}", torque=predictor.torque or torque)
-            all_of_them.append(named)
+            all_of_them.append(replace(predictor, name=f"{prefix}{predictor.name}"))
         curve = curve or getattr(model, "thrust", None)
-        torque = torque or getattr(model, "torque", None)
     if all(predictor.name != validation.NOMINAL for predictor in all_of_them):
         all_of_them.insert(0, validation.nominal(all_of_them[0].curve, all_of_them[0].seen))
     return all_of_them
-
-
-def _torque_tested(
-    candidates: Sequence[Predictor], flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle
-) -> tuple[list[Predictor], list[str]]:
-    """The predictors with the tested torque models, and lines on these.
-
-    An axis is used if its prediction is better than zero both on data held out of the fit and on these flights.
-    """
-    result: list[Predictor] = []
-    lines: list[str] = []
-    tested: dict[int, TorqueModel] = {}  # by id of the torque model, which several predictors share
-    for predictor in candidates:
-        model = predictor.torque
-        if model is not None and id(model) not in tested:
-            samples = gather(flights, predictor.curve.signal, names).delayed(predictor.curve.delay)
-            share = explained(model, samples, vehicle, predictor.curve)
-            passed = model if share is None else with_changes(model, share_low=np.minimum(model.share_low, share))
-            tested[id(model)] = passed
-            for i, line in enumerate(torque_lines(model)):
-                here = "" if share is None else f"; {100 * share[i]:.0f} % of it here"
-                rejected = model.used[i] and share is not None and share[i] <= 0
-                lines.append(line + here + (": not better than zero, rejected" if rejected else ""))
-        result.append(predictor if model is None else replace(predictor, torque=tested[id(model)]))
-    return result, lines
 
 
 def refitted(
@@ -187,6 +153,5 @@ def _rollouts(
     curves = [predictor.curve for predictor, _ in predicted]
     if all(curve.signal != "thrust_acceleration" and curve.rotors == vehicle.n_rotors for curve in curves):
         for mode in validation.TURNING:
-            turned = [track for track in tracks if mode != "torque" or track.predictor.torque is not None]
-            records += validation.rollout_errors(turned, horizons, tracked=True, vehicle=vehicle, mode=mode)
+            records += validation.rollout_errors(tracks, horizons, tracked=True, vehicle=vehicle, mode=mode)
     return records

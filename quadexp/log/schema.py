@@ -118,6 +118,7 @@ RESULT_COLUMNS: Columns = {
     "outside_data": Column(
         "1", "", "share of samples outside the data of the controller's learned model; NaN without one, or unknown"
     ),
+    "outside_where": Column("", "world", "the longest stretch of them, in s, and the position in its middle, in m"),
 }
 
 # One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.

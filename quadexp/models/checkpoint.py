@@ -66,7 +66,7 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: boo
         kind = payload["kind"]
         if kind not in STORED:
             raise ValueError(f"kind is {str(kind)[:60]!r}, none of {', '.join(STORED)}")
-        model: Model = record_of(_of_schema_1(payload) if schema == 1 else payload, model_class(kind))
+        model: Model = record_of(_today(payload, schema), model_class(kind))
         check_names({"vehicle": model.vehicle}, str(file))
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None
@@ -133,9 +133,12 @@ def _array(kind: type, value: Any) -> np.ndarray:
     return array
 
 
-def _of_schema_1(payload: Any) -> Any:
-    """The payload of an earlier version, which had F as its upper triangle, and a mean function without its kind."""
-    if not isinstance(payload, dict) or payload.get("kind") != "gaussian_process":
+def _today(payload: Any, schema: int) -> Any:
+    """The payload of an earlier version, which had F as its upper triangle and a mean function without its kind (schema
+    1), and vehicles with a fitted torque that nothing flies."""
+    if payload["kind"] == "vehicle_model":
+        return {name: value for name, value in payload.items() if name != "torque"}
+    if schema != 1 or payload["kind"] != "gaussian_process":
         return payload
     outputs = []
     for output in payload["outputs"]:

@@ -12,13 +12,11 @@ Open loop, from many starts over horizons:
 
 attitude   v' = R(t) f_model(R(t)^T v, w(t), a(t)) + g,  p' = v        R, w and the rotors' signal as measured
 held       all 13 states; constant body rates
-torque     all 13 states; angular acceleration by the fitted torque (quadexp.models.torque) with its offset at the
-           start; constant rates on rejected axes
 full       all 13 states of the rigid body (quadexp.physics.rigid_body) under the rotors' thrusts and arms
 
 In all modes the model gives the specific force. "full" needs the thrust of every rotor and uses the vehicle's inertia,
-arms and reaction torques; its attitude drifts with every unmodelled torque, so "held" is the baseline for it and for
-"torque". "attitude" needs no torque model; it uses Heun's method on the samples. A thrust scale tracked up to the start
+arms and reaction torques; its attitude drifts with every unmodelled torque, so "held" is the baseline for it.
+"attitude" needs no torque model; it uses Heun's method on the samples. A thrust scale tracked up to the start
 is held over the prediction. The accelerometer's error (bias, and gravity through its misalignment) does not act on the
 motion: it is estimated as the mean of f - R^T (dv/dt + g) over a flight and subtracted from the model's prediction,
 because the model was fitted to that accelerometer.
@@ -35,7 +33,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
 from quadexp.models.base import Model, outside_shares, rms
 from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
@@ -45,7 +43,6 @@ from quadexp.models.residual import AXES
 from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.torque import TorqueModel, geometric_acceleration, gyroscopic
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import state_derivative
@@ -60,8 +57,7 @@ BANDS = 4
 NOMINAL = "nominal"
 _KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
 LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
-TURNING = ("held", "torque", "full")
-Turning = Callable[[np.ndarray, np.ndarray], np.ndarray]
+TURNING = ("held", "full")
 STARTS = 120  # per flight at most, spread evenly
 POINT, WORLD_VELOCITY = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z")
 Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -73,7 +69,7 @@ class Predictor:
     """name: in tables. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
 
     seen: names of the flights of the fit. ranges: of the fit, see quadexp.models.base. mass: kg, to convert rotor
-    accelerations to the thrusts in the ranges. torque: fitted torque model or None.
+    accelerations to the thrusts in the ranges.
     """
 
     name: str
@@ -82,12 +78,11 @@ class Predictor:
     seen: tuple[str, ...] = ()
     ranges: dict[str, Any] = field(default_factory=dict)
     mass: float = 1.0
-    torque: TorqueModel | None = None
 
 
-def nominal(curve: ThrustCurve, seen: tuple[str, ...] = (), torque: TorqueModel | None = None) -> Predictor:
+def nominal(curve: ThrustCurve, seen: tuple[str, ...] = ()) -> Predictor:
     """The thrust curve only."""
-    return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen, torque=torque)
+    return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen)
 
 
 def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | None) -> list[Predictor]:
@@ -97,14 +92,13 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     """
     seen = tuple(model.dataset.get("names", ()))
     if isinstance(model, VehicleModel):
-        curve, ranges, torque = model.thrust, model.feature_range, model.torque
+        curve, ranges = model.thrust, model.feature_range
 
         def of(terms: TermModel) -> Acceleration:
             return lambda v, w, a: terms.acceleration(v, a)
 
-        return [nominal(curve, seen, torque)] + [
-            Predictor(_KIND_NAMES[kind], curve, of(terms), seen, ranges, torque=torque)
-            for kind, terms in model.models.items()
+        return [nominal(curve, seen)] + [
+            Predictor(_KIND_NAMES[kind], curve, of(terms), seen, ranges) for kind, terms in model.models.items()
         ]
     record = model.dataset.get("thrust")
     thrust = record_of(record, ThrustCurve) if record else curve
@@ -268,23 +262,6 @@ def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: b
     return p, v
 
 
-def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Turning | None:
-    """Angular acceleration (n, 3) (rad/s^2) as a function of samples k (n,) and rates (n, 3); None for mode "full".
-
-    Raises DataError for "torque" where there is no fitted torque.
-    """
-    if mode == "full":
-        return None
-    if mode == "held":
-        return lambda k, w: np.zeros_like(w)
-    if track.predictor.torque is None:
-        raise DataError(f"{track.name}: there is no fitted torque to predict with")
-    model, at = track.predictor.torque, (track.time, track.segment)
-    before, driven = (model.driven(*at, geometric_acceleration(x, vehicle)) for x in (track.rotors, track.ahead))
-    offset = model.tracked_offset(*at, (before + driven) / 2, track.rate, gyroscopic(track.rate, vehicle))[starts]
-    return lambda k, w: np.where(model.used, driven[k] + offset - gyroscopic(w, vehicle), 0.0)
-
-
 def full_rollout(
     track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool, mode: str = "full"
 ) -> np.ndarray:
@@ -294,7 +271,6 @@ def full_rollout(
     """
     x, u, y, h = ca.SX.sym("x", 13), ca.SX.sym("u", vehicle.n_rotors), ca.SX.sym("y", 6), ca.SX.sym("h")
     step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
-    turn = turning(track, mode, vehicle, starts)
     scale = track.scale[starts] if tracked else np.ones(len(starts))
     quaternion = track.rotation[starts].as_quat(scalar_first=True)
     state = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
@@ -308,10 +284,9 @@ def full_rollout(
         correction = track.predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
         thrust = vehicle.mass * scale[:, None] * track.ahead[k]
         torque = np.zeros_like(correction)
-        if turn is not None:  # in place of the geometric torque
+        if mode == "held":  # J w' = 0: what holds w against the rotors' torque and the gyroscopic one
             rate = state[:, RATE]
-            total = (turn(k, rate) + gyroscopic(rate, vehicle)) @ vehicle.inertia_matrix
-            torque = total - thrust @ vehicle.allocation[1:].T
+            torque = np.cross(rate, rate @ vehicle.inertia_matrix) - thrust @ vehicle.allocation[1:].T
         correction = np.hstack([correction, torque])
         duration = track.time[k + 1] - track.time[k]
         state = np.array(step(state.T, thrust.T, correction.T, duration[None]).full()).T

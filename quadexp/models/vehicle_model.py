@@ -42,7 +42,6 @@ from quadexp.models.terms import (
     term_residual,
 )
 from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
-from quadexp.models.torque import TorqueModel, fit_torque
 from quadexp.physics.vehicle import Vehicle
 
 KINDS = ("linear", "quadratic", "blade_element")
@@ -61,7 +60,7 @@ _OFFSET = (("offset",), ("offset",), ())
 class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     """thrust: the curve. linear, quadratic, blade_element: see the module. best: kind with the least held-out error.
 
-    notes: models that could not be fitted, and why. torque: None without a signal per rotor. Of the model's record,
+    notes: models that could not be fitted, and why. Of the model's record,
     vehicle: {name, fingerprint, mass}, None where unknown; dataset: also the names of the flights.
     """
 
@@ -71,7 +70,6 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     blade_element: TermModel | None
     best: str
     notes: tuple[str, ...] = ()
-    torque: TorqueModel | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -226,7 +224,6 @@ def fit_vehicle_model(
     return VehicleModel(
         linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
         best if best is not None and best in kinds else kinds[-1], tuple(notes),
-        None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
         vehicle=record, dataset=_dataset_record(samples), feature_range=feature_ranges(velocity),
         settings={"loss": settings.loss, "signal": samples.kind, "momentum": momentum},
     )  # fmt: skip

@@ -19,7 +19,14 @@ _TLS = "what is started here is always encrypted, and engine.address says by tls
 _DASK = "give Dask's own settings, DASK_DISTRIBUTED__COMM__TLS__CA_FILE and others (docs/scaling.md)"
 _JOBS = "engine=jobs 'engine.options={{{}}}'"
 
+_DELAYS = "remedies=auto finds delays in flight; `quadexp identify --method delays FLIGHT` finds them in a flight"
+
 FORMER = {
+    "delay=identified": _DELAYS,
+    "delay.after": _DELAYS,
+    "delay.assumed": _DELAYS,
+    "remedies=unknown_delays": "remedies=auto",
+    "remedies=all": "remedies=auto; delays that are known are told as docs/delays.md does, all together",
     "engine=slurm": "engine=jobs (engine.system=slurm), and what its queue takes in engine.options",
     "engine.tls": _TLS,
     "engine.hosts": _HOSTS,

@@ -20,14 +20,13 @@ _NUMBER = re.compile(r"(\*\*)?(-?[\d.e+-]+)(?:\*\*)?(?: (\[[^\]]*\]))?(\*)?(?: \
 @dataclass(frozen=True)
 class Cell:
     """mark: label of the contestant whose marker stands before the text. small: lines below it. lost: what went wrong.
-    best: in bold. replay: number of a flight in the replay."""
+    best: in bold."""
 
     text: str = ""
     small: Sequence[str] = ()
     lost: str = ""
     best: bool = False
     mark: str = ""
-    replay: int | None = None
 
 
 def cell_of(text: str | Cell) -> Cell:
@@ -55,7 +54,6 @@ class Block:
     code: Sequence[str] = ()
     notes: Sequence[str] = ()
     progress: tuple[int, int, str] | None = None
-    replay: bool = False
     folded: bool = False
 
 

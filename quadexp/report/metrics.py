@@ -34,7 +34,8 @@ METRICS = (
 ROW_COLUMNS = (
     "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", *ERRORS, "solve_time_median",
     "solve_time_p99", "solve_time_max", "saturated_share", "peak_speed", "duration", "unconverged_count",
-    "reference_residual", "outside_data", "outcome", "backend", "cause", "program", "sources", "libraries", "key",
+    "reference_residual", "outside_data", "outside_where", "outcome", "backend", "cause", "program", "sources",
+    "libraries", "key",
 )  # fmt: skip
 _NUMBERS = (*METRICS, "speed", "seed", "reference_residual", "outside_data")
 TEXT_COLUMNS = tuple(name for name in ROW_COLUMNS if name not in _NUMBERS)

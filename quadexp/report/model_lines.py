@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quadexp.models.regression import FLIGHT_CLUSTERS
-from quadexp.models.torque import torque_lines
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.report.table import Table
 
@@ -17,10 +16,6 @@ NORMS = ("x", "y", "z", "norm")
 MODES = {
     "attitude": ("attitude as measured", "attitude, rates and rotor signals as measured"),
     "held": ("rates held", "rates held: all 13 states from the start on, body rates constant as measured there"),
-    "torque": (
-        "fitted torque",
-        "fitted torque: all 13 states, its offset tracked up to the start, rates held on axes that are refused",
-    ),
     "full": (
         "geometric torque",
         "geometric torque: all 13 states, torque from the vehicle's rotor positions and inertia",
@@ -88,7 +83,7 @@ def model_lines(model: VehicleModel) -> list[str]:
             rows = [row for row in terms.records() if row["axis"] == axis]
             text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in rows)
             lines.append(f"{kind.replace('_', ' ') if axis == 'x' else '':<14}{axis}: {text}")
-    return lines + (torque_lines(model.torque) if model.torque is not None else [])
+    return lines
 
 
 def _curve_lines(curves: Sequence[Row], model: VehicleModel) -> list[str]:
@@ -152,7 +147,6 @@ def validation_lines(report: Row) -> list[str]:
     for mode, (_, description) in MODES.items():
         rollouts = [row for row in report["rollouts"] if row["mode"] == mode]
         if rollouts:
-            lines += ["", *report["torque"]] if mode == "torque" else []
             if mode != "attitude":
                 description += "; rotor thrusts as measured, thrust scale tracked up to the start"
             head = f"open loop: {description}; {mean_of(mode)} over {rollouts[0]['starts']} starts"

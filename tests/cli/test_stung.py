@@ -118,7 +118,7 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
     [
         (["evaluate", "--sweep", "seed=range(0)"], "seed=range(0): an empty range leaves nothing to fly"),
         (["evaluate", "--sweep", "experiment=nope"], "no such experiment"),
-        (["simulate", "wind.speed=4"], "wind=none has no settings"),
+        (["simulate", "wind.speed=4"], "wind=none has no settings; wind=constant has wind.velocity"),
         (["simulate", "remedy=wind"], "did you mean remedies?"),
         (["simulate", "--out", "x.csv"], "write x.parquet, then quadexp export x.parquet"),
         (["report", "results/none"], "results/none: no such file"),

@@ -1,6 +1,5 @@
 """The pages in a headless Chromium; skipped where there is none (test_html.py checks the file itself)."""
 
-import contextlib
 import json
 import shutil
 import time
@@ -67,8 +66,6 @@ def show(browser, page, width=1280, height=900, media=""):
     for kind in ("browser", "performance"):
         browser.get_log(kind)
     browser.get(page.as_uri())
-    if page.stem == "report":
-        wait(browser, "document.querySelector('[data-replay=time]').textContent !== '0.00 s'")
     return browser
 
 
@@ -78,35 +75,10 @@ def opened(browser, pages):
     return show(browser, pages["report"])
 
 
-def wait(browser, condition, seconds=180.0):
-    from selenium.common.exceptions import WebDriverException
-
-    until = time.monotonic() + seconds
-    while True:
-        with contextlib.suppress(WebDriverException):  # the page is loading itself anew
-            if browser.execute_script(f"return Boolean({condition})"):
-                return
-        assert time.monotonic() < until, f"waited in vain for {condition}"
-        time.sleep(0.02)
-
-
-def clock(browser):
-    return float(browser.execute_script("return document.querySelector('[data-replay=scrub]').value"))
-
-
 def act(browser, script, *arguments):
     """Run a script, and wait until what it changed is drawn."""
     browser.execute_script(script, *arguments)
     time.sleep(0.15)
-
-
-def press(browser, key, **more):
-    event = json.dumps({"key": key, "bubbles": True, "cancelable": True, **more})
-    act(browser, f"document.querySelector('[data-replay=scene]').dispatchEvent(new KeyboardEvent('keydown', {event}))")
-
-
-def picture(browser):
-    return browser.execute_script("return document.querySelector('[data-replay=scene]').toDataURL()")
 
 
 @pytest.mark.parametrize("name", ["report", "table", "plot"])
@@ -135,67 +107,9 @@ def test_tabs_choose_within_their_section_and_print_shows_all(browser, pages):
     show(browser, pages["report"], 1046, media="print")  # A4 across, margins of 1 cm
     assert [browser.execute_script(SHOWN.format(name)) for name in ("swept", "tables")] == [4, 3]
     wide = "return Math.max(...[...document.querySelectorAll('table, img')].map(e => e.getBoundingClientRect().right))"
-    buttons = "return [...document.querySelectorAll('main button:not(.pilot)')].filter(e => e.offsetHeight).length"
+    buttons = "return [...document.querySelectorAll('main button')].filter(e => e.offsetHeight).length"
     assert browser.execute_script(wide) <= 1046 and browser.execute_script(buttons) == 0
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
-
-
-def test_the_replay_plays_at_its_speed_and_pauses(opened):
-    before = picture(opened)
-    rate = "const s = document.querySelector('[data-replay=rate]'); s.value = arguments[0];"
-    play, began = "document.querySelector('[data-replay=play]').click()", clock(opened)
-    act(opened, rate + play, "2")
-    wait(opened, f"document.querySelector('[data-replay=scrub]').value > {began} + 0.3")
-    act(opened, play)
-    stopped = clock(opened)
-    time.sleep(0.2)
-    assert clock(opened) == stopped and picture(opened) != before
-    act(opened, rate + play, "0.1")
-    act(opened, play)
-    assert clock(opened) < stopped + 0.2
-
-
-def test_keys_and_drags_move_in_time_and_turn_the_view(opened):
-    began = clock(opened)
-    press(opened, "ArrowRight")
-    assert clock(opened) == pytest.approx(began + 0.1, abs=0.021)
-    press(opened, "Home")
-    assert clock(opened) == 0
-    drag = (
-        "const c = document.querySelector(arguments[0]), b = c.getBoundingClientRect();"
-        "const at = (k, x) => c.dispatchEvent(new PointerEvent(k, {pointerId: 1, bubbles: true,"
-        " clientX: b.left + x * b.width, clientY: b.top + b.height / 2}));"
-        "c.setPointerCapture = () => {};"
-        "at('pointerdown', arguments[1]); at('pointermove', arguments[2]); at('pointerup', arguments[2])"
-    )
-    pictures = [picture(opened)]
-    press(opened, "ArrowRight", shiftKey=True)
-    pictures.append(picture(opened))
-    act(opened, drag, "[data-replay=scene]", 0.4, 0.6)
-    pictures.append(picture(opened))
-    assert len(set(pictures)) == 3
-    act(opened, drag, "[data-replay=trace]", 0.2, 0.9)
-    assert 2.4 < clock(opened) < 3.0  # of 3 s
-
-
-def test_the_error_shown_is_that_of_the_flight_and_a_pilot_is_hidden_by_a_click(opened):
-    press(opened, "Home")
-    shown = opened.execute_script(
-        "return [...document.querySelectorAll('.pilot')].map(p => [...p.children].map(e => e.textContent))"
-    )
-    errors = {label[1:]: float(now.split()[0]) for label, now in shown}
-    assert errors["nominal_mpc"] == pytest.approx(160, rel=0.1)  # half of 40 mm per m/s at 8 m/s
-    assert errors["nominal_mpc"] / errors["gp_mpc"] == pytest.approx(20, rel=0.02)
-    before = picture(opened)
-    act(opened, "document.querySelector('.pilot').click()")
-    assert picture(opened) != before
-
-
-def test_a_worst_flight_opens_in_the_replay(opened):
-    act(opened, "document.querySelector('[data-replay-of]').click()")
-    press(opened, "End")
-    assert "lost" in opened.execute_script("return document.querySelector('[data-replay=pilots]').textContent")
-    assert opened.execute_script("return document.activeElement.dataset.replay") == "scene"
 
 
 def test_everything_that_acts_is_reached_by_tab_and_has_a_name(opened):

@@ -23,7 +23,7 @@ def rollouts(modes=tuple(MODES)):
     return rows
 
 
-@pytest.mark.parametrize("modes", [tuple(MODES), ("held", "torque")])
+@pytest.mark.parametrize("modes", [tuple(MODES), ("held", "full")])
 def test_every_mode_is_drawn_with_its_own_numbers(modes):
     rows = rollouts(modes)
     panels = [panel for panel in rollout_figure(rows).axes if panel.axison]
@@ -44,7 +44,7 @@ def test_every_mode_is_drawn_with_its_own_numbers(modes):
 
 
 def test_the_text_has_the_same_numbers():
-    rows = [row for row in rollouts() if row["mode"] == "torque"]
+    rows = [row for row in rollouts() if row["mode"] == "held"]
     above, _, *lines = rollout_lines(rows)
     assert above.split() == ["position", "(m)", "velocity", "(m/s)", "attitude", "(deg)", "rate", "(rad/s)"]
     for line, predictor in zip(lines, PREDICTORS, strict=True):

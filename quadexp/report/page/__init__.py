@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from quadexp import __version__
-from quadexp.messages import script
 from quadexp.names import file_name
-from quadexp.report.document import Block, Section, document, template_text
+from quadexp.report.document import Section, document
 from quadexp.report.page.answer import answer
 from quadexp.report.page.panels import Swept, pareto_figures, pareto_section, swept_section
-from quadexp.report.page.replay import MAX_TRACKS, Case, case_of, choose_cases, pack_replay
 from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, records, scoreboard, worst, worst_rows
 from quadexp.report.page.source import Comparison, read_comparison
-from quadexp.report.pairing import condition_of
 from quadexp.report.style import Figure, save_figure
 from quadexp.writer import check_output, write_text
 
@@ -64,18 +61,16 @@ def make_report(
 def render(comparison: Comparison, swept: Swept, pareto: Mapping[str, Figure], command: str) -> tuple[str, list[str]]:
     """The page, and what is not on it for its size. command: that makes it again."""
     bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
-    packed, cases = pack_replay(comparison, choose_cases(comparison, bad))
     short = [
         replace(block, tables={name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()})
         for block in whole.blocks
     ]
-    left_out = [*_left_out(comparison, packed, cases, whole), *swept.left]
+    left_out = [*_left_out(comparison, whole), *swept.left]
     sections = [
-        _replay_section(packed),
         replace(whole, blocks=short),
         swept_section(swept),
         pareto_section(pareto),
-        worst(comparison, bad, {case: i for i, case in enumerate(cases)}),
+        worst(comparison, bad),
         origin(comparison, flights, command, left_out),
     ]
     page = document(
@@ -87,36 +82,15 @@ def render(comparison: Comparison, swept: Swept, pareto: Mapping[str, Figure], c
         row_notes=[*comparison.checked.lines(), *comparison.notes],
         left_out=left_out,
         version=__version__,
-        replay_json=script(packed) if packed else "",
-        replay_script=template_text("replay.js") if packed else "",
     )
     return page, left_out
 
 
-def _replay_section(packed: Sequence[Mapping[str, Any]]) -> Section:
-    note = (
-        "Vehicles are drawn larger than in reality; the grid is at the lowest point. Keys, with the picture in focus:"
-        " space plays, ← → move by 0.1 s (with shift, the arrows turn), Home and End; the wheel zooms."
-    )
-    lead = "All controllers on the same reference with the same noise. Errors can be magnified."
-    return Section("replay", "Replay", "Replay", lead, [Block(replay=True, notes=[note])] if packed else [])
-
-
-def _left_out(
-    comparison: Comparison, packed: Sequence[Mapping[str, Any]], replayed: Sequence[Case], whole: Section
-) -> list[str]:
+def _left_out(comparison: Comparison, whole: Section) -> list[str]:
     """What is not on the page for its size, one entry each."""
-    flown = [row for row in comparison.rows if row["outcome"] != "infeasible"]
-    conditions, cases = len({*map(condition_of, flown)}), len({*map(case_of, flown)})
-    seen, entries = len({condition for condition, _ in replayed}), []
-    if seen < conditions:
-        entries.append(f"the replay of {conditions - seen} of {conditions} conditions")
-    elif len(replayed) < cases:
-        entries.append(f"the replay of {cases - len(replayed)} of {cases} pairs of condition and seed")
+    entries = []
     if (lines := max((len(next(iter(b.tables.values())).rows) for b in whole.blocks), default=0)) > MOST_LINES:
         entries.append(f"{lines - MOST_LINES} of {lines} lines of the tables")
     if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
         entries.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")
-    if crowd := max((len(case["left_out"]) for case in packed), default=0):
-        entries.append(f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}")
     return entries

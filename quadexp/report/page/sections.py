@@ -19,14 +19,13 @@ from quadexp.report.document import Block, Cell, Section
 from quadexp.report.frame import flat
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
-from quadexp.report.page.replay import Case, case_of, case_title
 from quadexp.report.page.source import TABLED, Comparison, Record
 from quadexp.report.pairing import Condition, condition_of, grouped
 from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES, comparison_table, error_table
-from quadexp.report.text import duration, number, percent, probability, shown
+from quadexp.report.text import duration, number, percent, probability, shown, speed_text
 
 WORST = 9
 EACH = 2  # flights of one contestant among the worst, of those that were completed
@@ -125,8 +124,8 @@ def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, A
     return chosen[:most]
 
 
-def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapping[Case, int]) -> Section:
-    """A line a flight, and the commands that fly them again. cases: condition and seed -> number in the replay."""
+def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> Section:
+    """A line a flight, and the commands that fly them again."""
     bad, bad_shown = (sum(row["outcome"] != "ok" for row in flights) for flights in (comparison.rows, rows))
     hidden = bad - bad_shown
     more = f"; {hidden} more were not completed (`quadexp results DIR --failures` lists them)" if hidden else ""
@@ -136,7 +135,7 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapp
     )
     lines: list[Any] = []
     for row in rows:
-        case, label, flight = case_of(row), comparison.label(row), comparison.flight(row)
+        label, flight = comparison.label(row), comparison.flight(row)
         largest, when = "", ""
         if flight is not None and "ref_p_x" in flight.columns:
             largest = f"{number(1e3 * row['max_error'])} mm"
@@ -144,12 +143,18 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapp
                 when = f"at {flight.t[int(np.argmax(position_error(flight)))]:.1f} s"
         why = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
         lost = "" if row["outcome"] == "ok" else why
-        flown = Cell(case_title(comparison, case), lost=lost, replay=cases.get(case))
-        lines.append([Cell(label, mark=label), flown, Cell(largest, (when,))])
+        lines.append([Cell(label, mark=label), Cell(_flight_title(comparison, row), lost=lost), Cell(largest, (when,))])
     commands = [f"quadexp simulate {shlex.join(asked)}" for row in rows if (asked := comparison.asked(row))]
     blocks = [Block(tables={"worst": Table(["controller", "flight", "largest error"], lines)})]
     blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
     return Section("worst", "Worst", "Worst flights", lead, blocks)
+
+
+def _flight_title(comparison: Comparison, row: Mapping[str, Any]) -> str:
+    """Such as "circle, payload 0.1 kg at 8 m/s, seed 3", with plant and vehicle where there are several."""
+    condition = condition_of(row)
+    rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
+    return f"{comparison.course_title(condition)}{rate}, seed {int(row['seed'])}"
 
 
 def records(comparison: Comparison) -> list[Record]:
