@@ -30,11 +30,6 @@ Overrides = Sequence[str]
 FIGURES = 5  # of a usual sweep
 SAMPLED = 200  # cells that are looked at for what their flights import
 DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
-NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
-    "random": ("quadexp.reference.random_polynomial", "quadexp.reference.polynomial"),
-    "file": ("quadexp.reference.from_file",),
-    "feedback": ("quadexp.control.feedback.controller",),
-}
 FOREIGN = (".csv", ".json", ".txt", ".mcap", ".ulg", ".h5")  # formats that a flight is exported to, or imported from
 RESULTS = "results.parquet"  # in a folder of results
 # Requests that a function of a room answers as they are.
@@ -227,9 +222,9 @@ def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
     """Modules that the processes of a sweep need."""
     from quadexp.sweeps.server import PRELOAD
 
-    kinds = {part.former_kind for cell in cells for part in (cell.config.trajectory, cell.config.controller)}
-    needed = [module for kind in sorted(kinds) for module in NEEDED.get(kind, ())]
-    return [*PRELOAD, *needed, *(DRAWING if figures else ())]
+    parts = (part for cell in cells for part in (cell.config.trajectory, cell.config.controller))
+    needed = {type(part).__module__ for part in parts if part.shipped}
+    return [*PRELOAD, *sorted(needed), *(DRAWING if figures else ())]
 
 
 def _flight_name(config: Config) -> str:

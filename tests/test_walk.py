@@ -14,7 +14,6 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
-import pytest
 
 from quadexp.cli.app import app
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, unshared
@@ -110,10 +109,9 @@ def _module_of(file: str) -> str:
     return ".".join(path.relative_to(PACKAGE).with_suffix("").parts) if path.is_relative_to(PACKAGE) else ""
 
 
-@pytest.fixture(scope="module")
-def walk(tmp_path_factory) -> Walk:
-    """From the state to the table, once."""
-    folder, found = tmp_path_factory.mktemp("walk"), Walk()
+def walked(folder: Path) -> Walk:
+    """From the state to the table."""
+    found = Walk()
     config = compose(SETTINGS)
     vehicle = build_vehicle(config.vehicle)
     trajectory = build_trajectory(config.trajectory, vehicle)
@@ -160,9 +158,15 @@ def _step(vehicle: Any, residual: Any, settings: Any, reference: SampledReferenc
     return controller.step(Measurement(0.0, state, None, None), window)
 
 
-def test_a_newcomer_reads_few_modules(walk):
+def test_a_newcomer_reads_few_modules_and_passes_every_room_of_the_data_flow(tmp_path):
+    """Few modules are entered at all, also counting those in which a single line runs, be it a check or a name."""
+    walk = walked(tmp_path)
     read = sorted({module for modules in walk.read.values() for module in modules})
     assert len(read) <= MOST, f"{len(read)} modules: {', '.join(read)}"
+    assert {"world", "physics", "log", "models", "control", "experiment", "report"} <= {
+        m.partition(".")[0] for m in read
+    }
+    assert len(walk.entered) <= ENTERED, sorted(walk.entered)
 
 
 def test_from_the_words_of_the_command_line_to_the_first_period(tmp_path):
@@ -170,13 +174,3 @@ def test_from_the_words_of_the_command_line_to_the_first_period(tmp_path):
     walk.station("configuration", lambda: app(["simulate", *words], standalone_mode=False))
     read = walk.read["configuration"]
     assert len(read) <= CONFIGURING, ", ".join(read)
-
-
-def test_the_walk_passes_every_room_of_the_data_flow(walk):
-    rooms = {module.partition(".")[0] for modules in walk.read.values() for module in modules}
-    assert {"world", "physics", "log", "models", "control", "experiment", "report"} <= rooms
-
-
-def test_most_of_the_program_stays_closed(walk):
-    """Also counting every module in which a single line runs, be it a check or a name."""
-    assert len(walk.entered) <= ENTERED, sorted(walk.entered)

@@ -1,6 +1,6 @@
 """The command line: every command parses, makes one request, and prints the answer.
 
-The commands stand in the modules fly, learn, look and extend. At the top they import only light modules, and the rest
+The commands stand in the modules fly, logs, learn, look and extend. At the top they import light modules, and the rest
 inside the command, so that --help takes no time.
 """
 
@@ -17,14 +17,14 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from quadexp import __version__
-from quadexp.cli import extend, fly, learn, look
+from quadexp.cli import extend, fly, learn, logs, look
 from quadexp.cli.command import Command
 from quadexp.cli.terminal import end, fail, output_failed, prepare
 
 GROUPS: dict[str, tuple[Command, ...]] = {
     "Fly": (fly.simulate, fly.evaluate, fly.tune, fly.bench),
     "Learn": (
-        learn.import_, learn.check, learn.collect, learn.fit_gp, learn.fit_drag, learn.fit_nn, learn.identify,
+        logs.import_, logs.check, learn.collect, learn.fit_gp, learn.fit_drag, learn.fit_nn, learn.identify,
         learn.validate,
     ),
     "Look": (look.show, look.compare, look.results, look.plot, look.report, look.animate, look.export),

@@ -190,13 +190,13 @@ def sealed_bytes(path: Path) -> tuple[bytes, bool | None]:
     Raises OSError where it cannot be read.
     """
     content = path.read_bytes()
-    found = _SEAL.search(content, _footer_start(content))
-    if found is None:
+    seal = _SEAL.search(content, _footer_start(content))
+    if seal is None:
         return content, None
-    digest = hashlib.sha256(memoryview(content)[: found.start(1)])
+    digest = hashlib.sha256(memoryview(content)[: seal.start(1)])
     digest.update(_NONE_YET)
-    digest.update(memoryview(content)[found.end(1) :])
-    return content, digest.hexdigest().encode() == found[1]
+    digest.update(memoryview(content)[seal.end(1) :])
+    return content, digest.hexdigest().encode() == seal[1]
 
 
 def sealed_value(content: bytes, key: bytes) -> bytes | None:

@@ -48,24 +48,24 @@ def check_flights(
 ) -> dict[str, list[Finding]]:
     """Findings of every flight by its name, those about several flights (duplicates, rotors) among them."""
     same = check_duplicates(flights) if len(flights) > 1 else {}
-    found: dict[str, list[Finding]] = {}
+    by_name: dict[str, list[Finding]] = {}
     unsure: dict[tuple[Vehicle, str], dict[str, rotors.Motion]] = {}
     for name, flight in flights.items():
         vehicle = vehicles.get(name) if isinstance(vehicles, Mapping) else vehicles
         findings, _, motion = inspect_flight(flight, vehicle)
-        found[name] = same.get(name, []) + findings
+        by_name[name] = same.get(name, []) + findings
         if vehicle is not None and motion is not None:
             verdict, kind = rotors.judge([motion], vehicle), rotors.signal_kind(flight)
-            found[name] += rotors.rotor_findings(verdict, kind, vehicle)
+            by_name[name] += rotors.rotor_findings(verdict, kind, vehicle)
             if verdict is None or not (verdict.sure and verdict.spin):
                 unsure.setdefault((vehicle, kind), {})[name] = motion
     for (vehicle, kind), motions in unsure.items():  # flights too short by themselves may tell it together
         verdict = rotors.judge([*motions.values()], vehicle) if len(motions) > 1 else None
         together = rotors.rotor_findings(verdict, kind, vehicle)
         for name in motions:
-            known = {finding.name for finding in found[name]}
-            found[name] += [finding for finding in together if finding.name not in known]
-    return {name: worst_first(findings) for name, findings in found.items()}
+            known = {finding.name for finding in by_name[name]}
+            by_name[name] += [finding for finding in together if finding.name not in known]
+    return {name: worst_first(findings) for name, findings in by_name.items()}
 
 
 def inspect_flight(
@@ -79,16 +79,16 @@ def inspect_flight(
         text = f"{len(t)} samples"
         return [Finding("no_flight", "blocking", "all samples", text, f"{SHORT:g} s of flight")], bad_rows, None
     streams = {name: x for name, x in streams_of(flight).items() if np.isfinite(x).all(axis=1).any()}
-    found = samples.check_clock(t, streams, flight.columns.get("segment"))
-    found += samples.check_finite(flight.columns, t)
+    findings = samples.check_clock(t, streams, flight.columns.get("segment"))
+    findings += samples.check_finite(flight.columns, t)
     repeated, first = samples.check_repeats(flight.columns, t)
     if repeated:  # the clock's complaints about those samples are its symptom
-        found = [one for one in found if one.name not in ("clock_repeated", "clock_jump")] + repeated
-        found += [one for one in samples.check_clock(t[first]) if one.name == "clock_jump"]
+        findings = [finding for finding in findings if finding.name not in ("clock_repeated", "clock_jump")] + repeated
+        findings += [finding for finding in samples.check_clock(t[first]) if finding.name == "clock_jump"]
         bad_rows["duplicated_rows"] = ~first
     if "q" in streams:
-        found += samples.check_quaternion(streams["q"], t)
-    if any(one.name in ("clock_repeated", "clock_jump") and one.blocks for one in found):
+        findings += samples.check_quaternion(streams["q"], t)
+    if any(finding.name in ("clock_repeated", "clock_jump") and finding.blocks for finding in findings):
         first = first & increasing(t)
     kept = flight
     if not first.all():  # a long flight is not copied without need
@@ -101,19 +101,19 @@ def inspect_flight(
             bad_rows.setdefault(name, np.zeros(len(first), bool))[np.flatnonzero(first)[mask]] = True
 
     if len(t) < 3 or not np.isfinite(t).all():
-        return worst_first(found), bad_rows, None
-    found += check_flown(kept, streams, vehicle)
-    if any(one.name == "no_flight" and one.blocks for one in found):
-        return worst_first(found), bad_rows, None
+        return worst_first(findings), bad_rows, None
+    findings += check_flown(kept, streams, vehicle)
+    if any(finding.name == "no_flight" and finding.blocks for finding in findings):
+        return worst_first(findings), bad_rows, None
 
     dead, lost = samples.check_dead(streams, t)
     frozen, stuck = samples.check_frozen(streams, t)
-    found += dead + ([] if dead and stuck.any() and not (stuck & ~lost).any() else frozen)
+    findings += dead + ([] if dead and stuck.any() and not (stuck & ~lost).any() else frozen)
     mark("dead_logger", lost)
     mark("frozen_sensor", stuck)
     bad = _spiky(streams, len(t)) | lost | stuck | ~_finite(streams)
     repaired, explained = _consistency(t, streams, bad, segment)
-    found += explained + _check_offset(repaired, t, ~bad)
+    findings += explained + _check_offset(repaired, t, ~bad)
     hardest = HARD_LIMIT
     if vehicle is not None:
         thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
@@ -122,20 +122,20 @@ def inspect_flight(
     for name, mask in spiky.items():
         mark(f"{KEYS[name]}_outlier", mask)
     wrong = np.logical_or.reduce([lost, *(spiky[name] for name in "pv" if name in spiky)])
-    for one, when in search.stray(cut(t, repaired, _finite(repaired) & ~wrong, segment)):
-        found.append(one)
-        spike = spiky.get("w" if one.name == "rate_outlier" else "f", np.zeros(len(t), bool))
-        mark(one.name, _stray_rows(t, when, spike))
-    found += [one for one in spikes if one.name not in {other.name for other in found}]
+    for finding, when in search.stray(cut(t, repaired, _finite(repaired) & ~wrong, segment)):
+        findings.append(finding)
+        spike = spiky.get("w" if finding.name == "rate_outlier" else "f", np.zeros(len(t), bool))
+        mark(finding.name, _stray_rows(t, when, spike))
+    findings += [finding for finding in spikes if finding.name not in {other.name for other in findings}]
     commands, impossible = check_commands(kept, vehicle)
     mark("impossible_command", impossible)
-    found += commands + check_voltage(kept, vehicle)
+    findings += commands + check_voltage(kept, vehicle)
     if t[-1] - t[0] < SHORT:
-        found.append(Finding("short", "warning", "all samples", f"{t[-1] - t[0]:.2f} s", f"{SHORT:g} s"))
-    if any(one.name in BROKEN for one in found):
-        found = [one for one in found if one.name != "inconsistent"]
+        findings.append(Finding("short", "warning", "all samples", f"{t[-1] - t[0]:.2f} s", f"{SHORT:g} s"))
+    if any(finding.name in BROKEN for finding in findings):
+        findings = [finding for finding in findings if finding.name != "inconsistent"]
     motion = None if vehicle is None or "w" not in repaired else rotors.motion_of(kept, vehicle, repaired["w"], bad)
-    return worst_first(found), bad_rows, motion
+    return worst_first(findings), bad_rows, motion
 
 
 def _stray_rows(t: np.ndarray, when: np.ndarray, spikes: np.ndarray) -> np.ndarray:
@@ -193,10 +193,10 @@ def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candida
     none = ~(np.linalg.norm(q, axis=1, keepdims=True) > 1e-6)
     usable = streams | ({"q": np.where(none, [1.0, 0.0, 0.0, 0.0], q)} if "q" in streams else {})
     windows = Windows(t[None], {name: values[None] for name, values in usable.items()})
-    for one in taken:
-        windows = one.apply(windows)
-    made = {name: values[0] for name, values in windows.streams.items()}
-    return made | ({"q": np.where(none, q, made["q"])} if "q" in made else {})
+    for candidate in taken:
+        windows = candidate.apply(windows)
+    mended = {name: values[0] for name, values in windows.streams.items()}
+    return mended | ({"q": np.where(none, q, mended["q"])} if "q" in mended else {})
 
 
 def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.ndarray) -> list[Finding]:

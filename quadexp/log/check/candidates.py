@@ -69,8 +69,8 @@ class Candidate:
         """The streams as an import with the correction has them. Raises DataError where an attitude is none."""
         t = windows.t.ravel()
         flat = {KEYS[name]: Stream(t, x.reshape(len(t), -1)) for name, x in windows.streams.items()}
-        made = corrected(flat, self.mapping)
-        streams = {name: made[KEYS[name]].values.reshape(x.shape) for name, x in windows.streams.items()}
+        mended = corrected(flat, self.mapping)
+        streams = {name: mended[KEYS[name]].values.reshape(x.shape) for name, x in windows.streams.items()}
         changed = Windows(windows.t * self.mapping.clock.factor, streams)
         if "q" in streams and "q" not in self.streams:
             changed.__dict__["rotation"] = windows.rotation  # it costs as much as all else
@@ -221,15 +221,15 @@ def mounting_candidates(windows: Windows) -> list[Candidate]:
     the body's z nearly always, so that an accelerometer alone hardly tells a turn about z: where its standard error is
     too large for what it finds, that turn is left out.
     """
-    found = {pair.name: pair for pair in pairs(windows)}
-    if "force (p)" in found:
-        found.setdefault("force", found["force (p)"])
-    made = []
+    known = {pair.name: pair for pair in pairs(windows)}
+    if "force (p)" in known:
+        known.setdefault("force", known["force (p)"])
+    turns = []
     for streams, (relations, cost, words) in SENSORS.items():
-        if set(relations) <= found.keys():
-            estimated = _estimate([found[name] for name in relations], len(windows.t))
-            made += [] if estimated is None else [_candidate(streams, *estimated, cost, words)]
-    return made
+        if set(relations) <= known.keys():
+            estimated = _estimate([known[name] for name in relations], len(windows.t))
+            turns += [] if estimated is None else [_candidate(streams, *estimated, cost, words)]
+    return turns
 
 
 def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | None:
@@ -250,7 +250,7 @@ def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | 
         return None
     turn = _kabsch(x, y)
     rest = [_kabsch(x[part != k], y[part != k]) for k in np.unique(part)]
-    apart = np.array([(one * turn.inv()).as_rotvec() for one in rest])
+    apart = np.array([(partly * turn.inv()).as_rotvec() for partly in rest])
     error = np.degrees(np.sqrt((len(rest) - 1) * np.var(apart, axis=0)))  # jackknife
     about_z = abs(np.degrees(turn.as_rotvec()[2]))
     if alone and (about_z < CERTAIN_ALONE * error[2] or error[2] > LEAST_TURN):

@@ -31,7 +31,7 @@ class _Flown(NamedTuple):
 
 def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
     """Findings by flight; of two that are alike the later one in the order given is the duplicate."""
-    found: dict[str, list[Finding]] = {}
+    findings: dict[str, list[Finding]] = {}
     seen: dict[str, _Flown] = {}
     for name, flight in flights.items():
         flown = _flown(flight)
@@ -42,8 +42,8 @@ def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
         other, same = twin
         where = f"all samples, {flight.t[0]:.2f}..{flight.t[-1]:.2f} s" if len(flight) else "all samples"
         advice = f"leave it out, or keep it on the same side of a split as {other}"
-        found[name] = [Finding("duplicate", "blocking", where, f"{same} {other}", f"{SHARE:.0%}", advice)]
-    return found
+        findings[name] = [Finding("duplicate", "blocking", where, f"{same} {other}", f"{SHARE:.0%}", advice)]
+    return findings
 
 
 def _flown(flight: Flight) -> _Flown:

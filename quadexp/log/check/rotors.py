@@ -201,7 +201,8 @@ def motion_of(
     known = [part for part in parts if part is not None]
     if sum(len(torque) for torque, _ in known) < LEAST_SECONDS * RATE:
         return None
-    return Motion(np.concatenate([one for one, _ in known]), np.concatenate([one for _, one in known], axis=1))
+    torques, thrusts = zip(*known, strict=True)
+    return Motion(np.concatenate(torques), np.concatenate(thrusts, axis=1))
 
 
 def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -238,9 +239,9 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
 def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     """The order and spin that fit flights of one vehicle best; None where they tell too little."""
     # a thrust has another scale in every flight (battery), the same for all rotors
-    scales = [1 / max(float(np.sqrt(np.mean(one.thrust[0] ** 2))), 1e-12) for one in motions]
-    torque = np.concatenate([one.torque for one in motions])
-    thrust = np.concatenate([s * one.thrust for s, one in zip(scales, motions, strict=True)], axis=1)
+    scales = [1 / max(float(np.sqrt(np.mean(motion.thrust[0] ** 2))), 1e-12) for motion in motions]
+    torque = np.concatenate([motion.torque for motion in motions])
+    thrust = np.concatenate([s * motion.thrust for s, motion in zip(scales, motions, strict=True)], axis=1)
     seconds = len(torque) / RATE
     part = slice(None, None, max(1, len(torque) // MOST_ROWS))
     if seconds < LEAST_SECONDS or not (np.mean(torque[part] ** 2, axis=0) > 0).all():
@@ -249,9 +250,9 @@ def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     orders = list(permutations(range(n))) if n <= 4 else _matched(fit, pattern)
     shares = {order: fit.explained(_reordered(pattern, order)) for order in orders}
     tilt = {order: float(share[:2].mean()) for order, share in shares.items()}
-    own = tuple(range(n))
-    order = max(orders, key=lambda one: tilt[one] + 1e-9 * (one == own))
-    rest = [value for one, value in tilt.items() if one != order]
+    given = tuple(range(n))
+    order = max(orders, key=lambda each: tilt[each] + 1e-9 * (each == given))
+    rest = [value for other, value in tilt.items() if other != order]
     clear = n > 4 or not rest or tilt[order] - max(rest) > MARGIN
     against = fit.explained(-_reordered(pattern, order))[2]
     best = shares[order].copy()
@@ -262,9 +263,9 @@ def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
 
 def _reordered(pattern: np.ndarray, order: Sequence[int]) -> np.ndarray:
     """Columns for the log's rotors, (3, n), where the log's order[i] is rotor i."""
-    made = np.empty_like(pattern)
-    made[:, list(order)] = pattern
-    return made
+    columns = np.empty_like(pattern)
+    columns[:, list(order)] = pattern
+    return columns
 
 
 class Fit:
@@ -287,21 +288,21 @@ class Fit:
         axis' variance that it explains, (3,); directions in which the rotors hardly moved are left out."""
         fits = []
         for cross, gram in zip(self.cross, self.gram, strict=True):
-            made = cross @ np.linalg.pinv(gram, rcond=RANK**2, hermitian=True)
-            fits.append((made, np.sum(made * cross, axis=1) / self.power))
-        return max(fits, key=lambda one: one[1].mean())
+            columns = cross @ np.linalg.pinv(gram, rcond=RANK**2, hermitian=True)
+            fits.append((columns, np.sum(columns * cross, axis=1) / self.power))
+        return max(fits, key=lambda fit: fit[1].mean())
 
 
 def _matched(fit: Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
     """The order given and the one whose columns a regression comes nearest to, with either spin."""
     from scipy.optimize import linear_sum_assignment
 
-    found, wanted = (
+    fitted, wanted = (
         x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (fit.columns()[0], pattern)
     )
     orders = [tuple(range(pattern.shape[1]))]
     for yaw in (1.0, -1.0, 0.0):
-        likeness = (wanted * np.array([[1.0], [1.0], [yaw]])).T @ found
+        likeness = (wanted * np.array([[1.0], [1.0], [yaw]])).T @ fitted
         orders.append(tuple(int(i) for i in linear_sum_assignment(-likeness)[1]))
     return list(dict.fromkeys(orders))
 
@@ -312,7 +313,7 @@ def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list
         return []
     where = f"{kind}_* against w_*"
     over = f"over {verdict.seconds:.0f} s" + (f" of {verdict.flights} flights" if verdict.flights > 1 else "")
-    found = []
+    findings = []
     if verdict.wrong_order:
         given, best = ((f"roll {x[0]:.0%}, pitch {x[1]:.0%}") for x in (verdict.given, verdict.best))
         order = ", ".join(map(str, verdict.order))
@@ -324,10 +325,10 @@ def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list
         else:
             text += ", but others come near"
         severity = "blocking" if verdict.clear else "warning"
-        found.append(Finding("rotor_order", severity, where, text, f"{MARGIN:.0%} less than another order", advice))
+        findings.append(Finding("rotor_order", severity, where, text, f"{MARGIN:.0%} less than another order", advice))
     if verdict.spin < 0:
         text = f"the yaw acceleration is opposite to what {vehicle.name}'s rotors say {over}"
         text += f" ({verdict.best[2]:.0%} of it explained with every spin reversed)"
         advice = "reverse rotor_spin in the vehicle's file, or the order of the motors if that is where it comes from"
-        found.append(Finding("rotor_spin", "blocking", where, text, "the vehicle's spin directions", advice))
-    return found
+        findings.append(Finding("rotor_spin", "blocking", where, text, "the vehicle's spin directions", advice))
+    return findings

@@ -41,12 +41,12 @@ def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]
         bad = ~np.isfinite(values) if values.dtype.kind == "f" and name != "t" else np.zeros(len(t), bool)
         if bad.any():
             alike.setdefault(bad.tobytes(), (bad, []))[1].append(name)
-    found = []
+    findings = []
     for bad, names in alike.values():
         count = len(runs(bad))
         text = f"{bad.sum()} values in {count} {'run' if count == 1 else 'runs'}"
-        found.append(of_rows("not_finite", "blocking", " ".join(names), longest(bad), t, text, "none", ""))
-    return found
+        findings.append(of_rows("not_finite", "blocking", " ".join(names), longest(bad), t, text, "none", ""))
+    return findings
 
 
 def check_quaternion(q: np.ndarray, t: np.ndarray) -> list[Finding]:
@@ -263,11 +263,11 @@ def check_clock(
     bad = np.flatnonzero(~np.isfinite(t))
     if len(bad):
         return [Finding("not_finite", "blocking", f"t, sample {bad[0]}", f"{len(bad)} times", "none")]
-    found: list[Finding] = []
+    findings: list[Finding] = []
 
     def add(name: str, severity: str, k: int, text: str, allowed: str, advice: str = "", last: int = -1) -> None:
         span = (float(t[k]), float(t[last])) if last >= 0 else None
-        found.append(Finding(name, severity, f"t, sample {k + 1}", text, allowed, advice, span))
+        findings.append(Finding(name, severity, f"t, sample {k + 1}", text, allowed, advice, span))
 
     steps = np.diff(t)
     back, same, positive = np.flatnonzero(steps < 0), np.flatnonzero(steps == 0), steps[steps > 0]
@@ -279,7 +279,7 @@ def check_clock(
         text = f"{len(same)} samples have the time of the sample before"
         add("clock_repeated", "blocking", int(same[0]), text, "t increases")
     if not len(positive):
-        return found
+        return findings
     period = float(np.median(positive))
     allowed = f"{GAP:g} periods of {period:.4g} s"
     marked = np.zeros(len(steps), bool) if segment is None else np.diff(segment) != 0
@@ -302,7 +302,7 @@ def check_clock(
         text = f"{lost} samples missing at {len(few)} places ({share:.2%})"
         severity = "warning" if share > MANY_MISSING else "info"
         add("dropped_samples", severity, int(few[0]), text, f"{MANY_MISSING:.0%} of the samples")
-    return found
+    return findings
 
 
 def _leaps(k: int, t: np.ndarray, period: float, streams: Mapping[str, np.ndarray]) -> bool:

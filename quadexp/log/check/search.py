@@ -209,19 +209,19 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
     named = [tried] if tried is not None and tried.shrinks(TELLING, ["velocity", "rate"]) else []
     while before and len(taken) < MOST_FAULTS:
         if not named:
-            if all((one.residual < 0.7 * one.floor).all() for one in before.values()):  # there is nothing to explain
+            if all((each.residual < 0.7 * each.floor).all() for each in before.values()):  # there is nothing to explain
                 break
-            found = _ranked(windows, before, taken)
-            named = [one for one in found if one.left < MOST_LEFT or not one.candidate.blocks]
-            if found and not named:
-                findings.append(_unexplained(found[0]))
+            trials = _ranked(windows, before, taken)
+            named = [trial for trial in trials if trial.left < MOST_LEFT or not trial.candidate.blocks]
+            if trials and not named:
+                findings.append(_unexplained(trials[0]))
         if not named:
             break
         best = named[0]
-        mount = next((one for one in named if not one.conventional), None)
+        mount = next((trial for trial in named if not trial.conventional), None)
         if mount is not None and not mount.candidate.blocks and mount.value > best.value - MARGIN:
             best = mount
-        rivals = (one for one in named if one is not best and one.conventional and one.candidate.blocks)
+        rivals = (trial for trial in named if trial is not best and trial.conventional and trial.candidate.blocks)
         rival = next(rivals, None) if best.candidate.blocks else None
         findings.append(best.finding(rival if rival and best.value - rival.value < MARGIN else None))
         taken.append(best.candidate)
@@ -238,38 +238,45 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
     return taken, findings
 
 
-def _tried(one: Candidate, windows: Windows, before: Agreements) -> Trial | None:
+def _tried(candidate: Candidate, windows: Windows, before: Agreements) -> Trial | None:
     """None where it cannot be done."""
     try:
-        changed = one.apply(windows)
+        changed = candidate.apply(windows)
     except DataError:
         return None
-    return Trial(one, changed, before, _without_own(one, agreements(changed, before, one.streams), before))
+    return Trial(
+        candidate, changed, before, _without_own(candidate, agreements(changed, before, candidate.streams), before)
+    )
 
 
-def _without_own(one: Candidate, after: Agreements, before: Agreements) -> Agreements:
+def _without_own(candidate: Candidate, after: Agreements, before: Agreements) -> Agreements:
     """Of two streams changed alike, their relation says nothing."""
-    return {**after, "velocity": before["velocity"]} if one.streams == "pv" else after
+    return {**after, "velocity": before["velocity"]} if candidate.streams == "pv" else after
 
 
 def _ranked(windows: Windows, before: Agreements, taken: list[Candidate]) -> list[Trial]:
     """Candidates that may be taken next, the best first."""
-    done = {(one.streams, one.fault) for one in taken[-1:]}
-    turned = {stream for one in taken if one.fault == "mounting" for stream in one.streams}
+    done = {(last.streams, last.fault) for last in taken[-1:]}
+    turned = {stream for mended in taken if mended.fault == "mounting" for stream in mended.streams}
     every = [*candidates(frozenset(windows.streams)), *_scales(before)]
     few = windows.every(max(1, len(windows.t) // FEW))
     known = agreements(few)
-    coarse = [trial for one in every if (one.streams, one.fault) not in done and (trial := _tried(one, few, known))]
+    new = [candidate for candidate in every if (candidate.streams, candidate.fault) not in done]
+    coarse = [trial for candidate in new if (trial := _tried(candidate, few, known))]
     best = sorted((trial for trial in coarse if trial.value > 0), key=lambda trial: -trial.value)
     likely = [trial.candidate for trial in best[:FINALISTS]]
-    mounts = [one for one in mounting_candidates(windows) if not set(one.streams) & turned]
-    trials = [trial for one in (*likely, *mounts) if (trial := _tried(one, windows, before)) is not None]
-    found = [trial for trial in trials if trial.value > MARGIN and trial.plausible()]
-    if not any(one.candidate.blocks and one.left < MOST_LEFT for one in found):
-        found += _under_a_mount(windows, before, likely, max((one.value for one in found), default=0.0))
-    best_other = max((one.value for one in found if one.conventional), default=-np.inf)
-    found = [one for one in found if one.conventional or not one.candidate.blocks or one.value > best_other + MARGIN]
-    return sorted(found, key=lambda one: -one.value)
+    mounts = [mount for mount in mounting_candidates(windows) if not set(mount.streams) & turned]
+    trials = [trial for candidate in (*likely, *mounts) if (trial := _tried(candidate, windows, before)) is not None]
+    explaining = [trial for trial in trials if trial.value > MARGIN and trial.plausible()]
+    if not any(trial.candidate.blocks and trial.left < MOST_LEFT for trial in explaining):
+        explaining += _under_a_mount(windows, before, likely, max((trial.value for trial in explaining), default=0.0))
+    best_other = max((trial.value for trial in explaining if trial.conventional), default=-np.inf)
+    explaining = [
+        trial
+        for trial in explaining
+        if trial.conventional or not trial.candidate.blocks or trial.value > best_other + MARGIN
+    ]
+    return sorted(explaining, key=lambda trial: -trial.value)
 
 
 def _under_a_mount(windows: Windows, before: Agreements, likely: list[Candidate], alone: float) -> list[Trial]:
@@ -277,45 +284,45 @@ def _under_a_mount(windows: Windows, before: Agreements, likely: list[Candidate]
 
     alone: what the best single candidate explains; two must explain clearly more.
     """
-    found = []
-    for one in likely:
-        if one.fault == "scale" or not set("pvqf") & set(one.streams):
+    explaining = []
+    for candidate in likely:
+        if candidate.fault == "scale" or not set("pvqf") & set(candidate.streams):
             continue
-        trial = _tried(one, windows, before)
+        trial = _tried(candidate, windows, before)
         turns = [] if trial is None else mounting_candidates(trial.windows)
         mount = next((turn for turn in turns if turn.streams == "f" and not turn.blocks), None)
         if trial is None or mount is None:
             continue
         both = agreements(mount.apply(trial.windows), trial.after, "f")
-        judged = Trial(one, trial.windows, before, both, PER_COST * mount.cost)
+        judged = Trial(candidate, trial.windows, before, both, PER_COST * mount.cost)
         if judged.value > alone + 2 * MARGIN and judged.plausible():
-            found.append(judged)
-    return found
+            explaining.append(judged)
+    return explaining
 
 
 def _unexplained(best: Trial) -> Finding:
     """A misfit that no candidate explains, as a finding without a cause."""
-    one, was = best.candidate, best.before[best.telling]
-    text = f"{was.words}; the nearest hypothesis ({one.where}: {one.text}) leaves {best.left:.0%} of it,"
+    candidate, was = best.candidate, best.before[best.telling]
+    text = f"{was.words}; the nearest hypothesis ({candidate.where}: {candidate.text}) leaves {best.left:.0%} of it,"
     return Finding("misfit", "warning", was.columns, f"{text} so none is named", f"{MOST_LEFT:.0%}")
 
 
-def _scales(found: Agreements) -> tuple[Candidate, ...]:
+def _scales(agreed: Agreements) -> tuple[Candidate, ...]:
     """Factors between two streams that are otherwise alike."""
     for relation, streams, least in (("velocity", "vp", 0.015), ("rate", "wq", 0.05)):
-        one = found.get(relation)
-        if one is not None and one.correlation > ALIKE:
-            return scale_candidates(one.gain, streams) if abs(one.gain - 1) > least else ()
+        alike = agreed.get(relation)
+        if alike is not None and alike.correlation > ALIKE:
+            return scale_candidates(alike.gain, streams) if abs(alike.gain - 1) > least else ()
     return ()
 
 
-def _clock(found: Agreements) -> Candidate | None:
+def _clock(agreed: Agreements) -> Candidate | None:
     """A clock that runs wrong: velocity against dp/dt and rates against the attitude are off by one factor.
 
     Where the gyro is too noisy to say by how much it is off, a small factor is put down to the clock as well: scales
     of position or velocity that are wrong by a few per cent are rarer than that.
     """
-    velocity, rate = found.get("velocity"), found.get("rate")
+    velocity, rate = agreed.get("velocity"), agreed.get("rate")
     if velocity is None:
         sure = rate is not None and rate.correlation > 0.995 and abs(rate.gain - 1) > 0.03
         degrees = rate is not None and abs(rate.gain / np.degrees(1) - 1) < 0.1
@@ -336,7 +343,7 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
     """
     if len(windows.t) < LEAST_WINDOWS:
         return []
-    found = []
+    findings = []
     every = {pair.name: pair for pair in pairs(windows)}
     for name, relations in (("acceleration_outlier", ("force", "force (p)")), ("rate_outlier", ("rate",))):
         pair = next((every[relation] for relation in relations if relation in every), None)
@@ -353,5 +360,5 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
         text = f"off by up to {size.max():.4g} {pair.relation.unit} in {bad.mean():.1%} of the windows"
         where = f"{COLUMNS['w' if name == 'rate_outlier' else 'f']}, {low:.2f}..{high:.2f} s"
         allowed = f"{limit:.3g} from the motion"
-        found.append((Finding(name, "blocking", where, text, allowed, LEAVE_OUT, (low, high)), when))
-    return found
+        findings.append((Finding(name, "blocking", where, text, allowed, LEAVE_OUT, (low, high)), when))
+    return findings

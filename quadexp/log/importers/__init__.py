@@ -211,12 +211,14 @@ def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Fligh
     _, columns["segment"] = np.unique(number[kept], return_inverse=True)
     columns["segment"] = columns["segment"].astype(np.int32)
     columns["t"] = columns["t"] - columns["t"][0]
-    left = Flight(columns, flight.metadata)
+    shorter = Flight(columns, flight.metadata)
     if derived:
-        window = max(0.1, 5 * float(np.median(np.diff(left.t))))
-        velocity = derivative(left.t, left.stack(["p_x", "p_y", "p_z"]), segment=left["segment"], window=window).values
+        window = max(0.1, 5 * float(np.median(np.diff(shorter.t))))
+        velocity = derivative(
+            shorter.t, shorter.stack(["p_x", "p_y", "p_z"]), segment=shorter["segment"], window=window
+        ).values
         columns |= dict(zip(("v_x", "v_y", "v_z"), velocity.T, strict=True))
-    return left
+    return shorter
 
 
 def _bridged(flight: Flight, bad: np.ndarray, filled: np.ndarray) -> dict[str, np.ndarray]:

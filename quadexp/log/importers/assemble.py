@@ -161,13 +161,13 @@ def _one_clock(
             streams[name] = Stream(streams[name].t, continuous(streams[name].values))
     gaps = {name: np.inf for name in SLOW if name in streams}
     try:
-        made = resample(streams, rate, quaternions=QUATERNIONS, held=HELD, gaps=gaps)
+        resampled = resample(streams, rate, quaternions=QUATERNIONS, held=HELD, gaps=gaps)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
-    lost = int(np.round((end - begin) * rate)) + 1 - len(made.t)
-    if made.segment[-1] or lost > 1:
-        notes.append(f"gaps: {made.segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
-    return made.t, made.values, made.segment
+    lost = int(np.round((end - begin) * rate)) + 1 - len(resampled.t)
+    if resampled.segment[-1] or lost > 1:
+        notes.append(f"gaps: {resampled.segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
+    return resampled.t, resampled.values, resampled.segment
 
 
 def _cropped(t: np.ndarray, values: dict[str, np.ndarray], how: Crop, notes: list[str]) -> np.ndarray:

@@ -232,11 +232,11 @@ class _Reader:
 
     def corrections(self, value: Any, entries: dict[str, Entry]) -> tuple[Mapping, ...]:
         """Each as a mapping whose log is the flight that the other keys give."""
-        if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+        if not isinstance(value, list) or not all(isinstance(correction, dict) for correction in value):
             raise self.fail("corrections", "must be a list of lines of a mapping, such as `- rate: {unit: deg/s}`")
         allowed = ("world", "body", "time", *entries)
         reader = _Reader(self.path, dict.fromkeys(allowed, self.lines.get("corrections", 1)))
-        for key, lines in ((key, lines) for one in value for key, lines in one.items()):
+        for key, lines in ((key, lines) for correction in value for key, lines in correction.items()):
             if key not in allowed:
                 raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
             if key in entries:
@@ -244,7 +244,9 @@ class _Reader:
                 reader.known(key, lines, ("unit", "scale", "frame", *keys))
             elif key == "time":
                 reader.known(key, lines, ("unit", "scale"))
-        return tuple(reader.correction(one, {name: len(e.columns) for name, e in entries.items()}) for one in value)
+        return tuple(
+            reader.correction(correction, {name: len(e.columns) for name, e in entries.items()}) for correction in value
+        )
 
     def correction(self, lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
         """Lines as a mapping of which streams in SI, ENU and FLU are the log. widths: columns by quantity."""

@@ -265,7 +265,7 @@ def _open_hdf5(path: Path) -> Table:
 
 def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np.ndarray]:
     h5py = _h5py(table.path)
-    made: dict[str, np.ndarray] = {}
+    columns: dict[str, np.ndarray] = {}
     try:
         with h5py.File(table.path, "r") as file:
             for name in names:
@@ -275,10 +275,10 @@ def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np
                 declared = min(len(data), rows or len(data)) * len(names)
                 if declared > MOST_VALUES or 8 * declared > allowed_bytes(table.path):
                     raise DataError(f"{table.path}: {key} declares {len(data)} rows: too many to be a log, or damaged")
-                made[name] = np.asarray(data[part, int(index[:-1])] if index else data[part], float)
+                columns[name] = np.asarray(data[part, int(index[:-1])] if index else data[part], float)
     except (OSError, RuntimeError, ValueError, KeyError, MemoryError) as error:
         raise DataError(f"{table.path}: damaged ({first_line(error)})") from None
-    return made
+    return columns
 
 
 def _h5py(path: Path) -> Any:

@@ -111,9 +111,9 @@ def derivative(
     bounds = np.concatenate([[0], np.flatnonzero(~inside) + 1, [len(t)]])
     for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
         n = stop - start
-        own = min(length, n if n % 2 else n - 1)
-        if own >= 5:
-            out[start:stop] = savgol_filter(values[start:stop], own, ORDER, deriv=1, delta=dt, axis=0)
+        length_here = min(length, n if n % 2 else n - 1)
+        if length_here >= 5:
+            out[start:stop] = savgol_filter(values[start:stop], length_here, ORDER, deriv=1, delta=dt, axis=0)
         elif n >= 2:
             out[start:stop] = np.gradient(values[start:stop], dt, axis=0)
     return Derivative(out, bandwidth(length, dt))

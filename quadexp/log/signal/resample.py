@@ -102,18 +102,18 @@ def _on_clock(
 
 
 def _stretch(
-    own: np.ndarray, data: np.ndarray, at: np.ndarray, rate: float, slack: float, sphere: bool, held: bool
+    times: np.ndarray, data: np.ndarray, at: np.ndarray, rate: float, slack: float, sphere: bool, held: bool
 ) -> np.ndarray:
     """Values, (k, d), at the times `at`, (k,), of one piece without gaps: taken over, low-passed or interpolated."""
-    near = np.clip(np.searchsorted(own, at + slack, side="right") - 1, 0, len(own) - 1)
-    if np.abs(own[near] - at).max() <= slack and 1 / period(own) < SAME_RATE * rate:
+    near = np.clip(np.searchsorted(times, at + slack, side="right") - 1, 0, len(times) - 1)
+    if np.abs(times[near] - at).max() <= slack and 1 / period(times) < SAME_RATE * rate:
         return data[near]
-    factor = int(np.ceil(1 / (period(own) * rate) / SAME_RATE))
+    factor = int(np.ceil(1 / (period(times) * rate) / SAME_RATE))
     if factor < 2:
-        return interpolate(own, data, at, sphere=sphere, held=held)
+        return interpolate(times, data, at, sphere=sphere, held=held)
     half = len(low_pass(factor)) // 2
     grid = at[0] + np.arange((len(at) - 1) * factor + 1) / (rate * factor)
-    fine = interpolate(own, data, grid, sphere=sphere, held=held)
+    fine = interpolate(times, data, grid, sphere=sphere, held=held)
     smooth = np.stack([_filter(column, factor, half) for column in fine.T], axis=-1)
     return smooth / np.linalg.norm(smooth, axis=1, keepdims=True) if sphere else smooth
 
@@ -149,11 +149,11 @@ def interpolate(
         return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
     if sphere:
         return slerp(t, values, at)
-    left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     step = np.diff(t)
-    width = step[left]
-    share = (at - t[left]) / width
-    return np.stack([_hermite(column, _slopes(column, step), left, width, share) for column in values.T], axis=-1)
+    width = step[before]
+    share = (at - t[before]) / width
+    return np.stack([_hermite(column, _slopes(column, step), before, width, share) for column in values.T], axis=-1)
 
 
 def _slopes(x: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -170,10 +170,10 @@ def _slopes(x: np.ndarray, step: np.ndarray) -> np.ndarray:
     return slopes
 
 
-def _hermite(x: np.ndarray, slopes: np.ndarray, left: np.ndarray, width: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _hermite(x: np.ndarray, slopes: np.ndarray, before: np.ndarray, width: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Cubic with given ends and slopes in every interval."""
-    low, rise = x[left], x[left + 1] - x[left]
-    a, b = slopes[left] * width, slopes[left + 1] * width
+    low, rise = x[before], x[before + 1] - x[before]
+    a, b = slopes[before] * width, slopes[before + 1] * width
     return low + share * (a + share * (3 * rise - 2 * a - b + share * (a + b - 2 * rise)))
 
 
@@ -181,9 +181,9 @@ def slerp(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Spherical linear interpolation of quaternions q (k, 4) at the times `at`, (n, 4), along the shorter arc: q and -q
     are one attitude."""
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-    share = ((at - t[left]) / (t[left + 1] - t[left]))[:, None]
-    a, b = q[left], q[left + 1]
+    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    share = ((at - t[before]) / (t[before + 1] - t[before]))[:, None]
+    a, b = q[before], q[before + 1]
     cosine = np.sum(a * b, axis=1, keepdims=True)
     b = np.where(cosine < 0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), -1, 1))

@@ -130,22 +130,22 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     def wanted(relation: str) -> bool:
         return "t" in touching or bool(set(RELATIONS[relation].streams) & set(touching))
 
-    made = []
+    known = []
     if p is not None and v is not None and wanted("velocity"):
-        made.append(Pair("velocity", changes(t, p), means(t, v)))
+        known.append(Pair("velocity", changes(t, p), means(t, v)))
     if q is not None and w is not None and wanted("rate"):
-        made.append(Pair("rate", _weighted(t, attitude_rate(t, q)), means(t, w)))
+        known.append(Pair("rate", _weighted(t, attitude_rate(t, q)), means(t, w)))
     if f is not None and wanted("push"):
         read = means(t, f)
-        made.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
+        known.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
     if q is None or (v is None and p is None) or not set(touching) & set("tpvqf"):
-        return made
+        return known
     push = None if f is None else np.einsum("nlij,nlj->nli", windows.rotation, f)
     half = t.shape[1] // 2
     if v is not None and wanted("force"):
         turn = np.concatenate([windows.rotation[:, (a + b) // 2] for a, b in halves(t)])
         seen = None if push is None else means(t, push)
-        made.append(_forces("", turn, changes(t, v), seen))
+        known.append(_forces("", turn, changes(t, v), seen))
     if p is not None and wanted("force (p)"):
         first, second = ((t[:, b] - t[:, a])[:, None] for a, b in halves(t))
         change = (p[:, -1] - p[:, half]) / second - (p[:, half] - p[:, 0]) / first
@@ -153,8 +153,8 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
         triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
         length = (first + second) / 2
         seen = None if push is None else np.trapezoid(push * triangle, t[..., None], axis=1) / length
-        made.append(_forces(" (p)", windows.rotation[:, half], change / length, seen))
-    return made
+        known.append(_forces(" (p)", windows.rotation[:, half], change / length, seen))
+    return known
 
 
 def _forces(of: str, turn: np.ndarray, acceleration: np.ndarray, push: np.ndarray | None) -> Pair:

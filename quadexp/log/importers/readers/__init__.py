@@ -52,8 +52,8 @@ def reader_of(path: Path) -> str:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from None
         if not head:
             raise DataError(f"{path}: the file is empty")
-    found = next((name for name, reader in readers().items() if reader.recognises(path, head)), None)
-    if found is None:
+    known = next((name for name, reader in readers().items() if reader.recognises(path, head)), None)
+    if known is None:
         what = "neither text nor" if head is not None else "a folder, but none of"
         raise DataError(f"{path}: {what} {', '.join(f'{name} ({r.ABOUT})' for name, r in readers().items())}")
-    return found
+    return known

@@ -56,5 +56,5 @@ def _under_own_names(table: Table) -> RawLog:
 @cache
 def ready_mappings() -> tuple[Mapping, ...]:
     """The mappings of conf/import/, most particular first."""
-    found = [load_mapping(file) for file in sorted((conf_folder() / "import").glob("*.yaml"))]
-    return tuple(sorted((m for m in found if m.signature), key=lambda m: -len(m.signature)))
+    mappings = [load_mapping(file) for file in sorted((conf_folder() / "import").glob("*.yaml"))]
+    return tuple(sorted((m for m in mappings if m.signature), key=lambda m: -len(m.signature)))

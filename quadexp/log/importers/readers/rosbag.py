@@ -60,7 +60,7 @@ def read(path: Path, named: str) -> RawLog:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise missing_package(path, "rosbags", "logs") from None
-    found: _Found = {}
+    rows: _Found = {}
     notes: list[str] = []
     try:
         source = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file() else path
@@ -74,15 +74,15 @@ def read(path: Path, named: str) -> RawLog:
                 raise DataError(f"declares {declared} messages: too many for its size, or for any log")
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
-                _take(found, _fields(connection.msgtype), connection.topic, _time(message, stamp), message)
+                _take(rows, _fields(connection.msgtype), connection.topic, _time(message, stamp), message)
     except QuadexpError as error:
         raise DataError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except Exception as error:  # readers of bags, decompressors and databases raise what they like
-        if not any(found.values()):
+        if not any(rows.values()):
             raise DataError(f"{path}: not a bag, or damaged ({type(error).__name__}: {first_line(error)})") from None
         notes.append(f"damaged ({first_line(error)}): what could be read was")
     log = RawLog("rosbag", {}, "ros", notes=notes)
-    _choose(path, log, found)
+    _choose(path, log, rows)
     return log
 
 

@@ -155,14 +155,14 @@ def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) ->
     for name, sources in SOURCES.items():
         for source in sources:
             topic, fields = _fields(source)
-            found = _instance(topics, topic, fields)
-            if found is None or (name in refused and not topic.endswith("groundtruth")):
+            instance = _instance(topics, topic, fields)
+            if instance is None or (name in refused and not topic.endswith("groundtruth")):
                 continue
-            found = _valid(name, topic, found, log.notes)
-            if found is None:  # then the estimator's other topics have nothing better
+            instance = _valid(name, topic, instance, log.notes)
+            if instance is None:  # then the estimator's other topics have nothing better
                 refused.add(name)
                 continue
-            stream = _stream(path, f"{name} ({topic})", found, fields, log.notes)
+            stream = _stream(path, f"{name} ({topic})", instance, fields, log.notes)
             if stream is not None:
                 log.streams[name], used[name] = _turned(name, stream), topic
                 break
