@@ -38,7 +38,7 @@ def test_it_says_so_and_shows_the_errors_of_the_table(thinned):
         assert np.diff(flight.t) == pytest.approx(7 / 60)
         assert row["max_error"] == other["max_error"] > position_error(flight).max()
         assert mean_error(flight) == row["mean_error"] != pytest.approx(position_error(flight).mean(), rel=1e-9)
-    table = worst(read_comparison(out), result.rows, {}).blocks[0].tables["worst"]
+    table = worst(read_comparison(out), result.rows).blocks[0].tables["worst"]
     largest = [float(line[2].text.removesuffix(" mm")) for line in table.rows]
     assert largest == pytest.approx([1e3 * r["max_error"] for r in whole], rel=5e-3)
 

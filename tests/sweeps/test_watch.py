@@ -11,7 +11,7 @@ from quadexp.errors import UsageError
 from quadexp.report.live import Live, clock, page
 from quadexp.sweeps.sweep import SweepInterrupted
 from quadexp.sweeps.watch import FILE, Watch
-from tests.report.test_browser import BROWSER, DRIVER, browser, wait  # noqa: F401
+from tests.report.test_browser import BROWSER, DRIVER, browser  # noqa: F401
 from tests.report.test_tables import row
 
 ROOT = Path(__file__).resolve().parents[2]
