@@ -3,7 +3,6 @@
     python -m benchmarks.memory [--only delays export ...]
 
 delays    `identify --method delays` of a flight at 200 Hz
-flight    `simulate delay=identified`, which searches in flight
 export    `export --to csv` of a flight with all that is told, at 50 Hz
 fit       `fit-gp` with 200 points in every GP, without figures
 figures   `evaluate` of one long flight, with its figure of the path; also the largest file that it draws (MB)
@@ -41,11 +40,6 @@ def delays(folder: Path, seconds: int) -> Made:
     return ["identify", flight, "--method", "delays"], None
 
 
-def flight(folder: Path, seconds: int) -> Made:
-    more = (f"trajectory.duration={seconds}", "delay=identified", "--out", f"runs/{seconds}.parquet")
-    return ["simulate", *PATH, "link=latency", "link.latency=0.02", *more], None
-
-
 def export(folder: Path, seconds: int) -> Made:
     return ["export", simulated(folder, seconds), "--to", "csv"], None
 
@@ -70,7 +64,6 @@ def nodes(folder: Path, count: int) -> Made:
 
 PARTS: dict[str, tuple[Callable[[Path, int], Made], tuple[int, ...], str]] = {
     "delays": (delays, (60, 180, 540), "s"),
-    "flight": (flight, (60, 300, 1500), "s"),
     "export": (export, (300, 900, 2700), "s"),
     "fit": (fit, (100, 300, 900), "s of flights"),
     "figures": (figures, (60, 300, 1500), "s"),

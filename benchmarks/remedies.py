@@ -5,8 +5,7 @@
 Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle,
 in wind and with the delays that it knows; a round is one pass of each over its own record, so that a slow moment of
 the machine meets all. Of every step of a record the least over the rounds is taken, which other work on the machine
-does not touch; printed are the medians over the steps, and their ratios to the first row, in one run. Beside them: what
-a sample and a candidate cost of the search for unknown delays (delay=identified), which are one each a control step.
+does not touch; printed are the medians over the steps, and their ratios to the first row, in one run.
 """
 
 from __future__ import annotations
@@ -24,10 +23,8 @@ import numpy as np
 from benchmarks.machine import cores, machine, pin
 from benchmarks.step import make_residual
 from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.delay.moments import Moments
 from quadexp.control.delay.prediction import Prediction
 from quadexp.control.delay.strapdown import Strapdown
-from quadexp.control.delay.timing import Search
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
@@ -43,16 +40,15 @@ from quadexp.reference.circle import Circle
 
 CASE = "gp20"
 STEPS = 200  # of a round
-SAMPLE, CANDIDATE = "a sample for delay=identified, while delays are not known", "a candidate of its search"
 Log = list[tuple[Measurement, Window]]
 
 
 def contestants(vehicle: Vehicle) -> dict[str, Controller]:
     """By what is around the MPC; the first is the one that ratios refer to."""
 
-    def mpc(*, disturbed: bool = True, **settings: Any) -> PredictiveController:
+    def mpc(*, disturbed: bool = True, weighed: bool = False, **settings: Any) -> PredictiveController:
         form = MPCSettings(first_node=0.02, horizon=0.6, **settings)
-        residual = make_residual(CASE, vehicle)[0]
+        residual = make_residual(CASE, vehicle, weighed=weighed)[0]
         return PredictiveController(
             ModelPredictiveController(vehicle, residual, form, backend="compiled", disturbed=disturbed)
         )
@@ -61,6 +57,7 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
     still = WindObserver(name="wind", targets=False)
     return {
         f"{CASE}": mpc(disturbed=False),
+        f"{CASE}, controller.fallback=true": mpc(disturbed=False, weighed=True),
         f"{CASE}, dead time predicted": mpc(disturbed=False, dead_time=0.02),
         f"{CASE} and terms that adapt": AdaptingController(
             vehicle,
@@ -124,26 +121,6 @@ def steps(controller: Controller, log: Log) -> np.ndarray:
     return np.array(seconds[100:])
 
 
-def search_steps(vehicle: Vehicle, log: Log) -> dict[str, float]:
-    """Seconds that a sample and a candidate cost."""
-    period, samples, candidates = MPCSettings().control_period, [], []
-    moments, rng = Moments(vehicle, period), np.random.default_rng(0)
-    for asked, _ in log[1:]:
-        assert asked.specific_force is not None
-        thrust = vehicle.hover_thrust * (1 + 0.1 * rng.standard_normal(vehicle.n_rotors))
-        began = time.perf_counter()
-        moments.add(asked.t, asked.state, asked.specific_force, thrust)
-        samples.append(time.perf_counter() - began)
-    search = Search(moments)
-    for _ in range(5):
-        search.begin()
-        while search.found is None:
-            began = time.perf_counter()
-            search.go_on()
-            candidates.append(time.perf_counter() - began)
-    return {SAMPLE: float(np.median(samples)), CANDIDATE: float(np.median(candidates))}
-
-
 def measure(rounds: int) -> dict[str, float]:
     """Seconds of a step by contestant."""
     vehicle = build_vehicle(compose([]).vehicle)
@@ -158,7 +135,6 @@ def measure(rounds: int) -> dict[str, float]:
         for name, work in works.items():
             seconds[name].append(work())
     least = {name: float(np.median(np.min(times, axis=0))) for name, times in seconds.items()}
-    least |= search_steps(vehicle, log)
     pin(0, every)
     return least
 

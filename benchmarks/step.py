@@ -97,8 +97,8 @@ def gp_points(m: int) -> tuple[np.ndarray, np.ndarray]:
     return points, weights
 
 
-def make_residual(case: str, vehicle: Vehicle) -> tuple[Residual, dict[str, Any]]:
-    """Residual of a case, and its numbers for the other side."""
+def make_residual(case: str, vehicle: Vehicle, *, weighed: bool = False) -> tuple[Residual, dict[str, Any]]:
+    """Residual of a case, and its numbers for the other side. weighed: a GP by its variance."""
     if case == "none":
         return no_residual(vehicle), {"kind": "none"}
     if case == "drag":
@@ -111,7 +111,7 @@ def make_residual(case: str, vehicle: Vehicle) -> tuple[Residual, dict[str, Any]
         for i, axis in enumerate("xyz")
     ]
     numbers = {"kind": "gp", "Z": points.tolist(), "alpha": weights.tolist(), "lengthscale": LENGTHSCALE.tolist()}
-    return gaussian_process_residual(vehicle, outputs), numbers
+    return gaussian_process_residual(vehicle, outputs, weighed=weighed), numbers
 
 
 def make_plant(case: str, vehicle: Vehicle) -> Plant:

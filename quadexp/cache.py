@@ -25,7 +25,7 @@ from quadexp.writer import FOLDER_FLAGS, clean
 BOUND = 1_000_000_000  # bytes of all libraries
 LONG_AGO = 86400.0  # s
 CONFIGURATIONS = "configurations"  # kept there by earlier versions
-_LIBRARY = re.compile(r"\w+_[0-9a-f]{24}\.so")
+_LIBRARY = re.compile(r"\w+_[0-9a-f]{24}\.s?o")  # or what is compiled for several of them
 _OTHERS = re.compile(r"\w+_[0-9a-f]{24}\.sha256|[0-9a-f]{24}\.lock|[0-9a-f]{40}\.json")
 
 

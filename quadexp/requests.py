@@ -41,6 +41,7 @@ ANSWERED = {
     "vehicle_of": "experiment.vehicle_of.config_for",
     "import_logs": "experiment.import_flights.import_files",
     "ImportOptions": "log.importers.Options",
+    "describe_log": "log.importers.describe.describe_log",
     "export": "log.exporters.export_flight",
     "select": "sweeps.results.select",
     "prune": "sweeps.results.prune",
@@ -84,7 +85,7 @@ def simulate(
     from quadexp.experiment.identity import unused_model
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import compose
-    from quadexp.report.summary import delays_note, world_note
+    from quadexp.report.summary import world_note
 
     if out is not None and out.suffix in FOREIGN:
         parquet = out.with_suffix(".parquet")
@@ -99,7 +100,7 @@ def simulate(
     if path is not None:
         write_flight(path, flight, force=force)
     about = flight.metadata
-    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"]), delays_note(flight.columns)]
+    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"])]
     return Flown(flight, path, [note for note in notes if note])
 
 

@@ -13,6 +13,7 @@ those that no one holds any more, of this user, and nothing else.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import fcntl
 import os
@@ -93,6 +94,16 @@ def written(
                     os.unlink(temporary, dir_fd=folder)
     except OSError as error:
         raise write_error(path, error) from error
+
+
+def flush(folder: Path) -> None:
+    """Have the disk hold what was written without `durable` on the file system of a folder, of this machine."""
+    syncfs, fd = getattr(ctypes.CDLL(None), "syncfs", None), os.open(folder, os.O_RDONLY)
+    try:
+        if syncfs is None or syncfs(fd):
+            os.sync()
+    finally:
+        os.close(fd)
 
 
 def write_text(path: str | Path, text: str, *, force: bool = True, inside: Path | None = None) -> Path:

@@ -145,19 +145,16 @@ def _run() -> int:
             print(error.format_message(), file=sys.stderr)
             code = 2
         else:
-            fail(f"{error.format_message().rstrip('.')}{_instead(getattr(error, 'option_name', ''))}", 2)
+            fail(f"{error.format_message().rstrip('.')}{_as_setting(getattr(error, 'option_name', ''))}", 2)
             code = getattr(error, "exit_code", 2)
     return code if isinstance(code, int) else 0
 
 
-def _instead(option: str) -> str:
-    """Of an option that there is not: what replaces it, or how the setting of its name is given; "" otherwise."""
-    from quadexp.parts.former import FORMER_WORDS
+def _as_setting(option: str) -> str:
+    """Where an option that there is not has the name of a setting, how that is given; "" otherwise."""
     from quadexp.parts.listing import key_words
     from quadexp.parts.options import groups
 
-    if former := FORMER_WORDS.get(f"{sys.argv[1]} {option.replace('--no-', '--')}"):
-        return f": {former}"
     name = option.lstrip("-").replace("-", "_")
     if name in key_words("") or name in groups():
         return f"; a setting is given without dashes: {name}=VALUE"

@@ -224,7 +224,8 @@ def validate(
     flights: Annotated[tuple[Path, ...], Ask("Flights to predict; several may follow.", "FLIGHT", "--flights")] = (),
     horizons: Annotated[str, Ask("Horizons of the open-loop predictions (s).", "S,S,...")] = "0.1,0.5,1",
     leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,
-    out: Annotated[Path | None, Ask("Write the report there.", "DIR", "--out -o")] = None,
+    out: Annotated[Path | None, Ask("Write report and figures there.", "DIR", "--out -o")] = None,
+    figures: Annotated[bool, Ask("Draw figures (with --out).", flag="--figures/--no-figures")] = True,
     conf: Conf = None,
     force: Force = False,
 ) -> Answer:
@@ -251,8 +252,8 @@ def validate(
     config = requests.vehicle_of(tested, overrides, conf)
     with Progress("validate") as progress:
         report = requests.validate(
-            models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, force=force,
-            progress=progress,
+            models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
+            force=force, progress=progress,
         )  # fmt: skip
     record = {key: value for key, value in report.items() if key != "lines"}
     return Answer(record, report["rows"], [*report["lines"], *([out] if out else [])])

@@ -30,6 +30,7 @@ def import_(
     out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("flights"),
     mapping: Annotated[Path | None, Ask("What the columns of a table are (YAML).")] = None,
     rate: Annotated[float | None, Ask("Of the flight; the log's own unless given.", "HZ")] = None,
+    describe: Annotated[bool, Ask("Propose a mapping for a table, and say how sure it is.")] = False,
     crop: Annotated[bool, Ask("Cut off what is on the ground.", flag="--crop/--no-crop")] = True,
     align: Annotated[bool, Ask("Move gyro and accelerometer by the offsets found.")] = False,
     mounting: Annotated[str | None, Ask("Roll, pitch, yaw of the accelerometer in the body (deg).", "R,P,Y")] = None,
@@ -43,10 +44,16 @@ def import_(
 
     \b
     quadexp import logs/*.ulg --vehicle crazyflie --out flights
+    quadexp import --describe log.csv > mapping.yaml
     quadexp import log.csv --mapping mapping.yaml --out flights
     """
     from quadexp import requests
 
+    if describe:
+        if len(logs) != 1:
+            raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
+        proposed = requests.describe_log(logs[0])
+        return Answer(proposed.record(), [], proposed.yaml().splitlines(), proposed.warnings)
     turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
     options = requests.ImportOptions(log_format, mapping, rate, crop, align, *turned, bad_rows)
     records: list[dict[str, Any]] = []

@@ -255,18 +255,20 @@ def _margins(words: Sequence[str], conf: Path | None) -> Answer:
 
 @command
 def compare(
-    first: Annotated[Path, Ask("A flight.")],
-    others: Annotated[tuple[Path, ...], Ask("Others, each compared with the first.", "FILE")],
+    first: Annotated[Path, Ask("A flight, results folder, or checkpoint folder.")],
+    others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE")],
     out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
 ) -> Answer:
-    """Show how flights differ: configuration, outcome, figures, paths.
+    """Show how flights, results or checkpoints differ: configuration, outcome, figures.
 
     \b
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
+    quadexp compare results/table1 results/table1_again
     """
+    from quadexp.report.checked import check_flights
     from quadexp.report.compare import compare as compared
-    from quadexp.report.compare import names_of
+    from quadexp.report.frame import read_results
 
     if out is not None:
         from quadexp.report.draw import check_path
@@ -274,15 +276,17 @@ def compare(
         out = check_path(out, force, ("png", "pdf", "svg"))
     report = compared(first, *others)
     if out is not None:
-        from quadexp.log.store import read_flight
-        from quadexp.report.flight_figures import flights_figure
+        from quadexp.report.draw import comparison_figure
         from quadexp.report.style import save_figure
 
-        paths = [first, *others]
-        flights = dict(zip(names_of(paths), map(read_flight, paths), strict=True))
-        save_figure(flights_figure(flights), out, force=force)
+        save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
+    checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}
+    wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
+    for line in wrong:
+        say(f"warning: {line}")
     record = {key: value for key, value in report.items() if key not in ("lines", "tables")}
     record |= {"picture": out} if out else {}
+    record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
     return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])
 
 

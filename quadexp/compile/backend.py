@@ -4,6 +4,10 @@ A compiled function lies in the user's cache folder (files/cache.py) under the h
 command of the compiler with its version, and the processor, with the hash of its own content beside it: one that does
 not match is never loaded but made anew, under a lock, so that any number of processes may ask for the same one. Without
 a compiler "auto" says so once and uses the virtual machine.
+
+The numbers of a generated function, such as those of a vehicle or of a fitted model, are no part of what is compiled:
+they are data of a source of their own, which is linked to the rest. So functions that differ in numbers only are
+compiled once, and each further one costs the linking, a fiftieth of the time.
 """
 
 from __future__ import annotations
@@ -13,10 +17,11 @@ import ctypes
 import fcntl
 import hashlib
 import os
+import re
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,6 +46,7 @@ if TYPE_CHECKING:
     from quadexp.compile.library_function import LibraryFunction
 
 PRODUCT = "void casadi_mtimes_dense("  # one function for all of a library: its sums do not depend on what else is there
+NUMBER = re.compile(r"=(-?\d\.\d{16}e[-+]\d+);")  # in generated code, but for whole ones
 BACKENDS = ("auto", "compiled", "interpreted")
 
 
@@ -123,21 +129,59 @@ def handwritten(
 
 
 def _library(name: str, source: str, flags: Sequence[str]) -> Path:
-    """Path of the shared library of a C source, compiled unless the cache has it."""
+    """Path of the shared library of a C source, made unless the cache has it."""
+
+    def link(scratch: Path, built: Path) -> None:
+        structure, numbers = numbers_apart(source)
+        unlinked, data = scratch / "built.o", scratch / "numbers.c"
+        if numbers:
+            unlinked.write_bytes(_cached(name, structure, flags, ".o", compiled(structure)).read_bytes())
+        else:
+            compiled(source)(scratch, unlinked)
+        data.write_text(numbers, encoding="utf-8")
+        run_compiler(
+            ["-fPIC", "-shared", str(unlinked), str(data), "-o", str(built), "-lm"], f"link {name}", str(scratch)
+        )
+
+    def compiled(source: str) -> Callable[[Path, Path], None]:
+        def make(scratch: Path, built: Path) -> None:
+            code = scratch / "built.c"
+            code.write_text(source, encoding="utf-8")
+            run_compiler([*flags, "-c", str(code), "-o", str(built)], f"compile {name}", str(scratch))
+
+        return make
+
+    return _cached(name, source, flags, ".so", link)
+
+
+def numbers_apart(source: str) -> tuple[str, str]:
+    """Generated C without its numbers, each of which is an element of an array; and the source of that array, "" where
+    there are none."""
+    numbers = NUMBER.findall(source)
+    if not numbers:
+        return source, ""
+    array = f'const double casadi_numbers[{len(numbers)}] __attribute__((visibility("hidden")))'
+    places = iter(range(len(numbers)))
+    structure = NUMBER.sub(lambda _: f"=casadi_numbers[{next(places)}];", source)
+    return f"extern {array};\n{structure}", f"extern {array};\n{array.partition(' _')[0]} = {{{', '.join(numbers)}}};\n"
+
+
+def _cached(name: str, source: str, flags: Sequence[str], suffix: str, make: Callable[[Path, Path], None]) -> Path:
+    """Path of what `make`, in a private folder, builds of a source, unless the cache has it."""
     key = hashlib.sha256("\n".join([toolchain(), *flags, source]).encode()).hexdigest()[:24]
     folder = cache_folder()
-    library = folder.inside / f"{name}_{key}.so"
+    kept = folder.inside / f"{name}_{key}{suffix}"
     try:
-        if not _intact(library):
+        if not _intact(kept):
             with _lock(folder.inside / f"{key}.lock"):
-                if not _intact(library):
-                    _build(name, source, flags, folder.path / library.name)
-                    thin(folder, library)
+                if not _intact(kept):
+                    _build(name, make, folder.path / kept.name)
+                    thin(folder, kept)
     except OSError as error:
         raise unusable(folder.path, error) from None
     with contextlib.suppress(OSError):
-        os.utime(library)  # used now
-    return library
+        os.utime(kept)  # used now
+    return kept
 
 
 @contextlib.contextmanager
@@ -152,25 +196,23 @@ def _lock(path: Path) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def _build(name: str, source: str, flags: Sequence[str], library: Path) -> None:
-    """Compile in a private folder. The compiler is another process: it needs the path, not the handle."""
-    with tempfile.TemporaryDirectory(dir=library.parent, prefix=".build-", ignore_cleanup_errors=True) as scratch:
-        code, unlinked, built = (Path(scratch) / f"built{suffix}" for suffix in (".c", ".o", ".so"))
-        code.write_text(source, encoding="utf-8")
-        run_compiler([*flags, "-c", str(code), "-o", str(unlinked)], f"compile {name}", scratch)
-        run_compiler(["-shared", str(unlinked), "-o", str(built), "-lm"], f"compile {name}", scratch)
+def _build(name: str, make: Callable[[Path, Path], None], kept: Path) -> None:
+    """Make in a private folder. The compiler is another process: it needs the path, not the handle."""
+    with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".build-", ignore_cleanup_errors=True) as scratch:
+        built = Path(scratch) / f"made{kept.suffix}"
+        make(Path(scratch), built)
         if not built.is_file():
             raise QuadexpError(f"{shlex.join(required_compiler())} made no library of {name}: is it a C compiler?")
         content = built.read_bytes()
-    with written(library) as file:
+    with written(kept) as file:
         file.write(content)
-    write_text(library.with_suffix(".sha256"), hashlib.sha256(content).hexdigest())
+    write_text(kept.with_suffix(".sha256"), hashlib.sha256(content).hexdigest())
 
 
-def _intact(library: Path) -> bool:
-    """Whether a cached library is there and is, byte for byte, what was compiled."""
+def _intact(kept: Path) -> bool:
+    """Whether a file of the cache is there and is, byte for byte, what was made."""
     try:
-        return library.with_suffix(".sha256").read_text() == hashlib.sha256(library.read_bytes()).hexdigest()
+        return kept.with_suffix(".sha256").read_text() == hashlib.sha256(kept.read_bytes()).hexdigest()
     except (OSError, UnicodeError):
         return False
 

@@ -30,11 +30,14 @@ from quadexp.control.allocation import allocation
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.earlier import Earlier
 from quadexp.control.instant import Instant, Told, call, copy, instant_of
 from quadexp.control.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, layers, thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.sensor_sheet import later_speeds
 from quadexp.parts.settings import Backend, Settings, key, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import RATE
@@ -143,12 +146,14 @@ WHOLE = 1e-6  # how far a ratio of rates may be from a whole number
 class INDI(WrappedController):
     """A Controller at inner.rate: every n-th instant the inner one, whose thrusts an INDI loop gives to the rotors.
 
+    late: by how much the rotors' speeds are older than the rates that they are compared with (s).
     Raises UsageError for settings that contradict each other, and where the rate is no whole multiple of the
     controller's.
     """
 
-    def __init__(self, inner: Controller, keys: INDIKeys, *, backend: str = "auto") -> None:
+    def __init__(self, inner: Controller, keys: INDIKeys, *, backend: str = "auto", late: float = 0.0) -> None:
         super().__init__(inner)
+        self._keys = keys
         ratio = keys.rate * inner.control_period
         self._every = round(ratio)
         if self._every < 1 or abs(ratio - self._every) > WHOLE * ratio:
@@ -157,7 +162,8 @@ class INDI(WrappedController):
                 f" {1 / inner.control_period:g} Hz"
             )
         self.control_period = inner.control_period / self._every
-        self._keys, vehicle = keys, inner.vehicle
+        vehicle = inner.vehicle
+        self._rate = Earlier(3, late, self.control_period)
         self._law = BufferedFunction(built(backend, indi_function, vehicle, keys))
         delays = keys.dead_time, keys.motor_lag
         self._delivered = DeliveredThrust(vehicle, self.control_period, *delays, backend=resolve(backend))
@@ -167,6 +173,7 @@ class INDI(WrappedController):
         super().reset(x, window)
         thrust = thrust_at_start(window, self.vehicle)
         self._delivered.reset(thrust)
+        self._rate.reset(x[RATE])
         arguments, values = self._law.arguments, np.concatenate([x[RATE], np.sqrt(thrust)])
         arguments["before"][:], arguments["memory"][:] = values, settled_memory(self._keys, values)
 
@@ -176,7 +183,8 @@ class INDI(WrappedController):
         arguments, results, delivered = self._law.arguments, self._law.results, self._delivered
         wanted = copy(arguments["wanted"], inner.command)
         operations = [o._replace(every=o.every * self._every) for o in (*inner.operations, wanted)]
-        operations += [*delivered.before(told), copy(arguments["rate"], state[RATE])]
+        operations += [*delivered.before(told), *self._rate.before(state[RATE])]
+        operations.append(copy(arguments["rate"], self._rate.then))
         operations += [copy(arguments["delivered"], delivered.thrust), call(self._law)]
         operations.append(copy(arguments["before"], results["filtered"]))
         operations.append(copy(arguments["memory"], results["memory_next"]))
@@ -190,11 +198,12 @@ class INDIPart(INDIKeys, Remedy):
 
     backend: Backend = "auto"
 
-    def around(self, controller: Any) -> INDI:
+    def put_around(self, controller: Any, given: Given) -> INDI:
         """See Remedy; UsageError where an observer inside finds the torque that the loop removes too."""
+        late = later_speeds(given.sheet)
         if any(getattr(one, "finds_torque", False) for one in layers(controller)):
             raise UsageError(
                 f"inner={self.name}: it removes an unknown torque, which the observer inside finds too and the"
                 " controller would take away a second time; set observer.torque_bandwidth=0"
             )
-        return INDI(controller, part(INDIKeys, self), backend=self.backend)
+        return INDI(controller, part(INDIKeys, self), backend=self.backend, late=late)

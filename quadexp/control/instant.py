@@ -194,12 +194,6 @@ class InOperations:
             self._running = Running(self)
         return self._running
 
-    def recompose(self) -> None:
-        """Make the operations anew, where they have become others."""
-        k = self.running.k
-        self._running = None
-        self.running.k = k
-
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self._running = None

@@ -48,14 +48,11 @@ class ControllerPart(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class Remedy(Part):
-    """A remedy. believes: whether it tells the controller of disturbances, see control/belief.py. finds_delays: whether
-    it finds dead time and lag in flight."""
+    """A remedy. believes: whether it tells the controller of disturbances, see control/belief.py."""
 
     believes: ClassVar[bool] = False
-    finds_delays: ClassVar[bool] = False
 
-    @property
-    def scales_air(self) -> bool:
+    def scales_air(self, given: Given) -> bool:
         """Whether it finds a scale of the controller's model of the air."""
         return False
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.control.delay.moments import LARGEST_AGE
-from quadexp.control.delay.timing import LARGEST, Delays, Search, Stream, moments_of
+from quadexp.control.delay.moments import LARGEST_AGE, Moments, Stream
+from quadexp.control.delay.timing import LARGEST, Delays, Search
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.vehicle_of import own_vehicle
 from quadexp.log.schema import Flight
@@ -43,17 +43,17 @@ def identify_delays(
         flown = vehicle or own_vehicle(flight, conf)
         if flown is None:
             raise UsageError(f"{path}: its vehicle is not known here; name it: --vehicle NAME")
-        search = Search(moments_of(told(flight, str(path)), flown))
-        delays = search.all()
+        search = Search(Moments(told(flight, str(path)), flown))
+        delays = search.find()
         if figure is not None:
-            _draw(search, delays, flight, figure)
+            _draw(search, delays, figure)
         settings = overrides(delays)
         records.append({"path": str(path), **asdict(delays), "overrides": settings})
         lines += [f"{path}", *(f"  {line}" for line in report(delays)), f"  set: {' '.join(settings) or 'nothing'}"]
     return {"flights": records, "lines": lines}
 
 
-def _draw(search: Search, delays: Delays, flight: Flight, path: Path) -> None:
+def _draw(search: Search, delays: Delays, path: Path) -> None:
     """Write the figure of a search, as SVG and PNG: of every delay its candidates (s) where they are likely at all,
     their log likelihood less the best, and the result; dead time and lag each with the best of the other."""
     from quadexp.report.flight_figures import Profile, delay_figure  # slow to import
@@ -75,7 +75,7 @@ def _draw(search: Search, delays: Delays, flight: Flight, path: Path) -> None:
         Profile("dead time of the commands", dead_times, fine.max(axis=1), delays.dead_time, delays.dead_time_error),
         Profile("lag of the motors", lags, fine.max(axis=0), delays.lag, delays.lag_error),
     ]
-    save(delay_figure(profiles, flight.columns, true_delays(flight)), path)
+    save(delay_figure(profiles), path)
 
 
 def _near(candidates: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
@@ -83,16 +83,6 @@ def _near(candidates: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
     likely = np.flatnonzero(likelihood > likelihood.max() - LIKELY)
     ends = candidates[max(likely[0] - BESIDE, 0)], candidates[min(likely[-1] + BESIDE, len(candidates) - 1)]
     return np.linspace(*ends, len(candidates))
-
-
-def true_delays(flight: Flight) -> dict[str, float]:
-    """What the world of a simulated flight states, by the columns of delay=identified (s); empty of other flights."""
-    config = flight.metadata.get("config") or {}
-    places = {"delay_time": ("estimator", "delay"), "delay_dead_time": ("link", "latency")}
-    places |= {"delay_lag": ("actuator", "time_constant_up")}
-    if not all(group in config for group, _ in places.values()):
-        return {}
-    return {name: float(config[group].get(key) or 0.0) for name, (group, key) in places.items()}
 
 
 def told(flight: Flight, name: str) -> Stream:

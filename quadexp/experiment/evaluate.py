@@ -12,13 +12,21 @@ import numpy as np
 
 import quadexp
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, check_remedies
+from quadexp.experiment.build import (
+    build_controller,
+    build_trajectory,
+    build_vehicle,
+    build_world,
+    check_remedies,
+    keep,
+)
 from quadexp.experiment.identity import ModelFile, digest, find_model, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
+from quadexp.physics.state import POSITION
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics
@@ -199,11 +207,16 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     model = model or find_model(config)
     vehicle = build_vehicle(config.vehicle)
     trajectory = build_trajectory(config.trajectory, vehicle)
-    note = check_feasible(config, trajectory, vehicle)
-    loop = build_loop(config, model)
-    controller = loop.controller
     known = config.trajectory.shipped and not hasattr(config.trajectory, "path")  # another file may lie there
     path_digest = digest([config.trajectory.recorded(), vehicle.fingerprint]) if known else ""
+    beside = [vehicle.name, config.plant.recorded(), getattr(config.ground, "height", 0.0)]  # what a note names too
+
+    def check() -> str:
+        return check_feasible(config, trajectory, vehicle)
+
+    note = keep(["path", path_digest, *beside], check) if known else check()
+    loop = build_loop(config, model)
+    controller = loop.controller
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
     metadata = describe(config, vehicle, model)
     flight = loop.fly(trajectory, generator(config), digest=path_digest, metadata=metadata, **limits)
@@ -211,6 +224,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
     flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins, timing=timing)
+    flight.metadata["lacking"] = list(getattr(controller, "lacking", ()))
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight
@@ -218,25 +232,38 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
 
 def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> dict[str, Any] | None:
     """How much of a flight lay outside the data that the controller's learned model was fitted to: {model, share,
-    shares, ranges, note}, None where it flies without one.
+    shares, ranges, where, note}, None where it flies without one.
 
-    share: of the samples, 0..1, None where it is unknown. shares: of every feature. See quadexp.models.base.
+    share: of the samples, 0..1, None where it is unknown. shares: of every feature. where: the longest stretch outside,
+    in words, "" without one. See quadexp.models.base.
     """
     if model is None:
         return None
     from quadexp.control.observers.observer import air_of
     from quadexp.control.wrapped import innermost
-    from quadexp.models.base import outside_shares
+    from quadexp.models.base import outside
     from quadexp.models.dataset import feature_rows
 
     ranges = dict(air_of(innermost(controller)).ranges or {})
-    record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges}
+    record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
     if not ranges or not len(flight):
         return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}
     rate = flight.stack(["w_x", "w_y", "w_z"])
     finite = np.isfinite(flight.state).all(axis=1)
-    shares = outside_shares(ranges, feature_rows(flight.air_velocity[finite], rate[finite], flight.input[finite]))
-    return record | {"share": shares.pop("any"), "shares": shares, "note": ""}
+    masks = outside(ranges, feature_rows(flight.air_velocity[finite], rate[finite], flight.input[finite]))
+    where = _longest(masks["any"], flight.t[finite], flight.state[finite, POSITION])
+    shares = {name: float(mask.mean()) for name, mask in masks.items()}
+    return record | {"share": shares.pop("any"), "shares": shares, "where": where, "note": ""}
+
+
+def _longest(mask: np.ndarray, t: np.ndarray, position: np.ndarray) -> str:
+    """The longest stretch of samples of a mask, (k,): times, and position (m) in its middle."""
+    if not mask.any():
+        return ""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)  # first, and after the last
+    first, end = edges[np.argmax(np.diff(edges, axis=1))]
+    at = ", ".join(f"{x:.1f}" for x in position[(first + end - 1) // 2] + 0.0)
+    return f"{t[first]:.2f} to {t[end - 1]:.2f} s at ({at}) m"
 
 
 def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Flight:
@@ -264,13 +291,15 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
     """The row of one flight in a table of results."""
     metadata, rate, vehicle = flight.metadata, getattr(config.controller, "rate", None), config.vehicle
     metrics = flight_metrics(flight, vehicle.thrust_min, vehicle.thrust_max, 1 / rate if rate else None)
+    outside = metadata.get("outside_data") or {}
     return {
         "plant": config.plant.name if config.world == "clean" else f"{config.plant.name}/{config.world}",
         "vehicle": vehicle.name, "trajectory": config.trajectory.name,
         "speed": getattr(config.trajectory, "speed", None), "controller": controller_name(config),
         "model": metadata["model"], "seed": config.seed, **metrics,
         "reference_residual": metadata.get("reference_residual"),
-        "outside_data": (metadata.get("outside_data") or {}).get("share"), "outcome": metadata["outcome"],
+        "outside_data": outside.get("share"), "outside_where": outside.get("where", ""),
+        "outcome": metadata["outcome"],
         "backend": metadata.get("backend", ""), "cause": metadata.get("cause", ""), **program_record(),
     }  # fmt: skip
 
@@ -288,13 +317,16 @@ def failed_row(config: Config, model: ModelFile | None, cause: str, outcome: str
 
 
 def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) -> dict[str, Any]:
-    """Fly one cell of a sweep, write it to `path`, and return its row."""
+    """Fly one cell of a sweep, write it to `path`, and return its row.
+
+    The disk may hold the file later; what a power cut takes of it, its hash shows.
+    """
     try:
         flight = fly_one(config, model)
     except InfeasibleError as error:
         flight = infeasible_flight(config, model, str(error))
     flight.metadata["row"]["key"] = key
-    write_flight(Path(path), _thinned(flight, config.evaluate.log_period), key=key)
+    write_flight(Path(path), _thinned(flight, config.evaluate.log_period), key=key, durable=False)
     return flight.metadata["row"]
 
 

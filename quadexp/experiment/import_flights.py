@@ -91,7 +91,7 @@ def _finish(outcome: Outcome, flight: Flight, path: Path, seen: dict[str, str], 
             path.unlink()
             outcome.cause += f"; the earlier {path} was removed"
         return outcome
-    record = {"findings": [finding.record() for finding in outcome.findings]} if source else {}
+    record: dict[str, Any] = {"findings": [finding.record() for finding in outcome.findings]} if source else {}
     write_flight(path, flight, force=force, **record)
     seen.setdefault(content, outcome.log.name)
     t = flight.t

@@ -31,7 +31,7 @@ REPORT_FILE = "validation.json"
 
 def validate(
     models: Sequence[Path], flights: Sequence[Path], config: Config, *, horizons: Sequence[float] = HORIZONS,
-    leave_one_out: bool = False, out: Path | None = None, force: bool = False,
+    leave_one_out: bool = False, out: Path | None = None, figures: bool = True, force: bool = False,
     progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Score the models on the flights; with leave_one_out, each flight by models refitted to all the others.
@@ -84,6 +84,11 @@ def validate(
     if out is not None:
         files["report"] = str(out / REPORT_FILE)
         write_text(out / REPORT_FILE, json.dumps(report, indent=1, default=str) + "\n", force=force)
+        if figures:
+            from quadexp.report.model_figures import validation_figures
+            from quadexp.report.style import save
+
+            files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report).items()}
     return {**report, "lines": lines, "files": files}
 
 

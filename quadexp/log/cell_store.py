@@ -2,7 +2,8 @@
 
     <results>/cells/<2 hex>/<key>.parquet
 
-A cell is done when its file exists and holds, byte for byte, what was written; a file appears complete or not at all.
+A cell is done when its file exists and holds, byte for byte, what was written; a file appears complete or not at all,
+but for a power cut before the sweep's end, after which some may be damaged and are flown again.
 Nothing else is kept between runs. No link is followed below the results folder: what lies behind one is no cell, is
 not removed, and nothing is written there.
 """

@@ -6,7 +6,6 @@ metadata), so that a reader in another language needs nothing else.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -119,6 +118,7 @@ RESULT_COLUMNS: Columns = {
     "outside_data": Column(
         "1", "", "share of samples outside the data of the controller's learned model; NaN without one, or unknown"
     ),
+    "outside_where": Column("", "world", "the longest stretch of them, in s, and the position in its middle, in m"),
 }
 
 # One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.
@@ -235,7 +235,7 @@ def describe(name: str, kind: str = "flight") -> Column:
 
 def n_inputs(columns: Any) -> int:
     """Number of rotors a table's columns speak of."""
-    return sum(1 for name in columns if re.fullmatch(r"u_\d+", name))
+    return sum(1 for name in columns if name.startswith("u_") and name[2:].isdecimal())
 
 
 @dataclass(frozen=True)

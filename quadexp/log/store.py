@@ -14,6 +14,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -62,23 +63,29 @@ def read_text(path: Path) -> str | None:
 
 
 def write_table(
-    path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any], kind: str, *, force: bool = True
-) -> Path:
-    """Write columns (each (k,)) and JSON-able metadata as one Parquet file; force: see `written`."""
+    path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any], kind: str, *, force: bool = True,
+    durable: bool = True,
+) -> Path:  # fmt: skip
+    """Write columns (each (k,)) and JSON-able metadata as one Parquet file; force, durable: see `written`."""
     import pyarrow as pa
 
     arrays = {name: _arrow(values) for name, values in columns.items()}
     record = json.dumps({**metadata, "kind": kind, "schema": SCHEMA}, sort_keys=True, default=_plain)
-    about = {name: {k: v for k, v in describe(name, kind)._asdict().items() if v} or None for name in arrays}
-    fields = [pa.field(name, array.type, metadata=about[name]) for name, array in arrays.items()]
+    fields = [pa.field(name, array.type, metadata=_about(name, kind)) for name, array in arrays.items()]
     content = content_hash(arrays, arrays.values())
     digest = _digest(record.encode(), list(arrays), content)
     schema = pa.schema(fields, metadata={METADATA_KEY: record, HASH_KEY: digest, CONTENT_KEY: content})
     table = pa.Table.from_arrays(list(arrays.values()), schema=schema)
     text = [name for name, array in arrays.items() if pa.types.is_string(array.type)]
-    with written(path, force=force) as file:
-        write_sealed(table, file, compression="zstd", use_dictionary=text, write_page_checksum=True)
+    with written(path, force=force, durable=durable) as file:
+        # zstd: 3 to 6 % smaller, but of 200 rows .6 ms more, a fifth of what flying them takes.
+        write_sealed(table, file, compression="snappy", use_dictionary=text, write_page_checksum=True)
     return Path(path)
+
+
+@cache
+def _about(name: str, kind: str) -> dict[str, str] | None:
+    return {key: value for key, value in describe(name, kind)._asdict().items() if value} or None
 
 
 def _digest(record: bytes, names: list[str], content: bytes | None) -> bytes:
@@ -348,9 +355,10 @@ def first_line(error: BaseException) -> str:
     return text[0][:200] if text else type(error).__name__
 
 
-def write_flight(path: str | Path, flight: Flight, *, force: bool = True, **extra: Any) -> Path:
-    """Write a flight; `extra` joins its metadata. force: see `written`."""
-    return write_table(path, flight.columns, {**flight.metadata, **extra}, "flight", force=force)
+def write_flight(path: str | Path, flight: Flight, *, force: bool = True, durable: bool = True, **extra: Any) -> Path:
+    """Write a flight; `extra` joins its metadata. force, durable: see `written`."""
+    metadata = {**flight.metadata, **extra}
+    return write_table(path, flight.columns, metadata, "flight", force=force, durable=durable)
 
 
 def read_flight(path: str | Path, *, check: bool = True, whole: bool = False) -> Flight:

@@ -147,6 +147,13 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         if part not in ("best", self.kind, self.kind.removesuffix("_drag")):
             raise UsageError(f"{source}: holds {self.kind}, not '{part}'")
 
+    def weighed(self, vehicle: Vehicle, residual: Residual) -> Residual:
+        """`residual` of this model, weighed by its own variance: outside its data it falls back to a mean function.
+
+        Raises UsageError where the model states no variance.
+        """
+        raise UsageError(f"{residual.source}: {self.kind} states no variance to fall back by; a GP does")
+
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
         """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit."""
         raise NotImplementedError
@@ -213,14 +220,16 @@ def feature_ranges(rows: ResidualDataset, features: Sequence[str] = ()) -> dict[
     return ranges
 
 
+def outside(ranges: Mapping[str, Sequence[float]], rows: ResidualDataset) -> dict[str, np.ndarray]:
+    """Which rows are outside each range, and outside "any" of them, (k,) each."""
+    values = {name: _values(rows, name) for name in ranges}
+    masks = {name: (values[name] < low) | (values[name] > high) for name, (low, high) in ranges.items()}
+    return masks | {"any": np.logical_or.reduce(list(masks.values()))}
+
+
 def outside_shares(ranges: Mapping[str, Sequence[float]], rows: ResidualDataset) -> dict[str, float]:
     """Share of the rows outside each range, and outside "any" of them."""
-    masks = {}
-    for name, (low, high) in ranges.items():
-        values = _values(rows, name)
-        masks[name] = (values < low) | (values > high)
-    masks["any"] = np.logical_or.reduce(list(masks.values()))
-    return {name: float(mask.mean()) for name, mask in masks.items()}
+    return {name: float(mask.mean()) for name, mask in outside(ranges, rows).items()}
 
 
 def _values(rows: ResidualDataset, name: str) -> np.ndarray:

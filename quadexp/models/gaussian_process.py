@@ -6,16 +6,26 @@ physical units, with e_j = exp(-1/2 sum_i ((phi_i - Z_ji) / l_i)^2):
     mean     = sum_j alpha_j e_j + prior mean
     variance = sigma_f^2 - ||F e||^2             of the function; add sigma_n^2 for a new measurement
 
+Weighed by what it knows (`GPModel.weighed`), where data end it falls back to its prior mean m, continued by q:
+
+    y = m + q + w (sum_j alpha_j e_j - q),     w = s^2 / (s^2 + variance),     s^2 = misfit of q at the points Z
+
+the combination of two independent estimates, the GP with the posterior variance and m + q with s^2, that has the least
+mean squared error. q is quadratic drag, c_0 + c_1 v_i + c_2 v_i |v_i| (+ c_3 thrust on z), by least squares through the
+GP's own points, where m is no drag model that was fitted (terms) and the features are these; else q = 0.
+
 Kernel: Torrente et al. 2021, eq. 8; posterior: Titsias 2009, eqs 6 and 10; the fit: quadexp.models.sgpr. The prior mean
 is linear drag, a sum of identified terms (quadexp.models.terms), a constant, or zero.
 
 The residual is written in matrix operations with the analytic derivative; the cost is linear in the number of points.
 Points and weights are parameters, so fits of the same size share one function. With s = 1 / (sqrt(2) l) the code
-evaluates d = s phi - s Z, k = exp(-sum d^2), dy/dphi = -2 s (alpha k)^T d.
+evaluates d = s phi - s Z, k = exp(-sum d^2), dy/dphi = -2 s (alpha k)^T d. The weighed form has besides
+w = 1 / (1 + sigma_f^2/s^2 - ||F k||^2/s^2), a ratio of parameters.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +59,16 @@ from quadexp.models.linear_drag import N_PARAMETERS, LinearDrag, baseline, const
 from quadexp.models.neural import one_thread
 from quadexp.models.online import Adapting, Block
 from quadexp.models.recorded import with_common_scale
-from quadexp.models.residual import N_OUTPUTS, OUTPUTS, Residual, check_features, feature_names, feature_places
+from quadexp.models.residual import (
+    FEATURES,
+    N_OUTPUTS,
+    OUTPUTS,
+    THRUST,
+    Residual,
+    check_features,
+    feature_names,
+    feature_places,
+)
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, Settings, key, lists, made
@@ -61,7 +80,12 @@ CHUNK = 4096  # rows predicted at a time, to limit memory
 JITTER = 1e-8  # added to K of weights that adapt, as in the fit
 SUMS = Path(__file__).with_name("gp_sums.c")
 
-Sums = tuple[list[Expression], list[Expression]]  # over the points: one value per output, one slope per feature
+LEAST = 1e-12  # of the signal variance: smallest s^2, where q goes through the points
+N_FALLBACK = 5  # numbers of an output's fallback: sigma_f^2 / s^2, c_0 .. c_3
+
+Sums = tuple[
+    list[Expression], ...
+]  # over the points: values per output, slopes per feature; likewise of ||F k||^2 / s^2
 Structure = tuple[tuple[str, tuple[str, ...], int], ...]  # output, its features, its number of points
 
 
@@ -218,6 +242,13 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         terms = self.mean.structure if isinstance(self.mean, TermMean) else None
         return gaussian_process_residual(vehicle, self.outputs, parameters, source, mean_terms=terms)
 
+    def weighed(self, vehicle: Vehicle, residual: Residual) -> Residual:
+        """See Model.weighed."""
+        parameters = None if self.mean is None else self.mean.parameters
+        terms = self.mean.structure if isinstance(self.mean, TermMean) else None
+        form = gaussian_process_residual(vehicle, self.outputs, parameters, mean_terms=terms, weighed=True)
+        return dataclasses.replace(residual, function=form.function, to_compile=form.to_compile, theta=form.theta)
+
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
         return adapting_process(residual, self.outputs, deviation)
 
@@ -249,61 +280,107 @@ def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], dev
 
 def gaussian_process_residual(
     vehicle: Vehicle, outputs: Sequence[OutputPosterior], mean_parameters: npt.ArrayLike | None = None,
-    source: str = "", *, mean_terms: TermStructure | None = None,
+    source: str = "", *, mean_terms: TermStructure | None = None, weighed: bool = False,
 ) -> Residual:  # fmt: skip
     """Residual of one or more GP outputs.
 
     mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (quadexp.models.linear_drag), or None.
-    mean_terms: the mean function as terms, whose coefficients are then mean_parameters.
+    mean_terms: the mean function as terms, whose coefficients are then mean_parameters. weighed: by the variance.
     Raises UsageError for an unknown feature.
     """
     n_mean = N_PARAMETERS if mean_terms is None else mean_terms.n_parameters
     mean = np.zeros(n_mean) if mean_parameters is None else np.asarray(mean_parameters, float)
     scales = [1.0 / (np.sqrt(2.0) * o.lengthscale) for o in outputs]
     points = [(o.inducing * scale).T.ravel() for o, scale in zip(outputs, scales, strict=True)]
-    theta = np.concatenate([mean, *scales, *points, *(o.alpha for o in outputs)])
+    known = [fallback(o, continued=mean_terms is None) for o in outputs] if weighed else []
+    factors = [
+        (o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel() for o, f in zip(outputs, known, strict=False)
+    ]
+    theta = np.concatenate([mean, *scales, *points, *(o.alpha for o in outputs), *known, *factors])
 
     names = feature_names(vehicle.n_rotors)
     structure = tuple((o.output, tuple(o.features), len(o.alpha)) for o in outputs)
     n_alpha, n_point = _sizes(structure)
     z_, theta_ = ca.MX.sym("z", len(names)), ca.MX.sym("theta", len(theta))
-    mean_, scale_, points_, alpha_ = _split(theta_, [n_mean, len(n_point), sum(n_point), sum(n_alpha)])
-    select, assemble = _scalar_functions(names, structure, n_mean, with_mean=bool(np.any(mean)), mean_terms=mean_terms)
+    sizes = [n_mean, len(n_point), sum(n_point), sum(n_alpha), len(known) * N_FALLBACK, sum(map(len, factors))]
+    mean_, scale_, points_, alpha_, known_, factor_ = _split(theta_, sizes)
+    select, assemble = _scalar_functions(
+        names, structure, n_mean, with_mean=bool(np.any(mean)), mean_terms=mean_terms, weighed=weighed
+    )
 
     def posterior_mean(sums: Callable[..., Sums]) -> ca.Function:
-        values, slopes = sums(structure, select(z_, scale_), points_, alpha_)
-        results = assemble(z_, mean_, scale_, ca.vertcat(*values), ca.vertcat(*slopes))
+        of_points = [ca.vertcat(*part) for part in sums(structure, select(z_, scale_), points_, alpha_, factor_)]
+        results = assemble(z_, mean_, scale_, known_, *of_points)
         return ca.Function("residual_gaussian_process", [z_, theta_], [*results], ["z", "theta"], ["y", "dy_dz"])
 
     return Residual("gaussian_process", posterior_mean(_matrix_sums), theta, source, posterior_mean(_compiled_sums))
 
 
-def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
-    """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations."""
+def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
+    """sigma_f^2 / s^2 and c_0 .. c_3 of q, (N_FALLBACK,); see the module.
+
+    continued: whether q may be fitted; else it is 0, as where the features are not those of q.
+    """
+    output, points = posterior.output, posterior.inducing
+    at_points, freedom, c = posterior.predict(points).mean, len(points), np.zeros(N_FALLBACK - 1)
+    own = f"v_{output[-1]}"
+    if continued and own in posterior.features and {*posterior.features} <= _continued(output):
+        columns = {name: points[:, i] for i, name in enumerate(posterior.features)}
+        v, thrust = columns[own], columns.get(THRUST, np.zeros(freedom))
+        design = np.stack([np.ones(freedom), v, v * np.abs(v), thrust], axis=1)
+        c, _, rank, _ = np.linalg.lstsq(design, at_points)
+        at_points, freedom = at_points - design @ c, freedom - rank
+        if freedom < 1:  # as many coefficients as points: nothing says how wrong q is
+            return fallback(posterior, continued=False)
+    misfit = max(float(at_points @ at_points) / freedom, LEAST * posterior.signal_variance)
+    return np.array([posterior.signal_variance / misfit, *c])
+
+
+def _continued(output: str) -> set[str]:
+    """Features that q of an output can express."""
+    return {f"v_{output[-1]}", *([THRUST] if output == "a_z" else [])} if output in AXIS else set()
+
+
+def _matrix_sums(
+    structure: Structure, scaled: Expression, points: Expression, alpha: Expression, factor: Expression
+) -> Sums:
+    """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations; with factors F also
+    ||F k||^2 and (F^T F k k)^T d."""
     n_alpha, n_point = _sizes(structure)
     distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), _split(points, n_point), strict=True)]
     of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
     exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
     kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
-    weighted = _split(alpha * kernel, n_alpha)
-    values = [ca.dot(a, k) for a, k in zip(_split(alpha, n_alpha), _split(kernel, n_alpha), strict=True)]
-    return values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
+    weighted, kernels = _split(alpha * kernel, n_alpha), _split(kernel, n_alpha)
+    values = [ca.dot(a, k) for a, k in zip(_split(alpha, n_alpha), kernels, strict=True)]
+    sums = values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
+    if not factor.numel():
+        return *sums, [], []
+    roots = [ca.reshape(f, m, m) for f, m in zip(_split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
+    known = [ca.mtimes(f, k) for f, k in zip(roots, kernels, strict=True)]
+    back = [ca.mtimes(f.T, q) * k for f, q, k in zip(roots, known, kernels, strict=True)]
+    slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
+    return *sums, [ca.dot(q, q) for q in known], slopes
 
 
-def _compiled_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
+def _compiled_sums(
+    structure: Structure, scaled: Expression, points: Expression, alpha: Expression, factor: Expression
+) -> Sums:
     """As _matrix_sums, by gp_sums.c, one call per output."""
     shapes, dense = [(m, len(features)) for _, features, m in structure], ca.Sparsity.dense
+    weighed = bool(factor.numel())
     kernels = {
         (m, d): handwritten(
-            f"gp_sums_{m}_{d}", SUMS, {"POINTS": m, "FEATURES": d},
-            {"feature": dense(d), "points": dense(m * d), "alpha": dense(m)}, {"value": dense(1), "slope": dense(d)},
+            f"gp_sums_{m}_{d}{'_weighed' * weighed}", SUMS, {"POINTS": m, "FEATURES": d, "FACTOR": m * weighed},
+            {"feature": dense(d), "points": dense(m * d), "alpha": dense(m), "factor": dense(m * m * weighed)},
+            {"value": dense(1), "slope": dense(d), "known": dense(weighed), "known_slope": dense(d * weighed)},
         )
         for m, d in shapes
     }  # fmt: skip
-    sizes = [d for _, d in shapes], [m * d for m, d in shapes], [m for m, _ in shapes]
-    arguments = zip(*map(_split, (scaled, points, alpha), sizes), strict=True)
+    sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
+    arguments = zip(*map(_split, (scaled, points, alpha, factor), sizes), strict=True)
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
-    return [value for value, _ in results], [slope for _, slope in results]
+    return tuple(map(list, zip(*results, strict=True)))
 
 
 def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
@@ -316,30 +393,46 @@ def _split(vector: Expression, sizes: Sequence[int]) -> list[Expression]:
 
 
 def _scalar_functions(
-    names: Sequence[str], structure: Structure, n_mean: int, *, with_mean: bool, mean_terms: TermStructure | None
-) -> tuple[ca.Function, ca.Function]:
+    names: Sequence[str], structure: Structure, n_mean: int, *, with_mean: bool, mean_terms: TermStructure | None,
+    weighed: bool,
+) -> tuple[ca.Function, ca.Function]:  # fmt: skip
     """The functions before and after the sums over points.
 
-    (z, s) -> s phi of all features; (z, mean, s, (alpha k) 1, (alpha k)^T d) -> y, dy/dz with structural zeros. mean:
-    parameters of the mean function.
+    (z, s) -> s phi of all features; (z, mean, s, fallback, sums ..) -> y, dy/dz with structural zeros. mean: parameters
+    of the mean function. fallback: numbers of all outputs, see `fallback`; none where they are not weighed.
     """
     z, mean = ca.SX.sym("z", len(names)), ca.SX.sym("mean", n_mean)
     n_features = sum(len(features) for _, features, _ in structure)
     scale, slope = ca.SX.sym("scale", n_features), ca.SX.sym("slope", n_features)
-    value = ca.SX.sym("value", len(structure))
+    value, known = ca.SX.sym("value", len(structure)), ca.SX.sym("known", weighed * len(structure))
+    known_slope = ca.SX.sym("known_slope", weighed * n_features)
+    numbers = ca.SX.sym("fallback", weighed * N_FALLBACK * len(structure))
     y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
     if with_mean:
         y[:3] = linear_drag_acceleration(z, mean) if mean_terms is None else mean_terms.acceleration(z, mean)
         dy_dz[:3, :] = ca.jacobian(y[:3], z)
     phi: list[Expression] = []
     for i, (output, features, _) in enumerate(structure):
-        row = OUTPUTS.index(output)
-        y[row] += value[i]
+        row, share = OUTPUTS.index(output), 1.0
+        correction, d_share = value[i], 0.0
+        if weighed:
+            ratio, *c = ca.vertsplit(numbers[N_FALLBACK * i : N_FALLBACK * (i + 1)])
+            share, far = 1 / (1 + ratio - known[i]), ca.SX(0)
+            if mean_terms is None and {*features} <= _continued(output):
+                v = z[AXIS[output]]
+                far = c[0] + c[1] * v + c[2] * v * ca.fabs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
+            d_share = (value[i] - far) * share**2
+            correction = far + share * (value[i] - far)
+            dy_dz[row, :] += (1 - share) * ca.jacobian(far, z)
+        y[row] += correction
         for columns in feature_places(names, features, "gp"):
-            dy_dz[row, columns] -= 2 * scale[len(phi)] * slope[len(phi)]
+            dy_dz[row, columns] -= 2 * scale[len(phi)] * (share * slope[len(phi)])
+            if weighed:
+                dy_dz[row, columns] -= 4 * scale[len(phi)] * (d_share * known_slope[len(phi)])
             phi.append(ca.sum1(z[columns]))
     select = ca.Function("select", [z, scale], [scale * ca.vertcat(*phi)])
-    return select, ca.Function("assemble", [z, mean, scale, value, slope], [ca.sparsify(y), ca.sparsify(dy_dz)])
+    given = [z, mean, scale, numbers, value, slope, known, known_slope]
+    return select, ca.Function("assemble", given, [ca.sparsify(y), ca.sparsify(dy_dz)])
 
 
 def fit_gp(

@@ -58,7 +58,7 @@ class Composer:
 
     def __init__(self, extra: Path | None = None) -> None:
         self._files = OptionFiles(extra)
-        self.options, self.having, self.part = self._files.options, self._files.having, self._files.part_of
+        self.options, self.part = self._files.options, self._files.part_of
         self._overrides = OverrideReader(self._files)
         self._trees: dict[tuple[str, ...], dict[str, Node]] = {}
         self._nodes: dict[tuple[str, ...], Node] = {}
@@ -117,7 +117,7 @@ class Composer:
         choice = tuple(override.text for override in chosen)
         for override in values:
             if (choice, override.key) not in self._checked:
-                check_key({name: node.content for name, node in tree.items()}, override.key, self.having)
+                check_key({name: node.content for name, node in tree.items()}, override.key, self._files)
                 self._checked.add((choice, override.key))
             if override.key in tree and tree[override.key].schema and not isinstance(override.value, Mapping):
                 first = next(iter(tree[override.key].content))
@@ -243,19 +243,21 @@ def _joined(name: str, layers: Sequence[Layer]) -> tuple[Any, type | None]:
     return filled, schema
 
 
-def check_key(content: Any, key: str, having: Callable[[str], dict[str, list[str]]]) -> None:
-    """UsageError where the content has no such key. having: keys of options that are not chosen; see OptionFiles."""
+def check_key(content: Any, key: str, files: OptionFiles) -> None:
+    """UsageError where the content has no such key. files: the options, those that are not chosen too."""
     root, parts = content, key.split(".")
     for i, part in enumerate(parts):
         if isinstance(content, dict) and part in content:
             content = content[part]
             continue
         refuse_former(key)
-        others = having(key)
+        others = files.having(key)
         if isinstance(content, dict) and [*content] == ["name"] and key not in others:
-            there = next((f": {others[name][0]} has {name}" for name in others if name.startswith(f"{parts[0]}.")), "")
-            about = f"{parts[0]}={content['name']} has no settings{there}"
-            raise UsageError(f"{key}: {about}; `quadexp options {parts[0]}` lists what there is")
+            group = parts[0]
+            keys = ((o, name) for o, part in files.parts(group).items() for name in declared(part) if name != "name")
+            there = next((f"; {group}={option} has {group}.{name}" for option, name in keys), "")
+            about = f"{group}={content['name']} has no settings{there}"
+            raise UsageError(f"{key}: {about}; `quadexp options {group}` lists what there is")
         if key in others:
             raise UsageError(f"{key}: no such key; it is a key of {' or '.join(others[key])}")
         here = [*root, "experiment", *BUNDLES, *PRESETS]

@@ -19,7 +19,14 @@ _TLS = "what is started here is always encrypted, and engine.address says by tls
 _DASK = "give Dask's own settings, DASK_DISTRIBUTED__COMM__TLS__CA_FILE and others (docs/scaling.md)"
 _JOBS = "engine=jobs 'engine.options={{{}}}'"
 
+_DELAYS = "remedies=auto finds delays in flight; `quadexp identify --method delays FLIGHT` finds them in a flight"
+
 FORMER = {
+    "delay=identified": _DELAYS,
+    "delay.after": _DELAYS,
+    "delay.assumed": _DELAYS,
+    "remedies=unknown_delays": "remedies=auto",
+    "remedies=all": "remedies=auto; delays that are known are told as docs/delays.md does, all together",
     "engine=slurm": "engine=jobs (engine.system=slurm), and what its queue takes in engine.options",
     "engine.tls": _TLS,
     "engine.hosts": _HOSTS,
@@ -33,7 +40,6 @@ FORMER = {
     "engine.shared": _JOBS.format("shared_temp_directory: FOLDER"),
     "engine.interface": _JOBS.format("interface: ib0"),
     "plant.payload": "payload=fixed payload.mass=KG; on plant=blade_element also plant.schedule=[{t: 0, payload: KG}]",
-    "payload=slung": "payload=fixed, or an Effect of your own for a load on a cable (quadexp/world/effect.py)",
     "gp.split": "whole flights are held out, always",
     "gp.alternatives": "fit again with other gp.features.a_x=[..], whose verdict says what they are worth",
     "gp.max_exact_rows": "gp.method=subset gp.inducing=ROWS",
@@ -42,11 +48,6 @@ FORMER = {
     "engine.tls_cert": _DASK,
     "engine.tls_key": _DASK,
     "engine.python": _JOBS.format("python: PATH"),
-}
-
-FORMER_WORDS = {  # options of commands
-    "validate --figures": "is no more: the printed tables, and validation.json, have the numbers",
-    "import --describe": "is no more: write the mapping (docs/real_flights.md), and `check` prints what mends it",
 }
 
 # Former names that no option has today, and their classes; any other is that of the option of the same name.

@@ -10,6 +10,7 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+from quadexp.parts.former import refuse_former
 from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.part import import_from
 from quadexp.parts.schema import PARTS, Config
@@ -35,6 +36,7 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
     if option and group in files.groups:
         name = files.named(group, option)
         if name is None:
+            refuse_former(asked)
             raise UsageError(f"{asked}: no such {group}{suggestion(option, files.options(group))}")
         return _keys(files, group, name)
     keys = _all_keys(files)

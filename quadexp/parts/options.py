@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
-from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name
+from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name, refuse_former
 from quadexp.parts.part import TARGET, Part, part_class, plugin_folders
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
@@ -184,6 +184,7 @@ class OptionFiles:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)
             if name is None:
+                refuse_former(f"{group}={option}")
                 raise UsageError(f"{path}: defaults: {key}: {option}: there is no such option of {group}")
             choices[group] = name
         return choices

@@ -49,3 +49,12 @@ class SensorSheet:
     position: Stated | None = STATE_ALONE
     velocity: Stated | None = STATE_ALONE
     attitude: Stated | None = STATE_ALONE
+
+
+def later_speeds(sheet: SensorSheet) -> float:
+    """By how much rotor speeds are older than the body rates (s), as far as it is stated."""
+    speeds, gyroscope = sheet.rotor_speed, sheet.gyroscope
+    if speeds is None:
+        return 0.0
+    rates = 0.0 if gyroscope is None else gyroscope.delay or 0.0
+    return max((speeds.delay or 0.0) - rates, 0.0)

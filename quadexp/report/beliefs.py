@@ -5,6 +5,7 @@ What is believed no better than LIMITS was not identifiable on this path: nothin
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,12 +14,14 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.report.style import HUES, Figure, styled
 from quadexp.report.table import Table
 
 BAND = 1.96  # deviations
 MS = 1e3
 LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 2.0, "1": 0.05}  # half of a band from which on a quantity was not identifiable
+FINE = 20  # steps of a period, in which the lag of the thrusts is followed
 LAST = 2.0  # s, over which the scale of the thrust is taken
 QUANTITIES = {  # column: name, unit, factor, column of the deviation
     "auto_age": ("age of the state", "ms", MS, "auto_age_sd"),
@@ -61,11 +64,13 @@ def beliefs(flight: Flight) -> list[Belief]:
 
 def truths(flight: Flight) -> dict[str, np.ndarray]:
     """What the world of a simulated flight states, by column of QUANTITIES, (k,)."""
-    columns, timing = flight.columns, flight.metadata.get("timing")
+    columns, config, timing = flight.columns, flight.metadata["config"], flight.metadata.get("timing")
     true = {}
     if timing is not None:
+        ways = [config.get("actuator", {}).get(f"time_constant_{way}", 0.0) for way in ("up", "down")]
+        lag = timing["lag"] - abs(ways[1] - ways[0]) / 2  # of which the slower way is stated
         true["auto_age"] = np.full(len(flight), timing["age"])
-        true["auto_delay"] = np.full(len(flight), timing["dead_time"] + timing["lag"])
+        true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
     if "delivered_0" in columns:
         n = sum(name.startswith("delivered_") for name in columns)
@@ -73,8 +78,31 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         spacing = float(columns["t"][1] - columns["t"][0])
         window = np.ones(min(max(round(LAST / spacing), 1), len(flight)))
         means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
-        true["observer_thrust_scale"] = means[0] / means[1]
+        true["observer_thrust_scale"] = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
+    if timing is not None and flight.metadata["residual"]["name"] == "none" and "thinned" not in flight.metadata:
+        force = true_force(flight, timing["dead_time"], lag)
+        true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
+
+
+def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
+    """What acts beside gravity and the commanded thrusts after dead time and lag, on a model without air: m (a + g e_z)
+    - T R e_z, world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period."""
+    from scipy.signal import lfilter
+    from scipy.spatial.transform import Rotation
+
+    vehicle, t = flight.metadata["config"]["vehicle"], flight.t
+    up = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True).apply([0, 0, 1])
+    period = float(t[1] - t[0])
+    ages = (np.arange(FINE) + 0.5) / FINE * period  # within the period, from its end back
+    sent = flight.input.sum(axis=1)
+    late = np.clip(np.floor((t[:, None] - t[0] - ages - dead_time) / period + 1e-9).astype(int), 0, None)
+    thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / FINE / lag) if lag else 1.0
+    thrust = lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE).mean(axis=1)
+    acceleration = np.diff(flight.state[:, VELOCITY], axis=0, prepend=np.nan) / period
+    middle = (up + np.roll(up, 1, axis=0)) / 2
+    force: np.ndarray = vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
+    return force
 
 
 def _text(value: float) -> str:

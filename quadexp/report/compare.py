@@ -1,25 +1,36 @@
-"""What differs between flights: in configuration, in outcome, in numbers, in their paths.
+"""What differs between flights, results or checkpoints: in configuration, in outcome, in numbers.
 
 Of two, b is compared with a: difference = b - a, relative = 100 (b - a) / a (%). Several are put side by side.
+
+Flights of results are paired by condition, contestant and seed. Errors are over the flights that all contestants
+completed in all of them (pairing.py): b is compared with a as a contestant is with a baseline in statistics.py, by a
+mean ratio over the seeds with its interval and a paired permutation test; b is "not distinguishable" if that is not
+significant, and "n seeds cannot tell" where it could not be.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import UsageError
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight
-from quadexp.report.frame import flat
-from quadexp.report.metrics import METRICS
-from quadexp.report.summary import kind_of
+from quadexp.log.store import read_flight, read_metadata
+from quadexp.report.frame import flat, read_results
+from quadexp.report.metrics import METRICS, SHOWN
+from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.statistics import Statistic, corrected, overall
+from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
-from quadexp.report.text import count, number, plain, relative, shown, speed_text
+from quadexp.report.tables import TITLES
+from quadexp.report.text import count, number, p_value, plain, relative, shown, speed_text
 
 ABSENT = "-"
 MOST_LINES = 16  # settings shown; --json has all
@@ -37,12 +48,13 @@ Key = tuple[Any, ...]  # condition, contestant, seed
 
 
 class Side(NamedTuple):
-    """A flight. about: it in a line. settings: what decides it. numbers: by name."""
+    """A flight or a checkpoint. about: it in a line. settings: what decides it. numbers: by name. flight: None of a
+    checkpoint."""
 
     about: str
     settings: Mapping[str, Any]
     numbers: Mapping[str, float]
-    flight: Flight
+    flight: Flight | None = None
 
 
 def _flight(path: Path) -> Side:
@@ -56,24 +68,43 @@ def _flight(path: Path) -> Side:
     return Side(about, record_of(flight.metadata), numbers, flight)
 
 
-OTHERS = {  # kind of file -> what to do instead
-    "results": "fly both in one sweep, whose tables are paired, or join qx.load(A) and qx.load(B) in Python",
-    "checkpoint": "`quadexp show` each, or `quadexp validate` both on flights",
-}
+def _checkpoint(path: Path) -> Side:
+    """Its data, settings and features; its parameters, and the held-out errors of its report, if there is one."""
+    summary = summarise(path)
+    names = ("kind", "vehicle", "dataset", "settings", "versions")
+    features = {name: {"features": output["features"]} for name, output in summary["outputs"].items()}
+    numbers = {
+        f"held-out RMSE of {row['output']} by {row['predictor']} ({row['unit']})": row["rmse"]
+        for row in held_out_rows(path)
+        if row["predictor"] != "zero"
+    }
+    numbers |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
+    for name, output in summary["outputs"].items():
+        numbers |= {f"{name} signal": output["signal_std"], f"{name} noise": output["noise_std"]}
+        scales = zip(output["features"], output["lengthscale"], strict=True)
+        numbers |= {f"{name} length of {feature}": scale for feature, scale in scales}
+    return Side(summary["kind"], {**{name: summary[name] for name in names}, "outputs": features}, numbers)
+
+
+SIDES = {"flight": _flight, "checkpoint": _checkpoint}
 
 
 def compare(*files: str | Path) -> dict[str, Any]:
     """What differs; `lines` and `tables` are for people, the rest for programs (SI units).
 
-    Raises UsageError if something is not there, or no flight.
+    Raises UsageError if something is not there, not of the same kind, or of a kind that cannot be compared.
     """
     paths = [Path(path) for path in files]
-    for path in paths:
-        if (kind := kind_of(path)) != "flight":
-            raise UsageError(f"{path}: holds {kind}; flights are compared: {OTHERS.get(kind, 'give flights')}")
-    report: dict[str, Any] = {"kind": "flight", "names": names_of(paths)}
+    kinds = [kind_of(path) for path in paths]
+    for path, kind in zip(paths, kinds, strict=True):
+        if kind not in ("results", *SIDES):
+            raise UsageError(f"{path}: holds {kind}; flights, results and checkpoints can be compared")
+        if kind != kinds[0]:
+            named = [k if k == "results" else f"a {k}" for k in (kinds[0], kind)]
+            raise UsageError(f"cannot compare {named[0]} ({files[0]}) with {named[1]} ({path}): give two of one kind")
+    report: dict[str, Any] = {"kind": kinds[0], "names": names_of(paths)}
     report |= {"a": str(files[0]), "b": str(files[1])} if len(paths) == 2 else {}
-    report |= _sides([_flight(path) for path in paths], paths)
+    report |= _results(paths) if kinds[0] == "results" else _sides([SIDES[kinds[0]](path) for path in paths], paths)
     if len(paths) > 2:
         report["lines"] = [line for table in report["tables"] for line in ("", *table.lines())][1:]
     return report
@@ -123,8 +154,10 @@ def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) 
     return Table(["setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
 
 
-def _setting_lines(settings: Mapping[str, Sequence[Any]]) -> list[str]:
-    """The settings that differ between a and b, a line each."""
+def _setting_lines(settings: Mapping[str, Sequence[Any]] | None) -> list[str]:
+    """The settings that differ between a and b, a line each; None where they are not known."""
+    if settings is None:
+        return ["configuration  not compared: the cells are not beside both tables"]
     if not settings:
         return ["configuration  the same"]
     text = count(len(settings), "setting") + (" differ" if len(settings) > 1 else " differs")
@@ -137,29 +170,37 @@ def _number_row(name: str, values: Sequence[float]) -> list[str]:
     return [f"{name} ({unit})" if unit else name, *(number(factor * value) for value in values)]
 
 
+# ------------------------------------------------------------------------------------------------ flights, checkpoints
 def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
-    """Settings and numbers beside each other; of two flights also the distance between their paths."""
+    """Settings and numbers beside each other; of two flights also the outcome and the distance between the paths."""
     settings, names = differing(*(side.settings for side in sides)), names_of(paths)
-    metrics = {name: [side.numbers[name] for side in sides] for name in FIGURES}
+    metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
     tables = [_setting_table(settings, names)] if settings else []
     tables.append(Table(["figure", *names], [_number_row(name, values) for name, values in metrics.items()]))
-    outcomes = [side.flight.metadata["row"]["outcome"] for side in sides]
-    report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": tables, "outcome": outcomes}
+    report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": tables}
+    flights = [side.flight for side in sides if side.flight is not None]
+    if flights:
+        report["outcome"] = [flight.metadata["row"]["outcome"] for flight in flights]
     if len(sides) > 2:
         return report
     a, b = sides
-    changes = {name: change(*values) for name, values in metrics.items()}
+    changes = {name: change(*values) for name, values in metrics.items() if name in a.numbers and name in b.numbers}
+    only = {"a": [n for n in a.numbers if n not in b.numbers], "b": [n for n in b.numbers if n not in a.numbers]}
+    lines = [f"a  {paths[0]}: {a.about}", f"b  {paths[1]}: {b.about}", "", *_setting_lines(settings), ""]
     rows = [
         [*_number_row(name, [values["a"], values["b"], values["difference"]]), relative(values["relative"])]
         for name, values in changes.items()
     ]
-    causes = [f" ({cause})" if (cause := side.flight.metadata.get("cause")) else "" for side in sides]
-    ended = dict.fromkeys(map("".join, zip(outcomes, causes, strict=True)))
-    between = _paths(a.flight, b.flight)
-    lines = [f"a  {paths[0]}: {a.about}", f"b  {paths[1]}: {b.about}", "", *_setting_lines(settings), ""]
-    lines += [f"outcome  {' -> '.join(ended)}", ""]
-    lines += [*Table(["", "a", "b", "b - a", "relative"], rows).lines(), "", f"samples  {between['text']}"]
-    return report | {"metrics": changes, "paths": between, "lines": lines}
+    if flights:
+        causes = [f" ({cause})" if (cause := flight.metadata.get("cause")) else "" for flight in flights]
+        ended = dict.fromkeys(map("".join, zip(report["outcome"], causes, strict=True)))
+        lines += [f"outcome  {' -> '.join(ended)}", ""]
+    lines += Table(["", "a", "b", "b - a", "relative"], rows).lines()
+    lines += [f"only in {side}: {', '.join(missing)}" for side, missing in only.items() if missing]
+    if flights:
+        report["paths"] = _paths(*flights)
+        lines += ["", f"samples  {report['paths']['text']}"]
+    return report | {"metrics": changes, "only": only, "lines": lines}
 
 
 def _paths(a: Flight, b: Flight) -> dict[str, Any]:
@@ -179,3 +220,139 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
     text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {t[at]:.2f} s ({len(t)} common samples{length})"
     return {"common": len(t), "identical": False, "distance": float(apart[at]), "t": float(t[at]), "text": text}
+
+
+# ------------------------------------------------------------------------------------------------------------- results
+def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
+    """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
+    contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
+    models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
+    several = {who[1:] for who, n in models.items() if n > 1}
+    sides: list[dict[Key, Row]] = [{} for _ in tables]
+    for rows, side in zip(tables, sides, strict=True):
+        for row in rows:
+            who = contestant_of(row)
+            who = who if (who.controller, who.settings) in several else who._replace(model="")
+            side[condition_of(row), who, row["seed"]] = row
+    return sides
+
+
+def _results(paths: Sequence[Path]) -> dict[str, Any]:
+    """Results folders; see the module. The metric is the first one's."""
+    _, tables, records = zip(*map(read_results, paths), strict=True)
+    metric = records[0].get("metric", "mean_error")
+    sides = matched(*tables)
+    cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
+    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in cells)))
+    completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
+    ended = {who: {(at, seed) for at, contestant, seed in completed if contestant == who} for who in labels}
+    compared, shared = common(ended)
+    means, texts = {}, []
+    for who, label in labels.items():
+        kept = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
+        means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
+        texts.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
+    heads = [f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"]
+    report: dict[str, Any] = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
+    if len(paths) > 2:
+        return report
+    a, b = sides
+    only = {"a": _missing(a, b), "b": _missing(b, a)}
+    lines = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)] + [""]
+    for name, missing in only.items():
+        if missing:
+            lines.append(f"only in {name}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
+    report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
+    if not cells:
+        return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}
+    settings = _cell_settings(paths, cells)
+    outcomes = Counter(tuple(row["outcome"] for row in pair) for pair in cells.values())
+    changed = ", ".join(f"{n} {x if x == y else f'{x} -> {y}'}" for (x, y), n in outcomes.items())
+    same = sum(
+        all(x[n] == y[n] or (x[n] != x[n] and y[n] != y[n]) for n in ("outcome", *EXACT)) for x, y in cells.values()
+    )
+    common_cells = {key for key in cells if key[1] in compared and key[::2] in shared}
+    metrics = _contestants(cells, labels, common_cells, records[0])
+    lines += [*_setting_lines(settings), "", f"outcome  {changed}"]
+    lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
+    report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
+    report |= {"configuration": settings or {}, "metrics": metrics}
+    return report | {"lines": [*lines, *_metric_lines(metrics, metric)]}
+
+
+def _mean(rows: Sequence[Row], metric: str) -> float:
+    return sum(row[metric] for row in rows) / len(rows) if rows else math.nan
+
+
+def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:
+    """Label -> number of own cells that are not in the other table."""
+    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in mine)))
+    return dict(Counter(labels[key[1]] for key in mine if key not in its))
+
+
+def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) -> dict[str, list[Any]] | None:
+    """Settings that differ between the cells of a pair, one pair per condition and contestant; None without cells."""
+    first: dict[Key, tuple[Row, ...]] = {}
+    for key, pair in cells.items():
+        first.setdefault(key[:2], pair)
+    differ: dict[str, list[dict[str, Any]]] | None = None  # key -> of each side: text -> value
+    for pair in list(first.values())[:MOST_CONFIGURATIONS]:
+        try:
+            files = (CellStore(root).path(row["key"]) for root, row in zip(roots, pair, strict=True))
+            records = [record_of(read_metadata(file, "flight")) for file in files]
+        except QuadexpError:  # a failed cell has no file
+            continue
+        differ = differ or {}
+        for setting, values in differing(*records).items():
+            for value, side in zip(values, differ.setdefault(setting, [{}, {}]), strict=True):
+                side[str(value)] = value
+    if differ is None:
+        return None
+    return {
+        setting: [next(iter(side.values())) if len(side) == 1 else " | ".join(sorted(side)) for side in sides]
+        for setting, sides in differ.items()
+    }
+
+
+def _contestants(
+    cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], shared: Set[Key], record: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """For each contestant: completed flights, means of a and b over the shared flights, and b against a."""
+    metric, confidence = record.get("metric", "mean_error"), record.get("confidence", 0.95)
+    pooled: list[Statistic] = []
+    records: list[dict[str, Any]] = []
+    for contestant, label in labels.items():
+        pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
+        kept = {key: pair for key, pair in pairs.items() if key in shared or not all(map(is_flown, pair))}
+        sides = [(at, side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
+        rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
+        pooled += overall(rows, metric=metric, baseline="a", confidence=confidence)
+        beyond = f"{len(pairs) - len(kept)} not completed by all" if len(kept) < len(pairs) else ""
+        means = (_mean([pair[i] for key, pair in pairs.items() if key in shared], metric) for i in (0, 1))
+        flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
+        left_out = ", ".join(filter(None, (pooled[-1].left_out, beyond)))
+        records.append({"label": label, "cells": len(pairs), "flown": flown, **change(*means), "left_out": left_out})
+    for line, s in zip(records, corrected(pooled), strict=True):
+        line |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
+        line |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
+        line["distinguishable"] = s.significant
+    return records
+
+
+def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
+    factor, unit = SHOWN[metric]
+    heading = [f"{TITLES[metric]} ({unit})", "flown a", "flown b", "pairs", "seeds", "a", "b", "b - a", "ratio"]
+    rows, left_out = [], []
+    for record in metrics:
+        ratio, low, high = (record[name] for name in ("ratio", "ratio_low", "ratio_high"))
+        text = relative(ratio) + ("" if ratio == 0 or math.isnan(low) else f" [{low:+.3g}, {high:+.3g}]")
+        verdict = "not distinguishable" if record["testable"] else f"{count(record['seeds'], 'seed')} cannot tell"
+        verdict = ("smaller" if ratio < 0 else "larger") if record["distinguishable"] else verdict
+        verdict = {"-": "-", "same": "the same"}.get(text, verdict)
+        flown = [f"{k} of {n}" for k, n in record["flown"].values()]
+        numbers = [number(factor * record[name]) for name in ("a", "b", "difference")]
+        p = p_value(record["p_holm"] if record["testable"] else math.nan)
+        rows.append([record["label"], *flown, str(record["pairs"]), str(record["seeds"]), *numbers, text, p, verdict])
+        if record["left_out"]:
+            left_out.append(f"  {record['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', record['left_out'])}")
+    return Table([*heading, "p (Holm)", "b is"], rows, notes=left_out).lines()

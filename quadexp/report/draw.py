@@ -26,7 +26,10 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
 from quadexp.errors import UsageError
+from quadexp.log.store import read_flight
+from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
+from quadexp.report.frame import SweepFrame, read_results
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,
@@ -42,9 +45,10 @@ from quadexp.report.style import (
 )
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
-from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text
+from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text, view
 from quadexp.writer import check_output, write_text
 
+SOURCE = "results"  # key of the folder that a flight of several results comes from
 SUFFIXES = ("png", "pdf", "svg", "html")
 ON_PAPER: Any = {"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2}
 LEAST_PANEL = 2.2  # inches, of the width of a panel on paper
@@ -337,3 +341,30 @@ def page_of(view: View, title: str) -> str:
     heading, notes = view.heading or title or view.y_label, (view.caption, *view.notes)
     figure = figure_html(figure_of(view), heading)
     return sortable_page(heading, replace(table, columns=heads), figures=[figure], notes=notes)
+
+
+def comparison_figure(kind: str, paths: Sequence[Path]) -> Figure:
+    """Paths and errors of several flights, or errors of several results; UsageError where there is nothing to draw."""
+    if kind == "flight":
+        from quadexp.report.flight_figures import flights_figure
+
+        return flights_figure(dict(zip(names_of(paths), map(read_flight, paths), strict=True)))
+    if kind == "results":
+        return results_figure(paths)
+    raise UsageError("--out: draws flights and results; the scores of checkpoints are in the table")
+
+
+def results_figure(paths: Sequence[Path]) -> Figure:
+    """Errors of every results folder, a line each: over the key with most values, a panel a controller and path."""
+    rows: list[dict[str, Any]] = []
+    record: dict[str, Any] = {}
+    for path, name in zip(paths, names_of(paths), strict=True):
+        _, flights, about = read_results(path)
+        record = record or {key: about[key] for key in ("metric", "confidence") if key in about}
+        for row in flights:
+            variant = f"{row.get('variant') or ''} {SOURCE}={name}".strip()
+            rows.append({**row, "variant": variant})
+    frame = SweepFrame(rows, paths[0], record)
+    axes = [key for key in frame.swept if key not in (SOURCE, "controller", "model", "trajectory", "seed")]
+    x = max(axes, key=lambda key: len(frame.values(key))) if axes else "controller"
+    return figure_of(view(frame, x=x, by=[SOURCE], y=str(record.get("metric", "mean_error"))))

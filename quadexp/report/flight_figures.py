@@ -35,11 +35,6 @@ LONGEST_LINE = 175  # letters
 HEADROOM = 0.3  # of the first row of panels, where the legends stand
 QUIET = 0.995  # quantile that sets an axis's limits: one spike must not flatten the rest
 SHOWN = 20.0  # log likelihood below the best that is drawn
-BELIEVED = {  # column -> what it is, colour
-    "delay_time": ("age of the state", HUES["blue"]),
-    "delay_dead_time": ("dead time of the commands", HUES["vermillion"]),
-    "delay_lag": ("lag of the motors", HUES["green"]),
-}
 
 
 @styled
@@ -235,18 +230,10 @@ class Profile(NamedTuple):
 
 
 @styled
-def delay_figure(
-    profiles: Sequence[Profile], columns: Mapping[str, np.ndarray], true: Mapping[str, float] | None = None
-) -> Figure:
-    """A panel for each profile: what every candidate leaves unexplained; below them, where the flight had
-    delay=identified, what was believed over time.
-
-    columns: of the flight. true: by column of BELIEVED, what the flight's world states (s).
-    """
-    known = "delay_known" in columns
-    figure = Figure(figsize=(9.0, 5.6 if known else 2.8), layout="constrained")
-    rows: list[Any] = [[profile.name for profile in profiles], *([["believed"] * len(profiles)] if known else [])]
-    places: Any = figure.subplot_mosaic(rows)
+def delay_figure(profiles: Sequence[Profile]) -> Figure:
+    """A panel for each profile: what every candidate leaves unexplained."""
+    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
+    places: Any = figure.subplot_mosaic([[profile.name for profile in profiles]])
     for profile in profiles:
         panel = places[profile.name]
         panel.plot(MS * profile.candidates, profile.score, color=HUES["blue"])
@@ -257,13 +244,4 @@ def delay_figure(
         panel.set(title=profile.name, xlabel=f"candidate, ms\n{result}", ylim=(-SHOWN, 0.05 * SHOWN))
         panel.set_xlim(MS * profile.candidates[0], MS * profile.candidates[-1])
     places[profiles[0].name].set_ylabel("log likelihood, less the best")
-    if known:
-        panel = places["believed"]
-        for column, (name, colour) in BELIEVED.items():
-            panel.step(columns["t"], MS * columns[column], where="post", label=name, color=colour)
-            if true and column in true:
-                panel.axhline(MS * true[column], linestyle=":", linewidth=1.0, color=colour)
-        title = "made good in flight; dotted: true" if true else "made good in flight"
-        panel.set(title=title, xlabel="time, s", ylabel="ms")
-        panel.legend(loc="center right")
     return figure

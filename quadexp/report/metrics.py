@@ -34,7 +34,8 @@ METRICS = (
 ROW_COLUMNS = (
     "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", *ERRORS, "solve_time_median",
     "solve_time_p99", "solve_time_max", "saturated_share", "peak_speed", "duration", "unconverged_count",
-    "reference_residual", "outside_data", "outcome", "backend", "cause", "program", "sources", "libraries", "key",
+    "reference_residual", "outside_data", "outside_where", "outcome", "backend", "cause", "program", "sources",
+    "libraries", "key",
 )  # fmt: skip
 _NUMBERS = (*METRICS, "speed", "seed", "reference_residual", "outside_data")
 TEXT_COLUMNS = tuple(name for name in ROW_COLUMNS if name not in _NUMBERS)
@@ -113,7 +114,8 @@ def heading_error(flight: Flight) -> np.ndarray:
 def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> float:
     """Share of the samples in which at least one rotor is commanded to a limit."""
     margin = SATURATION_MARGIN * (thrust_max - thrust_min)
-    at_limit = (flight.input <= thrust_min + margin) | (flight.input >= thrust_max - margin)
+    thrust = flight.input
+    at_limit = (thrust <= thrust_min + margin) | (thrust >= thrust_max - margin)
     return float(at_limit.any(axis=1).mean())
 
 

@@ -1,11 +1,11 @@
-"""Figures of what is learned: a fit of Gaussian processes, the identification of a vehicle.
+"""Figures of what is learned: a fit of Gaussian processes, the identification of a vehicle, a validation.
 
 Each function returns a matplotlib Figure; `quadexp.report.style.save` writes it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +21,8 @@ from quadexp.models.samples import SIGNALS, Samples
 from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.models.vehicle_model import VehicleModel
-from quadexp.report.style import BLUE, COLOURS, COUNTS, HUES, ORANGE, Figure, entries, mathematics, styled
+from quadexp.report.model_lines import MODES, QUANTITIES, error_of, mean_of
+from quadexp.report.style import BLUE, COLOURS, COUNTS, HUES, ORANGE, Figure, Look, entries, looks, mathematics, styled
 
 CURVE_POINTS = 300
 MAX_COLUMNS = 4
@@ -263,3 +264,58 @@ def drag_figure(model: VehicleModel, samples: Samples) -> Figure:
         mathematics(panel)
     panels[0].legend()
     return figure
+
+
+def validation_figures(report: Mapping[str, Any]) -> dict[str, Figure]:
+    """Every figure of a validation by name."""
+    return {"speed": band_figure(report["bands"]), "rollouts": rollout_figure(report["rollouts"])}
+
+
+@styled
+def band_figure(bands: Sequence[Mapping[str, Any]]) -> Figure:
+    """RMS of the vector over speed, as fitted (left) and with the thrust scale tracked (right)."""
+    look = looks([row["predictor"] for row in bands])
+    figure = Figure(figsize=(7.6, 3.4), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    titles = {"rms": "as fitted", "rms_tracked": "thrust scale tracked"}
+    for panel, (key, title) in zip(panels, titles.items(), strict=True):
+        _draw_curves(panel, [(row["predictor"], (row["low"] + row["high"]) / 2, row[key]) for row in bands], look)
+        panel.set(title=title, xlabel="speed (m/s)", ylabel="residual, RMS (m/s²)", ylim=(0, None))
+    _legend_above(figure)
+    return figure
+
+
+@styled
+def rollout_figure(rollouts: Sequence[Mapping[str, Any]]) -> Figure:
+    """Open-loop errors over the horizon with the thrust scale tracked: a row per mode, a column per quantity.
+
+    Modes with all 13 states have errors of attitude and rate too.
+    """
+    rows = [row for row in rollouts if row["thrust_tracked"]]
+    modes = [mode for mode in MODES if any(row["mode"] == mode for row in rows)]
+    quantities = [name for name in QUANTITIES if any(name in row for row in rows)]
+    look = looks([row["predictor"] for row in rows])
+    figure = Figure(figsize=(0.6 + 3.1 * len(quantities), 0.5 + 2.5 * len(modes)), layout="constrained")
+    grid = figure.subplots(len(modes), len(quantities), squeeze=False)
+    for (i, j), panel in np.ndenumerate(grid):
+        mode, quantity = modes[i], quantities[j]
+        errors = [
+            (row["predictor"], row["horizon"], error_of(row, quantity))
+            for row in sorted(rows, key=lambda row: row["horizon"])
+            if row["mode"] == mode and quantity in row
+        ]
+        if not errors:
+            panel.remove()
+            continue
+        _draw_curves(panel, errors, look)
+        panel.set(title=MODES[mode][0], xlabel="horizon (s)", xlim=(0, None), ylim=(0, None))
+        panel.set_ylabel(f"{quantity} error, {mean_of(mode)} ({QUANTITIES[quantity][0]})")
+    _legend_above(figure)
+    return figure
+
+
+def _draw_curves(panel: Any, points: Sequence[tuple[str, float, float]], look: Mapping[str, Look]) -> None:
+    """A line with markers for each predictor. points: predictor, x, y."""
+    for name in dict.fromkeys(name for name, _, _ in points):
+        curve = [(x, y) for other, x, y in points if other == name]
+        panel.plot(*zip(*curve, strict=True), label=name, **look[name].points())

@@ -115,8 +115,12 @@ def _outside_data(rows: Sequence[Row]) -> str:
     largest, row = max(shares, key=itemgetter(0), default=(0.0, {}))
     if largest > REPORTED_SHARE:
         mean = sum(share for share, _ in shares) / len(shares)
-        most = f" (most: {100 * largest:.3g} %, {_place(row)})" if len(shares) > 1 else ""
-        parts.insert(0, f"{100 * mean:.3g} % of samples outside the data its model was fitted to{most}")
+        where = f"longest {row['outside_where']}" if row.get("outside_where") else ""
+        most = f"most: {100 * largest:.3g} %, {_place(row)}" if len(shares) > 1 else ""
+        said = "; ".join(filter(None, (most, where)))
+        parts.insert(
+            0, f"{100 * mean:.3g} % of samples outside the data its model was fitted to{f' ({said})' if said else ''}"
+        )
     return "; ".join(parts)
 
 
@@ -170,7 +174,7 @@ def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> l
         f"{name} {100 * outside:.1f} %, fitted on {_range(name, record['ranges'][name])}"
         for name, outside in worst
         if outside > 0
-    ]
+    ] + [f"longest {where}" for where in [record.get("where")] if where]
     of = f" ({'; '.join(parts)})" if parts else ""
     return [f"data        {100 * share:.1f} % of samples outside the data that {model} was fitted to{of}"]
 

@@ -86,6 +86,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         lines.append(f"stored      a sample every {every:g} s, not every {period:g} s")
     if line := margin_line(metadata.get("margins")):
         lines.append(f"loop        {line}")
+    lines += [f"{'' if i else 'auto':<12}{line}" for i, line in enumerate(metadata.get("lacking", ()))]
     share = row.get("reference_residual")
     if share is not None and share < 1:
         contained = f"{math.floor(100 * share)} % of the residual ({name})"
@@ -114,19 +115,6 @@ def world_note(margins: Mapping[str, Any]) -> str:
     if margins.get("delay", 1.0):
         return ""
     return f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s"
-
-
-def delays_note(columns: Mapping[str, Any]) -> str:
-    """What delay=identified found in a flight, and how the controller flew until then; "" of other flights."""
-    if "delay_known" not in columns:
-        return ""
-    soft = "the published grid with soft weights"
-    known = columns["t"][columns["delay_known"] != 0]
-    if not len(known):
-        return f"the delays were not all found in this flight: {soft} flew"
-    names = {"delay_time": "state", "delay_dead_time": "commands", "delay_lag": "motors"}
-    delays = ", ".join(f"{word} {_milliseconds(float(columns[name][-1]))}" for name, word in names.items())
-    return f"delays found in flight: {delays}; {soft} flew until t={known[0]:.2f} s"
 
 
 def _milliseconds(time: float) -> str:

@@ -41,7 +41,7 @@ from quadexp.sweeps.engine import (
 )
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
-from quadexp.writer import make_inside
+from quadexp.writer import flush, make_inside
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
 
@@ -272,6 +272,7 @@ def _fly_missing(
             rows[key] = _row_of(jobs[key], row)
             yield rows[key]
             progress(len(rows), len(jobs))
+    flush(store.folder)  # all at once: flushing each would take as long as flying it
 
 
 def _refuse_another_sweep(store: CellStore, jobs: Mapping[str, Job]) -> None:

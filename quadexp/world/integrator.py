@@ -120,7 +120,7 @@ class SimulatedPlant:
         self.reset()
         if thrust is not None:
             self.inner = self.initial(thrust)
-        return Streams(self.own_noise(rng, period), period)
+        return Streams(self.own_noise(rng, period), period, duration)
 
     def own_noise(self, rng: np.random.Generator, period: float) -> list[tuple[np.random.Generator, Drawn]]:
         """What the equations draw in control periods (s), and its stream."""

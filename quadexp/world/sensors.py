@@ -205,11 +205,11 @@ class Sensors(SensorKeys, Effect):
         return found
 
     def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
-        """What is set, wrong by sheet_factor. An age of zero of the pose is nobody's statement, and an estimator's
-        delay is none of the sensors'."""
+        """What is set, wrong by sheet_factor; a low pass makes its readings older. An age of zero of the pose is
+        nobody's statement, and an estimator's delay is none of the sensors'."""
         ages = dict.fromkeys(POSE, self.pose_delay + self.pose_jitter / 2 or None) | {
-            "accelerometer": self.accelerometer_delay,
-            "gyroscope": None if self.later_rates else self.gyroscope_delay,
+            "accelerometer": self.accelerometer_delay + group_delay(self.accelerometer_cutoff),
+            "gyroscope": None if self.later_rates else self.gyroscope_delay + group_delay(self.gyroscope_cutoff),
             "rotor_speed": self.rotor_speed_delay + self.rotor_speed_jitter / 2,
         }
         if self.attitude_age == "fresh":
@@ -299,6 +299,11 @@ def _plus(value: Any, slow: Any, random: Any) -> Any:
 
 def _erring(q: Any, slow: Any, random: Any) -> Any:
     return turned(q, slow + random)
+
+
+def group_delay(cutoff: float) -> float:
+    """Of a low pass of first order with this cut-off (Hz) for what is slow (s); 0 of none."""
+    return 1 / (2 * math.pi * cutoff) if cutoff else 0.0
 
 
 def turned(q: Any, error: Any) -> Any:

@@ -155,11 +155,15 @@ Drawn = Sampled | Ticking | Held
 class Streams:
     """The numbers of a flight's control periods, in the order of the parts: `block` has them from period `first` on.
 
-    parts: what is drawn, and the stream of each. period: s, of control.
+    parts: what is drawn, and the stream of each. period: s, of control. duration: s, of the flight, 0 where it may be
+    any: no more is drawn at once than is left of it.
     """
 
-    def __init__(self, parts: Sequence[tuple[np.random.Generator, Drawn]], period: float) -> None:
+    def __init__(
+        self, parts: Sequence[tuple[np.random.Generator, Drawn]], period: float, duration: float = 0.0
+    ) -> None:
         self._period, self._takers = period, [drawn.begin(rng) for rng, drawn in parts]
+        self._periods = round(duration / period)
         self.size = sum(drawn.size for _, drawn in parts)
         self._kept = np.empty((BLOCK, self.size))
         self.block, self.first, self.taken = self._kept[:0], 0, 0  # taken: periods
@@ -172,8 +176,9 @@ class Streams:
     def draw(self) -> None:
         """The next block."""
         self.first = self.end
-        times = self._period * np.arange(self.first, self.first + BLOCK + 1)
-        self.block, column = self._kept, 0  # new memory costs more than a draw
+        size = min(BLOCK, self._periods - self.first) if self.first < self._periods else BLOCK
+        times = self._period * np.arange(self.first, self.first + size + 1)
+        self.block, column = self._kept[:size], 0  # new memory costs more than a draw
         for take in self._takers:
             numbers = take(times[:-1], times[-1])
             column += numbers.shape[1]

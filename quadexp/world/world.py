@@ -108,7 +108,7 @@ class World(SimulatedPlant):
         for effect, own in zip(self.effects, inner[1:], strict=True):
             self.measured = effect.first(own, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
-        return Streams([*self.own_noise(rng, period), *parts], period)
+        return Streams([*self.own_noise(rng, period), *parts], period, duration)
 
     def require_flight(self) -> None:
         if not len(self.inner):

@@ -12,9 +12,9 @@ ALONE = ("nominal_mpc", "online_mpc", "dfbc", "geometric", "pid", "raptor", "rot
 AROUND = {
     "nominal_mpc": (
         "observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01",
-        "delay=strapdown delay.time=0.01", "delay=identified", "remedies=unknown_vehicle", "remedies=auto",
+        "delay=strapdown delay.time=0.01", "remedies=unknown_vehicle", "remedies=auto",
     ),
-    "perfect_mpc": ("observer=wind", "remedies=all"),
+    "perfect_mpc": ("observer=wind", "observer=wind delay=prediction motor=states horizon=firm"),
     "dfbc": ("observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01", "remedies=auto"),
     "geometric": ("observer=disturbance", "adaptive=l1", "inner=indi", "controller.force_adaptation=1"),
     "pid": ("adaptive=l1", "inner=indi inner.rate=400"),

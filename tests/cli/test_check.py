@@ -16,16 +16,6 @@ FLY = (
 )  # fmt: skip
 
 
-MAPPING = """
-time: {column: t}
-position: {columns: [p_x, p_y, p_z]}
-attitude: {columns: [q_w, q_x, q_y, q_z]}
-velocity: {columns: [v_x, v_y, v_z]}
-rate: {columns: [w_x, w_y, w_z]}
-acceleration: {columns: [acc_x, acc_y, acc_z]}
-"""
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """good: a flight; turned: its quaternions conjugated; copy: the good one again; dropped: rows missing."""
@@ -87,7 +77,7 @@ def test_figures_of_flights_of_one_name_too(folder, tmp_path):
 def test_a_log_is_a_duplicate_only_of_one_that_was_imported(folder, tmp_path):
     for name in ("good", "turned"):
         assert run("export", folder / f"{name}.parquet", "--to", "csv", "--out", tmp_path / f"{name}.csv")[0] == 0
-    (tmp_path / "mapping.yaml").write_text(MAPPING)
+    (tmp_path / "mapping.yaml").write_text(run("import", "--describe", tmp_path / "good.csv")[1])
     shutil.copy(tmp_path / "turned.csv", tmp_path / "again.csv")
     logs = (tmp_path / "turned.csv", tmp_path / "again.csv", "--mapping", tmp_path / "mapping.yaml")
     code, out, error = run("import", *logs, "--out", tmp_path / "out")

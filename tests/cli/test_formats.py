@@ -31,7 +31,7 @@ CALLS = {  # of each command: a call that answers with a table
     "import": ("import", "a.csv", "--keep", "--out", "flights", "--force"),
     "results": ("results", "results"),
     "validate": ("validate", "models/vehicle", "--flights", "logged.parquet", "--horizons", "0.1"),
-    "compare": ("compare", "a.parquet", "a.parquet"),
+    "compare": ("compare", "results", "other"),
     "plot": ("plot", "results", "--x", "controller.nodes", "--out", "p.svg", "--force"),
     "report": ("report", "results", "--out", "page.html", "--figures", "paper", "--force"),
     "export": ("export", "a.parquet", "--to", "csv", "--out", "x.csv", "--force"),
@@ -65,7 +65,8 @@ def folder(tmp_path_factory):
         assert run("identify", "logged.parquet", "--no-figures", "--out", "models/vehicle")[0] == 0
         assert run("collect", "collect.duration=12", "--out", "data.parquet")[0] == 0
         asked = ["controller=nominal_mpc,perfect_mpc", "controller.nodes=5,10", "seed=0,1"]
-        swept(made / "results", asked, lambda c: 0.01 * c.controller.nodes * (1 + noise(c.seed)))
+        for name, scale in (("results", 1.0), ("other", 1.1)):
+            swept(made / name, asked, lambda c, k=scale: 0.01 * k * c.controller.nodes * (1 + noise(c.seed)))
         open_loop(made / "mine")
         rows = board(
             {"nominal_mpc": lambda t, s: 0.2, "other": lambda t, s: 0.1}, protocol_sha256=read_protocol().sha256

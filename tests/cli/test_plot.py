@@ -1,4 +1,4 @@
-"""`quadexp plot` and `results`, as a user meets them."""
+"""`quadexp plot`, `results`, `compare` of many, `--format`, `export` of results, as a user meets them."""
 
 import csv
 import io
@@ -6,9 +6,11 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from quadexp.report.compare import compare
 from quadexp.report.summary import held_out_rows, held_out_table
 from tests.cli.command import run, run_main
 from tests.report.sweeps import noise, swept
@@ -25,13 +27,14 @@ def error(config):
 def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plot")
     swept(folder / "r", ASKED, error)
+    swept(folder / "heavy", [*ASKED, "vehicle.mass=1.5"], lambda config: 1.5 * error(config))
     swept(folder / "lossy", ASKED, lambda config: None if config.seed == 2 else 2 * error(config))
     return folder
 
 
 @pytest.fixture
 def results(here, flown):
-    for name in ("r", "lossy"):
+    for name in ("r", "heavy", "lossy"):
         shutil.copytree(flown / name, here / name)
     return here
 
@@ -115,6 +118,31 @@ class TestResults:
         code, out, _ = run("results", "r", "--html", "t.html")
         assert (code, out) == (0, "t.html\n") and Path("t.html").read_text().count("<tr>") == 25
         assert run("results", "r", "--html", "t.html")[0] == 2
+
+
+class TestCompare:
+    def test_three_results_with_a_picture(self, results):
+        code, out, _ = run("compare", "r", "heavy", "lossy", "--out", "c.png")
+        assert code == 0 and out.endswith("c.png\n") and Path("c.png").stat().st_size > 10_000
+        assert out.splitlines()[0].split() == ["mean", "error", "(mm)", "r", "heavy", "lossy", "flights"]
+        report = compare("r", "heavy", "lossy")
+        tables = [pd.read_parquet(f"{name}/results.parquet") for name in ("r", "heavy", "lossy")]
+        for label, means in report["metrics"].items():
+            flown = [t[(t["controller"] + t["variant"].str.replace("controller.", " ") == label)] for t in tables]
+            expected = [t[t["seed"] < 2][report["metric"]].mean() for t in flown]  # seed 2 is lost in one of them
+            assert means == pytest.approx(expected, rel=1e-12)
+        assert len(report["metrics"]) == 4 and {row[-1] for row in report["tables"][0].rows} == {"4"}
+
+    def test_the_picture_of_results_has_a_line_a_folder_and_a_panel_a_controller(self, results):
+        from quadexp.report.draw import results_figure
+
+        figure = results_figure([Path("r"), Path("heavy"), Path("lossy")])
+        panels = [panel for panel in figure.axes if panel.axison]
+        assert [panel.get_title() for panel in panels] == ["nominal_mpc", "perfect_mpc"]
+        lines = {c.get_label(): c.lines[0].get_ydata() for c in panels[0].containers}
+        assert set(lines) == {"results=r", "results=heavy", "results=lossy"}
+        assert np.asarray(lines["results=heavy"]) == pytest.approx(1.5 * np.asarray(lines["results=r"]))
+        assert np.asarray(lines["results=lossy"]) == pytest.approx(2 * np.asarray(lines["results=r"]))
 
 
 class TestShow:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from quadexp.cli.terminal import fitted
-from quadexp.parts.former import FORMER_WORDS
 from tests.cli.command import run, run_main
 from tests.faults.test_hostile_files import on_a_terminal
 
@@ -38,6 +37,7 @@ def made(tmp_path_factory):
 COMMANDS = {  # what each takes
     ("show", "FILE"): {"flight.parquet", "data.parquet", "results"},
     ("compare", "flight.parquet", "FILE"): {"flight.parquet"},
+    ("compare", "results", "FILE"): {"results"},
     ("report", "FILE", "--out", "page.html", "--force"): {"results"},
     ("export", "FILE", "--to", "csv", "--out", "out.csv", "--force"): {"flight.parquet"},
     ("animate", "FILE", "--out", "a.gif", "--to", "0.1", "--force"): {"flight.parquet"},
@@ -118,7 +118,7 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
     [
         (["evaluate", "--sweep", "seed=range(0)"], "seed=range(0): an empty range leaves nothing to fly"),
         (["evaluate", "--sweep", "experiment=nope"], "no such experiment"),
-        (["simulate", "wind.speed=4"], "wind=none has no settings"),
+        (["simulate", "wind.speed=4"], "wind=none has no settings; wind=constant has wind.velocity"),
         (["simulate", "remedy=wind"], "did you mean remedies?"),
         (["simulate", "--out", "x.csv"], "write x.parquet, then quadexp export x.parquet"),
         (["report", "results/none"], "results/none: no such file"),
@@ -126,7 +126,6 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["simulat"], "No such command"),
         (["simulate", "--ot", "x"], "No such option: --ot"),
         (["fit-gp"], "Missing argument"),
-        *((word.split(), f": {text}") for word, text in FORMER_WORDS.items()),
         (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
         (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),

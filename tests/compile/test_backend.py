@@ -41,6 +41,21 @@ def test_the_library_is_compiled_once(tmp_path, monkeypatch):
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".sha256", ".so"]
 
 
+def test_functions_that_differ_in_numbers_are_compiled_once(tmp_path, monkeypatch):
+    """Each has its own numbers, also where another one is loaded beside it; whole ones belong to the structure."""
+    monkeypatch.setenv("QUADEXP_CACHE", str(tmp_path))
+    x, at = ca.SX.sym("x"), 1.7
+    numbers = [(0.1, 2.3), (0.3, -1e-7), (-0.7, 1e300 / 3)]
+    functions = [BufferedFunction(realise(ca.Function("line", [x], [a * x + b]), "compiled")) for a, b in numbers]
+    for function, (a, b) in zip(functions, numbers, strict=True):
+        next(iter(function.arguments.values()))[...] = at
+        function()
+        assert np.isclose(next(iter(function.results.values())).item(), a * at + b, rtol=1e-15)
+    assert len(list(tmp_path.glob("*.o"))) == 1 and len(list(tmp_path.glob("*.so"))) == 3
+    realise(ca.Function("line", [x], [2 * x + 0.3]), "compiled")
+    assert len(list(tmp_path.glob("*.o"))) == 2
+
+
 def test_each_calls_it_at_every_point(tmp_path, monkeypatch, rng):
     """The first result at many values of the first argument; the other arguments stand."""
     monkeypatch.setenv("QUADEXP_CACHE", str(tmp_path))

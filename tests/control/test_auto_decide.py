@@ -63,7 +63,9 @@ def test_a_push_acts_from_five_deviations_on_and_for_good():
 def test_the_observer_believes_nothing_that_has_not_shown_itself(kind):
     """And the less of what has, the noisier its readings are."""
     wind = kind == "wind"
-    following = WindFollowing(WindObserver(), 0.02) if wind else ForceFollowing(DisturbanceObserver(), 0.02, 1.0)
+    following = (
+        WindFollowing(WindObserver(), 0.02, 0.0, 0.3) if wind else ForceFollowing(DisturbanceObserver(), 0.02, 1.0, 0.0)
+    )
     state, senses = np.ones(29 if wind else 13), Senses(walk=np.ones(3), reading=np.full(3, 0.05), twist=3.0)
     following.follow(state, Acting(), Acting(), senses)
     believed = [0, 1, 2, 3, 20, 21, 22] if wind else [0, 1, 2]

@@ -54,6 +54,7 @@ def test_on_logs_made_here(tmp_path, monkeypatch):
     quick = {
         "fit-gp": ["gp.inducing=5", "gp.max_rows=200", "gp.max_iterations=5", "gp.refit=false", "--no-figures"],
         "identify": ["--no-figures"],
+        "validate": ["--no-figures"],
         "evaluate": ["--no-figures"],
     }
     run(

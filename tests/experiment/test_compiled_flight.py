@@ -37,6 +37,7 @@ from quadexp.world.ground import GroundEffect
 from quadexp.world.link import Latency
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.sensors import Sensors
+from quadexp.world.slung_load import SlungLoad
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import BLOCK
 from quadexp.world.true_vehicle import TrueVehicle
@@ -199,16 +200,18 @@ def test_with_the_references_thrust_within_the_nodes(monkeypatch, vehicle, first
 
 @compiled
 @pytest.mark.parametrize("seed", [9, 11, 15])
-def test_any_flight_in_turbulence(monkeypatch, vehicle, seed):
+def test_any_flight_with_a_load_in_turbulence(monkeypatch, vehicle, seed):
     """And with weak rotors, a push and the ground."""
     plant, controller, path, options = draw(seed, vehicle)
     effects = [
         Dryden(velocity=(2.0, 1.0, 0.0), intensity=(1.0, 1.0, 0.5)),
+        SlungLoad(mass=0.1, length=0.5, point=(0.02, 0.0, -0.05), stretch=0.02),
         TrueVehicle(thrust_coefficient=0.95, torque_coefficient=1.1),
         Disturbance(force=(0.5, 0.0, 0.2), torque=(0.0, 0.01, 0.0), onset=0.2, duration=0.3),
         GroundEffect(rotor_radius=0.12),
     ]
     flight = both(monkeypatch, World(plant, [*effects, *options["sensors"]]), controller, path, **options).flight
+    assert {"wind_x", "load_z"} < flight.columns.keys()
     assert np.std(flight["wind_x"]) > 0.01
 
 

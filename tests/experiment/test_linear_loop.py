@@ -145,7 +145,8 @@ COMBINATIONS = {
     "lead": "controller=nominal_mpc horizon=robust motor=lead actuator=lag_30ms",
     "offset_free": "controller=nominal_mpc remedies=offset_free",
     "wind": "controller=perfect_mpc remedies=wind",
-    "all": f"controller=perfect_mpc remedies=all world=everything wind=none battery=none {NOISELESS}",
+    "told": "controller=perfect_mpc horizon=robust motor=states observer=wind observer.targets=false delay=prediction"
+    f" controller.dead_time=0.01 delay.time=0.01 world=everything wind=none battery=none {NOISELESS}",
     "everything": f"controller=nominal_mpc world=everything wind=none battery=none {NOISELESS}",
     "race": f"controller=nominal_mpc world=race battery=none link.jitter=0 {NOISELESS}"
     " actuator.time_constant_down=0.0125",
@@ -154,7 +155,6 @@ COMBINATIONS = {
     "prediction": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03 delay=prediction"
     " delay.time=0.03",
     "late": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03",
-    "identified": "controller=nominal_mpc delay=identified",
     "rate_100": "controller=nominal_mpc controller.rate=100",
     "rate_25": "controller=nominal_mpc controller.rate=25",
     "geometric_indi": "controller=geometric inner=indi",

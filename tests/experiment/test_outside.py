@@ -2,6 +2,9 @@
 
 import json
 import math
+import re
+from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 import pytest
@@ -43,6 +46,16 @@ def test_a_fast_flight_says_so_and_a_slow_one_does_not(model, tmp_path):
     beyond = np.mean(speed > fit.feature_range["speed"][1])  # no wind: the norm is the same in both frames
     assert record["shares"]["speed"] == pytest.approx(beyond) and beyond > 0.3
     assert record["share"] >= beyond and flight.metadata["row"]["outside_data"] == record["share"]
+    values = dict(zip(["v_x", "v_y", "v_z"], flight.air_velocity.T, strict=True))
+    values |= {"speed": speed, "thrust": flight.input.sum(axis=1)}
+    outside = [any(not low <= values[name][i] <= high for name, (low, high) in fit.feature_range.items()) for i in
+               range(len(flight))]  # fmt: skip
+    stretches = [[i for i, _ in group] for out, group in groupby(enumerate(outside), itemgetter(1)) if out]
+    longest = max(stretches, key=len)
+    start, end, *at = map(float, re.findall(r"-?\d+\.\d+", record["where"]))
+    assert (start, end) == pytest.approx((flight.t[longest[0]], flight.t[longest[-1]]), abs=0.006)
+    assert at == pytest.approx(flight.state[longest[len(longest) // 2], :3], abs=0.3)
+    assert flight.metadata["row"]["outside_where"] == record["where"]
     assert f"{100 * record['share']:.1f} % of samples outside the data that {model}" in line and "speed" in line
     code, out, _ = fly(model, 2, tmp_path / "slow.parquet")
     assert code == 0 and "outside the data" not in out
@@ -57,6 +70,13 @@ def test_the_model_is_known_inside_remedies_and_in_other_controllers(model, tmp_
     code, out, error = fly(model, 12, tmp_path / "fast.parquet", *changes)
     assert code == 0, error
     assert read_metadata(tmp_path / "fast.parquet")["outside_data"]["share"] > 0.3
+
+
+def test_what_states_no_variance_has_nothing_to_fall_back_by(model, tmp_path):
+    code, _, error = fly(model, 2, tmp_path / "a.parquet", "controller.fallback=true")
+    assert code == 2 and error == f"error: {model}: linear_drag states no variance to fall back by; a GP does\n"
+    code, _, error = fly(model, 2, tmp_path / "a.parquet", "controller.residual=none", "controller.fallback=true")
+    assert code == 2 and "controller.fallback: residual=none has no data; gaussian_process has" in error
 
 
 def test_an_old_checkpoint_says_unknown(model, tmp_path):
@@ -80,7 +100,7 @@ def test_rows_and_tables_of_a_sweep(model, tmp_path):
     found = dict(zip(zip(columns["controller"], columns["speed"], strict=True), columns["outside_data"], strict=True))
     assert math.isnan(found["nominal_mpc", 2.0]) and math.isnan(found["nominal_mpc", 12.0])
     assert found["linear_drag_mpc", 2.0] <= 0.01 < 0.3 < found["linear_drag_mpc", 12.0]
-    note = f"(most: {100 * found['linear_drag_mpc', 12.0]:.3g} %, circle 12 m/s)"
+    note = f"(most: {100 * found['linear_drag_mpc', 12.0]:.3g} %, circle 12 m/s; longest "
     assert "of samples outside the data its model was fitted to" in (tmp_path / "r" / "table.md").read_text()
     assert note in (tmp_path / "r" / "table.md").read_text() and note in " ".join(out.split())
     assert note in run("show", tmp_path / "r")[1]

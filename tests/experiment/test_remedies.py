@@ -31,7 +31,7 @@ GROUPS = {
     "observer": ("none", "disturbance", "wind"),
     "adaptive": ("none", "l1"),
     "inner": ("none", "indi"),
-    "delay": ("none", "strapdown", "prediction", "identified"),
+    "delay": ("none", "strapdown", "prediction"),
 }
 
 
@@ -111,7 +111,6 @@ SCALES = ["remedies=unknown_vehicle", "controller=nominal_mpc"]
         (["actuator=lag_30ms", "observer.scale_walk=0"], "observer.air_walk"),
         (["actuator=lag_30ms", "observer.scale_walk=0", "observer.air_walk=0"], None),
         (["actuator=lag_30ms", "observer.motor_lag=0.03"], None),
-        (["actuator=lag_30ms", "delay=identified"], None),
         (["actuator=lag_30ms", "vehicle=quad_bench"], None),
         ([], None),
     ],

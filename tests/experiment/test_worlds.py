@@ -186,7 +186,6 @@ HUMMINGBIRD, LEI_LI = ["vehicle=hummingbird"], ["vehicle=lei_li", "plant=blade_e
         "controller=dfbc observer=disturbance",
         "controller=geometric controller.force_adaptation=8 controller.torque_adaptation=60 adaptive=l1",
         "controller=nominal_mpc delay=strapdown delay.time=0.03 inner=indi",
-        "controller=nominal_mpc delay=identified delay.after=2 horizon=firm",
         "controller=perfect_mpc observer=wind controller.dead_time=0.02",
         "controller=rls_feedback vehicle=lei_li plant=blade_element",
         "controller=rls_mpc vehicle=lei_li plant=blade_element",

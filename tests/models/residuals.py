@@ -17,8 +17,8 @@ from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
 
 RESIDUALS = (
-    "none", "linear_drag", "gp_per_axis", "gp_thrust", "gp_with_mean", "plant", "blade_element", "blade_element_plant",
-    "neural", "sum",
+    "none", "linear_drag", "gp_per_axis", "gp_thrust", "gp_with_mean", "gp_weighed", "plant", "blade_element",
+    "blade_element_plant", "neural", "sum",
 )  # fmt: skip
 BLADE = BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(0.01, 0.01, 0.02))
 
@@ -36,6 +36,29 @@ def network(seed: int = 6) -> Network:
     biases = [rng.normal(size=rows) for rows in sizes[1:]]
     weights[-1][2], biases[-1][2] = 0.1 * weights[-1][2], 0.1 * biases[-1][2]  # N m
     return Network(("v_x", "v_y", "v_z", "w_y", "thrust"), ("a_x", "a_z", "tau_y"), tuple(weights), tuple(biases))
+
+
+def interpolating(output: str, features: tuple[str, ...], points: np.ndarray, values: np.ndarray) -> OutputPosterior:
+    """The exact GP (Rasmussen & Williams 2006, 2.25, 2.26) through values, (n,), at points, (n, d)."""
+    length, signal, noise = np.full(points.shape[1], 4.0), 9.0, 1e-4
+    distance = (points[:, None] - points) / length
+    kernel = signal * np.exp(-0.5 * (distance**2).sum(axis=2)) + noise * np.eye(len(points))
+    root = signal * np.linalg.inv(np.linalg.cholesky(kernel))
+    alpha, factor = signal * np.linalg.solve(kernel, values), np.linalg.qr(root, mode="r")
+    return OutputPosterior(output, features, points, alpha, length, signal, noise, factor, 0.0, len(points))
+
+
+def weighed_outputs() -> list[OutputPosterior]:
+    """GPs of drag up to 10 m/s: one that drag can stand for, one with the thrust, and one of a torque."""
+    rng = np.random.default_rng(5)
+    v = rng.uniform(-10, 10, (15, 2))
+    v[:, 1] = 8 * v[:, 1] + 80  # N
+    turn = 0.1 * np.sin(v[:, 0]) + 0.01 * v[:, 0]
+    return [
+        interpolating("a_x", ("v_x",), v[:, :1], -0.3 * v[:, 0] - 0.08 * v[:, 0] * np.abs(v[:, 0]) + turn),
+        interpolating("a_z", ("v_z", "thrust"), v / np.array([1, 4]), -0.1 * v[:, 0] - 0.01 * v[:, 1] + turn),
+        interpolating("tau_y", ("v_x", "w_y"), v / np.array([1, 20]), turn),
+    ]
 
 
 def make_residual(name: str, vehicle: Vehicle) -> Residual:
@@ -56,6 +79,8 @@ def make_residual(name: str, vehicle: Vehicle) -> Residual:
         return neural_residual(vehicle, network())
     if name == "sum":
         return sum_residual([make_residual(part, vehicle) for part in ("linear_drag", "neural", "gp_with_mean")])
+    if name == "gp_weighed":
+        return gaussian_process_residual(vehicle, weighed_outputs(), (0.1, 0, 0, 0, 0.01, 0.1, -0.02), weighed=True)
     rng = np.random.default_rng(5)
     features = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z",)}
     if name == "gp_thrust":

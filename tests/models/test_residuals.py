@@ -9,7 +9,7 @@ from quadexp.errors import UsageError
 from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
 from quadexp.models.residual import no_residual, scaled_residual, symbolic_residual
 from quadexp.world import SimplifiedPlant
-from tests.models.residuals import RESIDUALS, make_residual
+from tests.models.residuals import RESIDUALS, interpolating, make_residual, weighed_outputs
 
 
 def features(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -72,7 +72,45 @@ def test_torrente_numbers(vehicle):
     assert np.allclose(residual(z)[0], expected)
 
 
-FORMS = ["gp_per_axis", "gp_thrust", "gp_with_mean", "neural", "sum"]
+def test_weighed_by_its_variance_it_is_the_combination_of_least_squared_error(vehicle, rng):
+    """w = s^2 / (s^2 + variance) inside and outside the data, from the posterior's prediction; s^2: what drag, fitted
+    to the GP at its points, misses there. A torque has no drag to fall back to."""
+    residual, z = make_residual("gp_weighed", vehicle), features(rng, 40)
+    z[:, 0] = np.linspace(-40, 40, 40)
+    thrust = z[:, 6:].sum(axis=1)
+    prior = np.stack([-0.1 * z[:, 0], 0 * z[:, 0], -0 * z[:, 2] + 0.1 - 0.02 * thrust], axis=1)
+    columns = {"v_x": z[:, 0], "v_z": z[:, 2], "w_y": z[:, 4], "thrust": thrust}
+    expected = np.zeros((40, 6))
+    expected[:, :3] = prior + [0, 0.01, 0]
+    for gp in weighed_outputs():
+        mean, variance, _ = gp.predict(np.stack([columns[name] for name in gp.features], axis=1))
+        here, at_points = np.zeros((40, 1)), np.zeros((15, 1))
+        if gp.output != "tau_y":
+
+            def drag(v, *more):
+                return np.stack([np.ones_like(v), v, v * np.abs(v), *more], axis=1)
+
+            here, at_points = drag(*(columns[name] for name in gp.features)), drag(*gp.inducing.T)
+        found = gp.predict(gp.inducing).mean
+        c = np.linalg.lstsq(at_points, found, rcond=None)[0]
+        misfit = np.sum((found - at_points @ c) ** 2) / (15 - np.linalg.matrix_rank(at_points))
+        weight = misfit / (misfit + variance)
+        expected[:, {"a_x": 0, "a_z": 2, "tau_y": 4}[gp.output]] += here @ c + weight * (mean - here @ c)
+    assert residual(z) == pytest.approx(expected, abs=1e-6)
+
+
+def test_outside_its_data_drag_goes_on(vehicle):
+    """Of a zero-mean GP of drag up to 10 m/s: four times as fast it is nothing, weighed it is still the drag."""
+    v = np.linspace(-10, 10, 15)[:, None]
+    gp = interpolating("a_x", ("v_x",), v, -0.3 * v[:, 0] - 0.08 * v[:, 0] * np.abs(v[:, 0]))
+    for speed in (5.0, 40.0):
+        z, drag = np.r_[speed, np.zeros(5), np.full(4, 2.0)], -0.3 * speed - 0.08 * speed**2
+        plain, weighed = (gaussian_process_residual(vehicle, [gp], weighed=w)(z)[0, 0] for w in (False, True))
+        assert weighed == pytest.approx(drag, rel=5e-3)
+        assert plain == pytest.approx(drag if speed < 10 else 0.0, rel=5e-3, abs=1e-6)
+
+
+FORMS = ["gp_per_axis", "gp_thrust", "gp_with_mean", "gp_weighed", "neural", "sum"]
 
 
 @pytest.mark.parametrize("name", FORMS)

@@ -81,7 +81,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/control/test_observers.py",
     ),
     "quadexp/control/mpc/online_mpc.py": ("tests/control/mpc/test_online_mpc.py",),
-    "quadexp/control/delay/identified.py": DELAYS[::-1],
     "quadexp/control/delay/*.py": DELAYS,
     "quadexp/control/indi.py": ("tests/control/test_indi.py",),
     "quadexp/control/l1.py": ("tests/control/test_l1.py",),

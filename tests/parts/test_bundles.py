@@ -87,7 +87,7 @@ def test_a_bundle_sets_values_of_the_part_that_it_chooses():
 
 @pytest.mark.parametrize(
     ("others", "horizon"),
-    [([], "published"), ([], "robust"), (["experiment=torrente_table1"], "precise"), (["remedies=all"], "stiff")],
+    [([], "published"), ([], "robust"), (["experiment=torrente_table1"], "precise"), (["remedies=wind"], "firm")],
 )
 def test_presets_are_composed_as_hydra_itself_does(others, horizon):
     choices = [*others, "controller=gp_mpc", f"horizon={horizon}"]

@@ -205,7 +205,7 @@ MISTAKES = {
     "controler=gp_mpc": r"controler: no such key; did you mean controller\?",
     "controller=gpmpc": r"controller=gpmpc: no such controller; did you mean gp_mpc\?",
     "controller=zzz": "no such controller; there are: .*gp_mpc, .*nominal_mpc",
-    "experiment=nope": "no such experiment; there are: adaptation, auto, families",
+    "experiment=nope": "no such experiment; there are: adaptation, auto, ",
     "zzzz=3": "zzzz: no such key; there are:",
     "features.a_x=[]": r"features.a_x: no such key; did you mean gp.features.a_x\?",
     "mass=1": r"mass: no such key; did you mean vehicle.mass or truth.mass\?",

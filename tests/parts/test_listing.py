@@ -51,7 +51,7 @@ def test_a_preset_says_what_it_sets():
 
 def test_a_word_is_looked_for_in_options_keys_and_meanings():
     found = [one.get("option") or one["key"] for one in listed("delay")]
-    assert "delay=identified" in found and "estimator.delay" in found and "sensor.pose_delay" in found
+    assert "delay=strapdown" in found and "estimator.delay" in found and "sensor.pose_delay" in found
     found = [one.get("option") or one["key"] for one in listed("dead_time")]
     assert "motor=dead_time" in found and "controller.dead_time" in found and "inner.dead_time" in found
     with pytest.raises(UsageError, match="no group, option or key has this word"):

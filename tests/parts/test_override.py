@@ -87,7 +87,7 @@ def test_any_text_is_an_override_or_one_plain_line(seed):
 def test_what_is_suggested_exists():
     """Each key that is named for another option composes with that option."""
     with session() as composer:
-        for key, options in composer.having("velocity").items():
+        for key, options in composer._files.having("velocity").items():
             for option in options:
                 assert composer.compose([option, f"{key}=[1,0,0]"])
 

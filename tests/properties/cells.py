@@ -52,9 +52,9 @@ AROUND: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "adaptive": (("l1",), ("l1", "adaptive.unmatched=false")),
     "inner": (("indi",), ("indi", "inner.rate=200")),
-    "delay": (("strapdown", "delay.time=0.02"), ("prediction", "delay.time=0.02"), ("identified", "delay.after=2")),
+    "delay": (("strapdown", "delay.time=0.02"), ("prediction", "delay.time=0.02")),
     "truth": (("nominal", "truth.mass=1.05"), ("nominal", "truth.inertia=[0.9,1,1]"), ("nominal", "truth.drag=1.5")),
-    "payload": (("fixed", "payload.mass=0.01"),),
+    "payload": (("fixed", "payload.mass=0.01"), ("slung", "payload.mass=0.01", "payload.stretch=0.1")),
     "wind": (("constant",), ("dryden",), ("gust", "wind.onset=0.1"), ("gusty",)),
     "external": (("push", "external.onset=0.1"),),
     "link": (("latency",), ("radio",), ("onboard",)),
@@ -89,8 +89,6 @@ def drawn(rng: np.random.Generator, models: str) -> Cell:
     cell["trajectory"] = _overrides("trajectory", _one(TRAJECTORIES, rng), models)
     wanted = rng.permutation([*AROUND])[: rng.integers(5)]
     around = {} if compiled else {str(group): _around(str(group), rng, models) for group in wanted}
-    if "delay=identified" in around.get("delay", ()) and "trajectory=random" not in cell["trajectory"]:
-        cell["trajectory"] += ("trajectory.duration=2.6",)  # nothing is looked for in the first two seconds
     return cell | around | ({"estimator": ("estimator=late",)} if compiled and rng.random() < 0.5 else {})
 
 

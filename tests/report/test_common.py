@@ -1,4 +1,4 @@
-"""Which flights are compared: the rule itself, and that tables, statistics, page and figures follow it."""
+"""Which flights are compared: the rule itself, and that tables, statistics, comparison, page and figures follow it."""
 
 import math
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import write_table
+from quadexp.report.compare import compare
 from quadexp.report.document import cell_of
 from quadexp.report.metrics import to_columns
 from quadexp.report.page.answer import answer
@@ -126,6 +127,28 @@ class TestFifteenOfTwentyNotFlown:
         assert set(names) == {"nominal_mpc", "linear_drag_mpc", "perfect_mpc", "gp_mpc"}
         assert means == [pytest.approx(mean(rows, label, range(5))) for label in names]
         assert [text.get_text() for text in panel.texts] == ["5/20"]
+
+    def test_compare(self, outcome, tmp_path):
+        rows = lost_gp(outcome)
+        for name, made in (("a", [r | {"outcome": "ok", "mean_error": 0.1} for r in rows]), ("b", rows)):
+            write_table(tmp_path / name / "results.parquet", to_columns(made), {"metric": "mean_error"}, "results")
+        metrics = {record["label"]: record for record in compare(tmp_path / "a", tmp_path / "b")["metrics"]}
+        assert metrics["gp_mpc"]["flown"] == {"a": [20, 20], "b": [5, 20]}
+        for name, record in metrics.items():
+            assert record["pairs"] == 5 and 1e3 * record["b"] == pytest.approx(mean(rows, name, range(5)))
+
+
+def test_compare_says_not_distinguishable(tmp_path):
+    rng = np.random.default_rng(4)
+    for name in "ab":
+        scale = 0.1 if name == "a" else 0.02
+        made = [row("gp_mpc", seed=s, error=float(0.1 * np.exp(0.3 * rng.normal()))) for s in range(8)]
+        made += [row("rls_mpc", seed=s, error=scale * (1 + 0.01 * s**2 * (name == "a"))) for s in range(8)]
+        write_table(tmp_path / name / "results.parquet", to_columns(made), {"metric": "mean_error"}, "results")
+    report = compare(tmp_path / "a", tmp_path / "b")
+    assert [record["distinguishable"] for record in report["metrics"]] == [False, True]
+    lines = {line.split()[0]: line for line in report["lines"] if line.startswith(("gp_mpc", "rls_mpc"))}
+    assert lines["gp_mpc"].endswith("not distinguishable") and lines["rls_mpc"].endswith("smaller")
 
 
 def test_tracked_paths_say_who_is_missing():

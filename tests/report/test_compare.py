@@ -1,4 +1,4 @@
-"""What differs between flights: found, counted, and said."""
+"""What differs between two flights, two results, two checkpoints: found, counted, and said."""
 
 import json
 import math
@@ -11,11 +11,15 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
-from quadexp.parts.compose import compose
+from quadexp.models.checkpoint import save_model
+from quadexp.models.linear_drag import LinearDrag
+from quadexp.parts.compose import compose, expand
 from quadexp.report.compare import change, compare, differing
 from quadexp.report.metrics import to_columns
+from quadexp.sweeps.sweep import run_sweep
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row
+from tests.sweeps import cells
 
 
 def flight(path, *overrides, samples=5, edit=lambda flight: flight, **metadata):
@@ -89,6 +93,9 @@ class TestFlights:
         for other, path in enumerate(paths[1:], 1):
             for name, two in compare(paths[0], path)["metrics"].items():
                 assert [two["a"], two["b"]] == [report["metrics"][name][i] for i in (0, other)]
+        with pytest.raises(UsageError, match="cannot compare"):
+            write_table(tmp_path / "r" / "results.parquet", to_columns([row()]), {}, "results")
+            compare(*paths, tmp_path / "r")
 
 
 def test_what_cannot_be_compared_is_one_line(tmp_path):
@@ -98,11 +105,86 @@ def test_what_cannot_be_compared_is_one_line(tmp_path):
     write_flight(tmp_path / "recorded.parquet", straight_flight())
     (tmp_path / "empty").mkdir()
     for other, said in {
-        "r": "holds results; flights are compared: fly both in one sweep",
-        "d.parquet": "holds residuals; flights are compared",
+        "r": r"cannot compare a flight \(.*\) with results \(.*\): give two of one kind",
+        "d.parquet": "holds residuals; flights, results and checkpoints can be compared",
         "nowhere": "no such file or folder",
         "empty": "neither a checkpoint",
         "recorded.parquet": "a flight without a result row",
     }.items():
         with pytest.raises(UsageError, match=said):
             compare(path, tmp_path / other)
+
+
+class TestResults:
+    @staticmethod
+    def sweep(folder, *overrides):
+        """Flights whose error is 10 mm times the seed (tests/sweeps/cells.py)."""
+        run_sweep(expand(list(overrides)), folder, function=cells.quick_cell, isolate=False)
+        return folder
+
+    @staticmethod
+    def compared(folder, *rows):
+        """Two tables without their cells."""
+        paths = [folder / name / "results.parquet" for name in "ab"]
+        for path, own in zip(paths, rows, strict=True):
+            write_table(path, to_columns(own), {"metric": "mean_error"}, "results")
+        return compare(*(path.parent for path in paths))
+
+    def test_what_differs_in_configuration_is_read_from_the_cells(self, tmp_path):
+        a = self.sweep(tmp_path / "a", "controller=nominal_mpc", "seed=range(1,4)")
+        same = compare(a, self.sweep(tmp_path / "again", "controller=nominal_mpc", "seed=range(1,4)"))
+        assert same["pairs"] == same["identical"] == 3 and same["configuration"] == {}
+        assert same["outcome"] == {"ok -> ok": 3} and same["only"] == {"a": {}, "b": {}}
+        assert [record["ratio"] for record in same["metrics"]] == [0.0]
+        b = self.sweep(tmp_path / "b", "controller=nominal_mpc,perfect_mpc", "controller.nodes=20", "seed=range(2,4)")
+        report = compare(a, b)
+        assert report["configuration"] == {"controller.nodes": [10, 20]}
+        assert report["pairs"] == 2 and report["only"] == {"a": {"nominal_mpc": 1}, "b": {"perfect_mpc": 2}}
+
+    def test_the_change_with_its_interval_by_hand(self, tmp_path):
+        a, b = ([row(seed=s, error=e) for s, e in enumerate(own)] for own in ((0.1, 0.2, 0.4), (0.11, 0.24, 0.40)))
+        report = self.compared(tmp_path, a, b)
+        (record,) = report["metrics"]
+        assert (record["a"], record["b"], record["pairs"]) == (pytest.approx(0.7 / 3), pytest.approx(0.75 / 3), 3)
+        logs = np.log([1.1, 1.2, 1.0])
+        half = 4.302653 * logs.std(ddof=1) / math.sqrt(3)
+        for name, log in (("ratio", 0), ("ratio_low", -half), ("ratio_high", half)):
+            assert record[name] == pytest.approx(100 * math.expm1(logs.mean() + log), rel=1e-5)
+        assert "configuration  not compared: the cells are not beside both tables" in report["lines"]
+
+    def test_lost_flights_are_left_out_by_name_and_in_the_outcome(self, tmp_path):
+        a = [row(seed=0), row(seed=1, outcome="lost", error=math.nan), row(seed=2)]
+        b = [row(seed=0), row(seed=1), row(seed=2, outcome="failed", error=math.nan)]
+        report = self.compared(tmp_path, a, b)
+        assert report["outcome"] == {"ok -> ok": 1, "lost -> ok": 1, "ok -> failed": 1}
+        assert report["metrics"][0]["pairs"] == 1
+        assert "  nominal_mpc: left out 1 lost in a, 1 failed" in report["lines"]
+
+    def test_checkpoints_of_other_names_are_paired_where_there_is_no_doubt(self, tmp_path):
+        a = [row("gp_mpc", model="models/gp")]
+        report = self.compared(tmp_path, a, [row("gp_mpc", model="models/gp40", error=0.12)])
+        assert report["metrics"][0]["relative"] == pytest.approx(-50)
+        report = self.compared(tmp_path / "c", a, [row("gp_mpc", model=f"models/{name}") for name in ("gp", "gp40")])
+        assert report["pairs"] == 1 and report["only"]["b"] == {"gp_mpc gp40": 1}
+
+    def test_nothing_in_common(self, tmp_path):
+        report = self.compared(tmp_path, [row()], [row(speed=4.0)])
+        assert report["pairs"] == 0 and report["lines"][-1] == "no cell is in both: nothing to compare"
+
+
+def test_checkpoints_differ_in_parameters_and_held_out_errors(tmp_path):
+    vehicle = {"name": "torrente", "fingerprint": "abc"}
+    for name, drag, rmse in (("a", 0.5, 0.8), ("b", 0.6, 0.4)):
+        nothing = dict.fromkeys(
+            ("intercept", "drag_error", "intercept_error", "residual_std", "r_squared"), np.zeros(3)
+        )
+        scalars = {"thrust_gain": 0.0, "thrust_gain_error": 0.0, "n": 10}
+        about = {"vehicle": vehicle, "dataset": {"rows": 10, "sha256": name}}
+        model = LinearDrag(drag=np.array([drag, 0.5, 0.1]), **nothing, **scalars, **about)
+        report = {"rows": [{"output": "a_x", "predictor": "linear_drag", "rmse": rmse}]}
+        save_model(tmp_path / name, model, report=report)
+    report = compare(tmp_path / "a", tmp_path / "b")
+    assert report["configuration"] == {"dataset.sha256": ["a", "b"]}
+    assert report["metrics"]["drag_x (1/s)"]["relative"] == pytest.approx(20)
+    assert report["metrics"]["drag_y (1/s)"]["relative"] == 0
+    assert report["metrics"]["held-out RMSE of a_x by linear_drag (m/s^2)"]["relative"] == pytest.approx(-50)

@@ -111,16 +111,12 @@ def test_a_log_is_drawn_against_what_its_sensors_say_of_each_other():
     np.testing.assert_allclose(velocity["v"], velocity["dp/dt"], atol=1e-6)
 
 
-def test_the_chosen_delay_and_what_was_believed_in_flight_are_drawn():
-    candidates, t = np.linspace(0.0, 0.04, 81), np.arange(4.0)
+def test_the_chosen_delay_is_drawn():
+    candidates = np.linspace(0.0, 0.04, 81)
     profile = Profile("age of the state", candidates, -(((candidates - 0.012) / 0.002) ** 2) / 2, 0.012, 0.002)
-    columns = {"t": t, "delay_known": t > 1, "delay_time": 0.01 * (t > 1)}
-    columns |= {"delay_dead_time": 0.02 * (t > 1), "delay_lag": 0.03 * (t > 1)}
-    curve, believed = delay_figure([profile], columns, {"delay_lag": 0.031}).axes
+    (curve,) = delay_figure([profile]).axes
     score, best = curve.lines
     assert score.get_xdata()[np.argmax(score.get_ydata())] == pytest.approx(12.0) == best.get_xdata()[0]
-    assert [line.get_ydata()[-1] for line in believed.lines] == pytest.approx([10.0, 20.0, 30.0, 31.0])
-    assert "dotted: true" in believed.get_title() and len(delay_figure([profile], {"t": t}).axes) == 1
 
 
 def test_svg_and_png_are_written_and_repeatable(rows, tmp_path):

@@ -13,9 +13,10 @@ def test_plain_rows_have_no_notes():
 
 def test_samples_outside_the_data_of_a_learned_model():
     rows = [row("gp_mpc", speed=v) | {"outside_data": share} for v, share in ((4.0, 0.0), (8.0, 0.06), (18.0, 0.3))]
+    rows[-1]["outside_where"] = "4 to 7 s"
     rows += [row("nominal_mpc", speed=v) | {"outside_data": math.nan} for v in (4.0, 8.0, 18.0)]
     assert notes(rows) == [
-        "gp_mpc: 12 % of samples outside the data its model was fitted to (most: 30 %, circle 18 m/s)"
+        "gp_mpc: 12 % of samples outside the data its model was fitted to (most: 30 %, circle 18 m/s; longest 4 to 7 s)"
     ]
     assert notes([row("gp_mpc") | {"outside_data": 0.0}]) == []
 

@@ -1,7 +1,9 @@
-"""Text of a validation: what `validate` computes is printed with its own numbers."""
+"""Text and figures of a validation: every mode that `validate` computes is printed and drawn, with its own numbers."""
 
 import numpy as np
+import pytest
 
+from quadexp.report.model_figures import rollout_figure
 from quadexp.report.model_lines import MODES, rollout_lines
 
 HORIZONS, PREDICTORS = (0.1, 0.5), ("nominal", "linear drag")
@@ -19,6 +21,26 @@ def rollouts(modes=tuple(MODES)):
                     about = {"predictor": predictor, "mode": mode, "thrust_tracked": tracked, "horizon": horizon}
                     rows.append({**about, "starts": 9, "lost": 0.0, **errors})
     return rows
+
+
+@pytest.mark.parametrize("modes", [tuple(MODES), ("held", "full")])
+def test_every_mode_is_drawn_with_its_own_numbers(modes):
+    rows = rollouts(modes)
+    panels = [panel for panel in rollout_figure(rows).axes if panel.axison]
+    assert len(panels) == sum(2 if mode == "attitude" else 4 for mode in modes)
+    assert {panel.get_title() for panel in panels} == {MODES[mode][0] for mode in modes}
+    titles = {MODES[mode][0]: mode for mode in MODES}
+    for panel in panels:
+        mode, quantity = titles[panel.get_title()], panel.get_ylabel().split()[0]
+        factor = 180 / np.pi if quantity == "attitude" else 1.0
+        column = quantity if mode == "attitude" else f"{quantity}_median"
+        assert ("RMS" if mode == "attitude" else "median") in panel.get_ylabel()
+        assert ("(deg)" in panel.get_ylabel()) == (quantity == "attitude")
+        for line in panel.lines:
+            own = [r for r in rows if r["mode"] == mode and r["thrust_tracked"] and r["predictor"] == line.get_label()]
+            np.testing.assert_allclose(line.get_xdata(), HORIZONS)
+            np.testing.assert_allclose(line.get_ydata(), [factor * r[column] for r in own])
+        assert [line.get_label() for line in panel.lines] == list(PREDICTORS)
 
 
 def test_the_text_has_the_same_numbers():

@@ -21,7 +21,7 @@ OPTIONS = [
     ["trajectory=random", "plant=ideal", "controller=perfect_mpc"],
     ["trajectory=step", "engine=dask"],
     ["trajectory=hover", "engine=jobs"],
-    ["truth.mass=1.2", "payload=fixed", "wind=dryden", "external=push", "ground=cheeseman_bennett"],
+    ["truth.mass=1.2", "payload=slung", "wind=dryden", "external=push", "ground=cheeseman_bennett"],
     ["payload=fixed", "wind=file", "wind.path=wind.csv"],
     ["wind=gust", "truth.inertia=[1.1,1,1]"],
 ]

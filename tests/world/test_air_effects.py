@@ -17,6 +17,7 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.disturbance import Disturbance
 from quadexp.world.dryden import Dryden
+from quadexp.world.slung_load import SlungLoad
 from quadexp.world.true_vehicle import with_factors, with_payload
 from quadexp.world.world import World
 from tests.world.airframes import REST, ideal
@@ -70,6 +71,13 @@ def test_a_fixed_payload_is_carried_where_it_hangs(settled):
     loaded = with_payload(vehicle, 0.2, np.array([0.05, 0.03, -0.05]))
     assert u.sum() == pytest.approx((vehicle.mass + 0.2) * 9.81, rel=5e-3)
     assert np.abs(loaded.allocation[1:] @ u).max() < 2e-3
+
+
+def test_a_slung_load_hangs_beneath_and_is_carried(settled):
+    vehicle, u, _, flight = settled("payload=slung", "payload.mass=0.2", "payload.length=0.5")
+    assert u.sum() == pytest.approx((vehicle.mass + 0.2) * 9.81, rel=5e-3)
+    beneath = flight.stack(["load_x", "load_y", "load_z"])[-1] - flight.state[-1, POSITION]
+    assert beneath == pytest.approx([0, 0, -0.5 * 1.002], abs=5e-3)
 
 
 def test_against_a_push_it_leans(settled):
@@ -185,7 +193,7 @@ def test_a_wind_is_held_for_5_ms_or_a_tenth_of_its_time_scale(length, winds):
 def test_every_controller_and_world_meets_the_same_turbulence():
     given = [*HOVER, "trajectory.duration=1", "wind=dryden", "wind.airspeed=5"]
     alone = fly_one(compose(given)).stack(WINDS)
-    for more in (["truth.mass=1.2"], ["payload=fixed"], ["controller=perfect_mpc"], ["external=push"]):
+    for more in (["truth.mass=1.2"], ["payload=slung"], ["controller=perfect_mpc"], ["external=push"]):
         assert np.array_equal(fly_one(compose([*given, *more])).stack(WINDS), alone), more
     assert not np.array_equal(fly_one(compose([*given, "seed=1"])).stack(WINDS), alone)
 
@@ -205,11 +213,37 @@ def test_a_push_for_a_while_gives_its_impulse(step, onset):
     assert momentum == pytest.approx(np.array(push.torque) * 0.0231, rel=2e-2)  # but for the gyroscopic torque
 
 
+def test_load_and_vehicle_turn_each_other_without_gain():
+    """In free fall: linear and angular momentum about the common centre stay, the cable's end far from the centre."""
+    airframe = ideal(VEHICLE, 5e-4)
+    vehicle, load = airframe.vehicle, SlungLoad(mass=0.4, length=0.6, point=(0.1, 0.05, -0.08), damping=0.0)
+    plant, x = World(airframe, [load]), REST.copy()
+    x[VELOCITY], x[RATE] = [1.5, -0.5, 0.0], [0.5, 1.0, -0.3]
+    noise = plant.begin(x, 0.02, 3.0, np.random.default_rng(0))
+    found = []
+    for _ in range(100):
+        place = plant.columns(0.02)["load_x"]
+        bodies = plant.inner[place : place + 6]
+        total = vehicle.mass + 0.4
+        centre = (vehicle.mass * x[POSITION] + 0.4 * bodies[:3]) / total
+        drift = (vehicle.mass * x[VELOCITY] + 0.4 * bodies[3:]) / total
+        spin = Rotation.from_quat(x[ATTITUDE], scalar_first=True).apply(vehicle.inertia_matrix @ x[RATE])
+        angular = spin + vehicle.mass * np.cross(x[POSITION] - centre, x[VELOCITY] - drift)
+        angular += 0.4 * np.cross(bodies[:3] - centre, bodies[3:] - drift)
+        found.append(np.r_[drift, angular])
+        x, _ = plant.advance(x, np.zeros(4), 0.02, noise)
+    found = np.array(found)
+    assert found[:, :2] == pytest.approx(np.tile(found[0, :2], (100, 1)), abs=1e-9)
+    assert found[:, 2] == pytest.approx(found[0, 2] - 9.81 * 0.02 * np.arange(100), abs=1e-9)
+    assert found[:, 3:] == pytest.approx(np.tile(found[0, 3:], (100, 1)), abs=2e-3 * np.abs(found[0, 3:]).max())
+    assert np.abs(x[RATE] - [0.5, 1.0, -0.3]).max() > 0.3
+
+
 def test_compiled_and_interpreted_flights_are_the_same(tmp_path):
     """All of it at once."""
     (tmp_path / "wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,2,-1,0.3\n1,3,-1,0.3\n")
     parts = [
-        "wind=dryden", "truth.mass=1.1", "truth.thrust_coefficient=0.95", "payload=fixed", "external=push",
+        "wind=dryden", "truth.mass=1.1", "truth.thrust_coefficient=0.95", "payload=slung", "external=push",
         "external.force=[0.3,0,0]", "external.duration=0.5", "ground=cheeseman_bennett", "ground.rotor_radius=0.12",
     ]  # fmt: skip
     for more in ([], ["wind=file", f"wind.path={tmp_path / 'wind.csv'}"]):
@@ -218,17 +252,18 @@ def test_compiled_and_interpreted_flights_are_the_same(tmp_path):
             for backend in ("interpreted", "compiled")
         ]
         assert both[0].state == pytest.approx(both[1].state, abs=1e-8)
-        assert both[0].stack(WINDS) == pytest.approx(both[1].stack(WINDS), abs=1e-8)
+        assert both[0].stack([*WINDS, "load_z"]) == pytest.approx(both[1].stack([*WINDS, "load_z"]), abs=1e-8)
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         (["ground=cheeseman_bennett"], "ground.rotor_radius: needed, because vehicle=torrente has no"),
+        (["payload=slung", "payload.length=0.05", "plant.step=0.02"], "plant.step must be at most"),
         (["truth.mass=9"], "truth: gives no vehicle that can fly: .*hovering takes"),
         (["wind=file", "wind.path=nowhere.csv"], "wind.path: there is no file 'nowhere.csv'"),
         (["wind=dryden", "wind.intensity=[1,1,1]", "wind.wind_at_6m=3"], "one of the two"),
-        (["payload=fixed", "payload.mass=9"], "payload: gives no vehicle that can fly: .*hovering takes"),
+        (["payload=slung", "payload.mass=9"], "payload: gives no vehicle that can fly: .*hovering takes"),
         (["truth.mass=0"], r"truth.mass=0.*: must be in \[0.1, 10\]"),
     ],
 )

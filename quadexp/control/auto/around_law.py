@@ -39,7 +39,7 @@ class AutoLaw(Auto):
     def __init__(self, core: Any, sheet: SensorSheet, commands: SentCommands) -> None:
         world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}
         sooner = Sooner(core, commands, world)
-        observer = following(core) if hasattr(core, "believed_numbers") else None
+        observer = following(core, sheet) if hasattr(core, "believed_numbers") else None
         inner: Any = sooner if observer is None else observer.around(sooner)
         super().__init__(inner, core, sheet, no_residual(core.vehicle), world, observer, commands)
         self._sooner, self._thrust = sooner, CommandedThrust(commands, self.control_period, core.backend)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy as copying
 import math
 from dataclasses import replace
 
@@ -10,13 +11,15 @@ import numpy as np
 from quadexp.control.auto.ahead import LARGEST, CommandsAhead, Delivered, sent_commands
 from quadexp.control.auto.auto import Auto
 from quadexp.control.auto.decide import LEAST_LAG, Acting, grids
-from quadexp.control.auto.following import following
+from quadexp.control.auto.following import SpeedFollowing, following
 from quadexp.control.base import Window
+from quadexp.control.earlier import Earlier
 from quadexp.control.instant import Instant, Told, copy, instant_of
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.observers.observer import parameters_of
-from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.parts.sensor_sheet import SensorSheet, later_speeds
+from quadexp.physics.state import N_STATE
 
 SPACING = 4  # samples of the reference in a control period, so that it may be asked for later ones
 
@@ -25,7 +28,7 @@ class AutoMPC(Auto):
     """The MPC plans in the world that its observer believes in; its grid and weights are one of decide.GRIDS."""
 
     def __init__(self, core: PredictiveController, sheet: SensorSheet) -> None:
-        observer = following(core)
+        observer = following(core, sheet)
         inner, world, mpc = observer.around(core), core.believed, core.mpc
         assert world is not None and mpc.disturbance is not None
         self._last = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # believed in the last step
@@ -38,18 +41,32 @@ class AutoMPC(Auto):
         self._spacing = self.control_period / SPACING
         longest = LARGEST + max(settings.horizon for settings in self._grids)
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
-        world.thrust, world.rows = self._delivered.thrust, self._rows
+        world.rows = self._rows
+        self._by_speeds = isinstance(observer, SpeedFollowing)
+        if self._by_speeds:
+            self._earlier = Earlier(N_STATE + 4, later_speeds(sheet), self.control_period)
+            world.seen = self._earlier.then[:N_STATE]
+        else:
+            world.thrust = self._delivered.thrust
         self._use(Acting())
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
+        if self._by_speeds:
+            self._earlier.reset(np.concatenate([x, np.zeros(4)]))
         for name, value in (("push", 0.0), ("wind", 0.0), ("scale", 1.0)):
             self._last[name][...] = value
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         before, inside, now = self.before(told, state)
+        if self._by_speeds:
+            seen, earlier = np.zeros(N_STATE + 4), self._earlier
+            before += [copy(seen[:N_STATE], now), copy(seen[N_STATE:-1], inside.force), copy(seen[-1:], told.read)]
+            before += earlier.before(seen)
+            inside = copying.copy(inside)
+            inside.force, inside.read, inside.turning = earlier.then[N_STATE:-1], earlier.oldest[-1:], told.turning
         inner = instant_of(self.inner, inside, now)
         numbers, push = self._world.numbers, self._core.mpc.disturbance
         beliefs = {"push": push, "wind": numbers[6:9], "scale": numbers[9:10]}

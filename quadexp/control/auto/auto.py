@@ -19,7 +19,14 @@ import numpy as np
 from quadexp.control.auto.ahead import LARGEST, Ahead
 from quadexp.control.auto.bank import SPINS, Bank
 from quadexp.control.auto.decide import GATE, Acting, Decision, Senses
-from quadexp.control.auto.following import DEVIATIONS, UNKNOWN, ForceFollowing, WindFollowing
+from quadexp.control.auto.following import (
+    DEVIATIONS,
+    LEAST_NOISE,
+    UNKNOWN,
+    ForceFollowing,
+    SpeedFollowing,
+    WindFollowing,
+)
 from quadexp.control.auto.posterior import Posterior
 from quadexp.control.auto.senses import WALKS
 from quadexp.control.base import Controller, Window
@@ -30,10 +37,9 @@ from quadexp.control.observers.observer import air_of, parameters_of
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet
-from quadexp.physics.state import N_STATE
+from quadexp.physics.state import N_STATE, VELOCITY
 
-DECIDES = 0.2  # s, between decisions
-LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
+LOOKS, DECIDES = 0.1, 0.2  # s, between two looks at what is measured, and between decisions
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
@@ -57,7 +63,7 @@ class Auto(WrappedController):
 
     def __init__(
         self, inner: Controller, core: Any, sheet: SensorSheet, residual: Residual, believed: dict[str, np.ndarray],
-        observer: WindFollowing | ForceFollowing | None, commands: SentCommands,
+        observer: WindFollowing | SpeedFollowing | ForceFollowing | None, commands: SentCommands,
     ) -> None:  # fmt: skip
         super().__init__(inner)
         self._core, self._observer, vehicle, period = core, observer, inner.vehicle, self.control_period
@@ -65,10 +71,14 @@ class Auto(WrappedController):
         self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
+        rate, attitude = (0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
+        inertial = (sensor.delay for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
+        self._inertial_age = sum(age or 0.0 for age in inertial)  # by which age and delays cannot be told apart
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
-        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend)
-        self._decides = round(DECIDES / self._bank.period)
+        self._sheet = sheet
+        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, (rate, attitude))
+        self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
         self._posterior, self._decision = Posterior(self._bank), Decision()
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
@@ -105,7 +115,7 @@ class Auto(WrappedController):
         inside = copying.copy(told)
         inside.force = self._unbiased
         inside.turning = told.turning if self._turns else np.zeros(1)
-        decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
+        decide = python(self._decide, told.read)._replace(every=self._looks * self._bank.every)
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)
         now = np.zeros(N_STATE)
@@ -117,6 +127,17 @@ class Auto(WrappedController):
         """What stands behind it."""
         return [*self._bank.after(told, state, command), *self._commands.after(command)]
 
+    @property
+    def lacking(self) -> list[str]:
+        """What it lacks here, and what that leaves undone; a line each."""
+        missing = {
+            "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
+            "no exact and prompt speeds of rotors: thrusts follow from the commands": not self._turns,
+            "a law that takes no belief: a late state alone is made good": not self._observer,
+            "no drag in the model that shows a wind: it is a force": isinstance(self._observer, ForceFollowing),
+        }
+        return [line for line, holds in missing.items() if holds]
+
     def log(self) -> dict[str, float]:
         """See Controller.log."""
         return {**self.inner.log(), **dict(zip(COLUMNS, self._beliefs.tolist(), strict=True))}
@@ -124,12 +145,18 @@ class Auto(WrappedController):
     def _decide(self) -> None:
         """Look at the evidence so far, and act on it from this instant on."""
         bank = self._bank
-        self._time += self._decides * bank.period
+        self._time += self._looks * bank.period
         senses, before = self._senses(), self._decision.acting
-        if bank.count < self._decides or self._time < self._again:
-            self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
+        begins = bank.count < self._decides + self._looks
+        if begins or self._time < self._again:
+            acting = before
+            if begins:
+                acting = self._decision.begin(senses, *(self._posterior.early() if bank.turns else ()))
+                if acting.age != before.age:
+                    self._use(acting)
+            self._observe(acting, before, senses)
             return
-        self._again = self._time * LATER
+        self._again = max(self._time + DECIDES - bank.period / 2, self._time * LATER)
         evidence = self._posterior.evidence()
         acting = self._decision.take(evidence, senses, self._time)
         late = 0.0 if evidence.fresh else evidence.mean[0]
@@ -141,7 +168,7 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        known = (*evidence.mean, *evidence.deviation)
+        known = (*evidence.mean, *np.hypot(evidence.deviation, self._inertial_age))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
@@ -159,7 +186,8 @@ class Auto(WrappedController):
         torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
         (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
         pushes = float(away[:2].max()), float(away[2]), torque
-        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist)
+        velocity = part("x")[VELOCITY].copy()
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""

@@ -5,6 +5,7 @@ A hypothesis is an age a of the told state, a dead time d and a lag l of the com
     gyro       w+ = w + T (J^-1 (tau - w x J w) + b),  b+ = b + noise       tells a + d and l
     thrust     f_z = (1 + k) T_z / m + a_air,z + b,    b+ = b + noise       tells d and l
     velocity   v+ = v + T (R (f(t - a) - beta) + g)                         tells a
+    attitude   q+ = q Exp(T (w(t - a) - beta_w))                            tells a, where the told rates are of now
 
 f: accelerometer, beta: its bias; tau, T_z: torque and thrust of the commands after d and l. The gains are the same for
 all hypotheses, and stationary. So a filter is linear, and an innovation is linear in the weights W that a hypothesis
@@ -16,13 +17,17 @@ gives to the last commands (control.delivered) or to the last readings:
 One matrix G of each filter has the sum of squares of every hypothesis, those between the points of a grid included. phi
 moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
 are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
+
+Where in a period a reading jumped by df is not known, nor so the attitude that it belongs to: while the vehicle turns,
+an innovation of the velocity is off by up to e = T^2 |w| |df| / 8, and counts by s^2 / (s^2 + e^2), s = INEXACT.
 """
 
 from __future__ import annotations
 
 import math
 from functools import cache
-from itertools import accumulate, product
+from itertools import accumulate
+from itertools import product as pairs
 
 import numpy as np
 
@@ -34,17 +39,19 @@ from quadexp.control.delivered import SETTLED
 from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import body_features
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 PERIOD = 0.01  # s, about: of the bank, a whole multiple of the control period
 AGE, DEAD_TIME, LAG = 0.06, 0.06, 0.064  # s, the largest hypotheses
-SPINS = tuple(
-    product((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0))
-)  # rad/s of a reading, rad/s^2 of b in a root of a second
+SPINS = tuple(pairs((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0)))  # rad/s of a reading, rad/s^2 of b in a root of a second
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
+INEXACT = 0.0005  # m/s: an innovation of the velocity that is surely off by more counts less
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
+LEAST_TURN, LEAST_ATTITUDE = 3e-4, 1e-5  # rad/s of a reading of the gyroscope, rad of a told attitude
+SUMMED = "memory", "sums", "speed_sums", "turn_sums"
+STILL = AGE + 0.02  # s, for which told attitudes may be those from before the flight
 SKIPPED = 0.3  # s, until the filters are stationary
 FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves with the battery
 
@@ -61,7 +68,8 @@ class Layout:
         channels, speed = 2 * len(SPINS), 3 * self.columns * len(SPEEDS)
         sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
         sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
-        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
+        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS), "speed_count": 1}
+        sizes |= {"rates": 3 * self.readings, "turn": 3 * self.columns}
         sizes |= sense_sizes()
         ends = [*accumulate(sizes.values())]
         self.size = ends[-1]
@@ -74,14 +82,16 @@ class Bank:
 
     theta: parameters of the residual, shared. noise: standard deviation of a reading of the accelerometer (m/s^2).
     period: of the bank (s), `every` control periods. memory: see Layout. sums: (filters, rows, rows), those of SPINS
-    and then of the thrust. speed_sums: of SPEEDS. weights: (2, m) on the commands, the newest last, of the likeliest
+    and then of the thrust. speed_sums: of SPEEDS. turn_sums: of the attitude, by turning: what gyroscope and attitude
+    are off by (rad/s, rad). weights: (2, m) on the commands, the newest last, of the likeliest
     thrusts: now, and their mean over a period as old as the told rates. gains: (2,) of the torque, see senses.py.
     bias: of the accelerometer, (3,) (m/s^2).
     """
 
     def __init__(
-        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, control_period: float, noise: float, backend: str
-    ) -> None:
+        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, control_period: float, noise: float,
+        backend: str, turning: tuple[float, float] = (0.0, 0.0),
+    ) -> None:  # fmt: skip
         self.vehicle, self.every = vehicle, max(1, round(PERIOD / control_period))
         self.period = self.every * control_period
         self.layout = Layout(self.period)
@@ -94,7 +104,10 @@ class Bank:
             given["sums"].reshape(-1, rows, rows),
             given["speed_sums"].reshape(-1, columns, columns),
         )
+        self.turn_sums = given["turn_sums"].reshape(columns, columns)
         given["noise"][...] = self.noise = noise
+        self.turned_by = LEAST_TURN * self.period + turning[0] * self.period, LEAST_ATTITUDE + turning[1]
+        given["kept_turn"][...] = 1 - stationary_scalar(self.turned_by[1], self.turned_by[0])
         self._sent = given["u"]
 
     def part(self, name: str) -> np.ndarray:
@@ -105,6 +118,11 @@ class Bank:
     def count(self) -> int:
         """Innovations of an axis in the sums."""
         return max(int(self.part("count")[0] - SKIPPED / self.period), 0)
+
+    @property
+    def turns(self) -> int:
+        """Innovations of an axis of the attitude in its sums."""
+        return max(int(self.part("count")[0] - STILL / self.period), 0)
 
     def follow(self, spin: int) -> None:
         """Estimate the torque by the filter of one of SPINS."""
@@ -126,12 +144,13 @@ class Bank:
 
     def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
         """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
-        for array in (self.memory, self.sums, self.speed_sums, self.bias):
+        for array in (self.memory, self.sums, self.speed_sums, self.turn_sums, self.bias):
             array[...] = 0.0
         self.follow(0)
         spin, pushed = spin_of(self.vehicle) @ thrust, thrust.sum() / self.vehicle.mass
         self.part("x")[...], self.part("push")[...] = x, (pushed, pushed)
         self.part("sent")[...] = np.tile([*spin, pushed], self.layout.commands)
+        self.part("rates")[...] = np.tile(x[RATE], self.layout.readings)
         self.part("forces")[...] = np.tile([0.0, 0.0, pushed], self.layout.readings)
         self.part("spin")[: 2 * len(SPINS)] = np.tile(x[RATE][:2], len(SPINS))
         self.part("torque")[:2] = x[RATE][:2]
@@ -143,7 +162,7 @@ class Bank:
         """Takes in what is told, the state that is found there, (13,), and then the command, (n,) (N)."""
         given, left = self._update.arguments, self._update.results
         due = [copy(given["x"], state), copy(given["f"], told.force), call(self._update, told.read)]
-        due += [copy(given[name], left[f"{name}_next"], told.read) for name in ("memory", "sums", "speed_sums")]
+        due += [copy(given[name], left[f"{name}_next"], told.read) for name in SUMMED]
         due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
         return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
 
@@ -177,12 +196,14 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     """A period of the bank: memory, sums and speed_sums after it.
 
     Inputs: memory, see Layout; sums (rows, rows * (filters)), speed_sums; x (13,), told; f (3,), reading; u (n,), the
-    commands since the last period, added; weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2); theta.
+    commands since the last period, added; weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2); kept_turn:
+    what the filter of the attitude leaves of an innovation; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
     m, rows, columns, spins = layout.commands, layout.rows, layout.columns, len(SPINS)
     shapes = {"memory": (layout.size, 1), "sums": (rows, rows * (spins + 1))}
     shapes |= {"speed_sums": (2 * columns, 2 * columns * len(SPEEDS)), "x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
+    shapes |= {"turn_sums": (2 * columns, 2 * columns), "kept_turn": (1, 1)}
     shapes |= {"weights": (m, 2), "gains": (2, 1), "bias": (3, 1), "noise": (1, 1)}
     shapes |= {"theta": (residual.function.size1_in(1), 1)}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
@@ -235,6 +256,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     turned = rotation_matrix(q / ca.norm_2(q))
     drive = ca.horzcat(ca.vertcat(0, 0, -vehicle.gravity), ca.mtimes(turned, forces), turned)
     speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
+    jumped = ca.sqrt(ca.mmax(ca.sum1((forces[:, 1:] - forces[:, :-1]) ** 2)))
+    share = INEXACT**2 / (INEXACT**2 + (period**2 / 8 * ca.norm_2(w) * jumped) ** 2)
     for state, before, G, noise in zip(
         speed,
         ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns),
@@ -248,14 +271,27 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
         into = ca.horzcat(nu[:, 0], -nu[:, 1:])
         speed_next.append(predicted + P / (P + 1) * into)
-        nus.append(ca.mtimes(R[:, :2].T, nu))
+        nus.append(ca.sqrt(share) * ca.mtimes(R[:, :2].T, nu))
         z = ca.horzcat(nus[-1], before)
         speed_sums.append(G + counts * ca.mtimes(z.T, z))
+
+    # attitude: the same, in body axes, of the rotation in a period
+    rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, layout.readings)[:, :-1])
+    back = ca.vertcat(other[0], -other[1:])
+    sine = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], other)))[1:]
+    rotated = 2 * sine * (1 + ca.sumsqr(sine) / 6)  # the arc of a sine, to third order
+    begun = count > STILL / period
+    last = begun * ca.reshape(kept["turn"], 3, columns)
+    turn = ca.horzcat(rotated, period * rates, period * ca.DM.eye(3))
+    turn += a["kept_turn"] * ca.mtimes(rotation_matrix(product(back, x[ATTITUDE])).T, last)
+    z = ca.horzcat(turn, last)
+    turn_sums = a["turn_sums"] + begun * ca.mtimes(z.T, z)
 
     senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
     now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
     now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
-    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), **senses}
+    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), "speed_count": kept["speed_count"] + counts * share}
+    now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
-    names = ["memory_next", "sums_next", "speed_sums_next"]
-    return ca.Function("bank", [*a.values()], [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums)], [*a], names)
+    results = [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums), turn_sums]
+    return ca.Function("bank", [*a.values()], results, [*a], [f"{name}_next" for name in SUMMED])

@@ -21,6 +21,7 @@ from quadexp.control.auto.posterior import Evidence
 from quadexp.control.mpc.settings import MPCSettings
 
 SURE, CERTAIN, LEAST_AGE = 4.0, 3, 0.001  # log odds, decisions, s
+PLAIN = 8.0  # log odds of an age by attitude and rates that acts at once
 LIKELY = 2.0  # log odds
 GATE = 5.0  # deviations
 SURELY_TIMED = 0.005  # s
@@ -43,7 +44,8 @@ def grids(settings: MPCSettings) -> list[MPCSettings]:
     for first, horizon, weight, _ in GRIDS:
         first = max(first, settings.control_period) if first else 0.0
         longer = max(horizon, settings.nodes * max(first, settings.control_period))
-        of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=(weight,) * 3))
+        x, y, z = (max(weight, asked) for asked in settings.position_weight)
+        of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=(x, y, z)))
     return of_grids
 
 
@@ -52,7 +54,7 @@ class Senses:
     """What is measured beside the delays, see senses.py. away: deviations of the lateral push, the vertical one and the
     torque from zero. walk: of the push, (3,) (m/s^2 in a root of a second). reading: deviation of a reading from the
     model, (3,) (m/s^2). position (m), attitude (rad), rate (rad/s): of the told state. twist: walk of the torque
-    (rad/s^2 in a root of a second)."""
+    (rad/s^2 in a root of a second). velocity: that is told, (3,) (m/s)."""
 
     away: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -61,6 +63,7 @@ class Senses:
     attitude: float = 0.0
     rate: float = 0.0
     twist: float = 0.0
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,11 @@ class Decision:
         """Nothing is acted on."""
         self.acting, self._certain = Acting(), 0
 
-    def begin(self, senses: Senses) -> Acting:
-        """What to act on where nothing is known of the delays yet."""
+    def begin(self, senses: Senses, age: float = 0.0, late: float = 0.0) -> Acting:
+        """What to act on where no more is known of delays than an age by attitude and rates (s), and its log odds."""
         self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
+        if late > PLAIN and age > LEAST_AGE:
+            self.acting, self._certain = replace(self.acting, age=age, fresh=True), CERTAIN
         return self.acting
 
     def take(self, evidence: Evidence, senses: Senses, time: float) -> Acting:
@@ -102,7 +107,8 @@ class Decision:
         before = self.acting
         age, total, lag = evidence.mean
         sd_age, sd_total, _ = evidence.deviation
-        self._certain = self._certain + 1 if evidence.late > SURE else 0
+        at_once = CERTAIN if evidence.fresh and evidence.late > PLAIN else 1
+        self._certain = self._certain + at_once if evidence.late > SURE else 0
         age = float(age) if self._certain >= CERTAIN and age > LEAST_AGE else 0.0
         acts = evidence.slow > LIKELY
         dead_time, lag = (float(max(total - lag, 0.0)), float(min(lag, total))) if acts else (0.0, 0.0)

@@ -2,6 +2,10 @@
 
 The wind where the model of the air has a drag that tells it, the force otherwise. Bandwidth of a low pass that follows
 a walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a period T: q / (r sqrt(T)).
+
+Deviations, for the bands: of a force that walks by q, under a gain K, ((1 - K)^2 q^2 T + K^2 r^2) / (1 - (1 - K)^2) is
+the variance; beside it what readings are off all along by their data sheet. Of a wind that of the filter, these offsets
+as a wind, and an airspeed times the thrust scale's distance from 1: by a wrong mass the drag is off as much.
 """
 
 from __future__ import annotations
@@ -15,14 +19,21 @@ import numpy as np
 from quadexp.control.auto.decide import Acting, Senses
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.disturbance import DisturbanceObserver, disturbance_settings
+from quadexp.control.observers.filters import N_SCALED
 from quadexp.control.observers.observer import air_of, parameters_of
 from quadexp.control.observers.wind import N_AIR, WindObserver, wind_bandwidth, wind_settings
+from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.physics.vehicle import Vehicle
 
 LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the acceleration
 TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of the torque
 STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the observer's own settings
 UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
 SLOW = 3.0  # rad/s, of a force then
+LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
+# Where rotor speeds are told: readings of them in a second, the largest bandwidth of the force (rad/s), its walk (m/s^2
+# in a root of a second), and the largest one over the mass (m/s^2)
+LEAST_RATE, FASTEST, STRONGEST, MOST_FORCE = 100.0, 100.0, 1.5, 50.0
 DEVIATIONS = (*(f"wind_{axis}_sd" for axis in "xyz"), "force_sd", "thrust_scale_sd")  # m/s, N, 1
 UNKNOWN = np.full(len(DEVIATIONS), np.nan)
 
@@ -30,8 +41,10 @@ UNKNOWN = np.full(len(DEVIATIONS), np.nan)
 class WindFollowing:
     """Of the wind, and of the force that it leaves."""
 
-    def __init__(self, config: WindObserver, period: float) -> None:
-        self.config, self._period = config, period
+    def __init__(self, config: WindObserver, period: float, offset: float, slope: float) -> None:
+        """offset: of readings (m/s^2). slope: acceleration by wind, where it hovers in a breeze (1/s)."""
+        self.config, self._period, self._offset = config, period, offset / slope
+        self._velocity = np.zeros(3)
         self.around = config.around
         first = N_AIR + N_AIR**2
         self._wind, self._scale, self._force, self._torque = slice(0, 3), 3, slice(first, first + 3), slice(-3, None)
@@ -40,6 +53,7 @@ class WindFollowing:
     def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
         """Settings of the update; estimate: its state, which is changed where something shows itself or does not."""
         config, (lateral, vertical, torque) = self.config, acting.push
+        self._velocity = senses.velocity
         tilt = LIFT * senses.attitude
         noise = (math.hypot(max(config.noise[0], float(senses.reading[:2].max())), tilt),) * 2
         walk = min(1.0, float(senses.walk[:2].max()) / STRONG)
@@ -71,14 +85,55 @@ class WindFollowing:
         """Standard deviations, in the order of DEVIATIONS; NaN of what is not estimated."""
         variances = estimate[N_AIR + (N_AIR + 1) * np.arange(N_AIR)]
         known = np.sqrt(np.where(variances > 1e-6, variances, np.nan))
-        return np.array([*known[:3], np.nan, known[3]])
+        by_drag = estimate[self._scale] * np.linalg.norm(self._velocity - estimate[self._wind])
+        return np.array([*np.hypot(known[:3], math.hypot(self._offset, by_drag)), np.nan, known[3]])
+
+
+class SpeedFollowing:
+    """Of the force and the scales of thrust and air, where rotor speeds tell the thrusts, so that no time of commands
+    has to be known; torques are left to INDI. Believed from the first reading on, as far as its noise lets it."""
+
+    def __init__(self, vehicle: Vehicle, sheet: SensorSheet, period: float) -> None:
+        accelerometer, speeds, attitude = (
+            0.0 if sensor is None else sensor.noise
+            for sensor in (sheet.accelerometer, sheet.rotor_speed, sheet.attitude)
+        )
+        thrust = 2 * speeds * vehicle.gravity / math.sqrt(vehicle.n_rotors)
+        noise = math.hypot(max(accelerometer, LEAST_NOISE), thrust, LIFT * attitude)
+        config = DisturbanceObserver(
+            force_bandwidth=min(FASTEST, STRONGEST / (noise * math.sqrt(period))),
+            force_noise=max(noise, DisturbanceObserver.force_noise),
+            force_limit=MOST_FORCE,
+            torque_bandwidth=0.0,
+            scale_walk=0.005,
+            air_walk=0.01,
+        )
+        self.around, self._mass = config.around, vehicle.mass
+        self._settings = disturbance_settings(config, period)
+
+    def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
+        """See WindFollowing."""
+        return self._settings
+
+    def deviations(self, estimate: np.ndarray) -> np.ndarray:
+        """See WindFollowing."""
+        variances = np.maximum(estimate[N_SCALED : N_SCALED + N_SCALED**2 : N_SCALED + 1], 0.0)
+        force = self._mass * math.sqrt(variances[:3].max())
+        return np.array([np.nan, np.nan, np.nan, force, math.sqrt(variances[3])])
+
+
+def speeds_tell(vehicle: Vehicle, sheet: SensorSheet) -> bool:
+    """Whether the speeds of all rotors are told, often enough, and what thrusts they are."""
+    speeds = sheet.rotor_speed
+    return speeds is not None and vehicle.thrust_coefficient is not None and not 0 < speeds.rate < LEAST_RATE
 
 
 class ForceFollowing:
-    """Of the force alone. mass: kg."""
+    """Of the force alone. mass: kg. offset: of readings (m/s^2)."""
 
-    def __init__(self, config: DisturbanceObserver, period: float, mass: float) -> None:
-        self.config, self._period, self._mass = config, period, mass
+    def __init__(self, config: DisturbanceObserver, period: float, mass: float, offset: float) -> None:
+        self.config, self._period, self._mass, self._offset = config, period, mass, offset
+        self._deviation = np.nan
         self.around = config.around
 
     def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
@@ -92,6 +147,10 @@ class ForceFollowing:
             force_bandwidth=bandwidth if acting.timed else min(bandwidth, SLOW),
             torque_bandwidth=torque_bandwidth(config.torque_bandwidth, acting, senses),
         )
+        stays = math.exp(-config.force_bandwidth * self._period)
+        walked = stays**2 * float(senses.walk.max()) ** 2 * self._period
+        read = (1 - stays) ** 2 * (float(np.square(senses.reading).mean()) + (LIFT * senses.attitude) ** 2)
+        self._deviation = math.hypot(math.sqrt((walked + read) / (1 - stays**2)), self._offset)
         if shown and first:
             estimate[6] = config.force_initial**2
         estimate[:3] *= shown
@@ -104,7 +163,7 @@ class ForceFollowing:
 
     def deviations(self, estimate: np.ndarray) -> np.ndarray:
         """See WindFollowing."""
-        force = self._mass * math.sqrt(estimate[6]) if estimate[6] > 0 else np.nan
+        force = self._mass * self._deviation if estimate[6] > 0 else np.nan
         return np.array([np.nan, np.nan, np.nan, force, np.nan])
 
 
@@ -115,10 +174,17 @@ def torque_bandwidth(most: float, acting: Acting, senses: Senses) -> float:
     return min(most, senses.twist / TWIST) / (1 + 40 * senses.rate * (senses.rate > 0.001))
 
 
-def following(core: Any) -> WindFollowing | ForceFollowing:
+def following(core: Any, sheet: SensorSheet) -> WindFollowing | SpeedFollowing | ForceFollowing:
     """The observer for a controller."""
+    if isinstance(core, PredictiveController) and speeds_tell(core.vehicle, sheet):
+        return SpeedFollowing(core.vehicle, sheet, core.control_period)
+    drift = (0.0 if sensor is None else sensor.drift for sensor in (sheet.accelerometer, sheet.attitude))
+    by_reading, by_attitude = drift
+    offset = math.hypot(by_reading, LIFT * by_attitude)
     wind = WindObserver(targets=False)  # of next to no weight beside that of the position
-    known = core.vehicle, air_of(core), parameters_of(core), wind, core.control_period
-    if isinstance(core, PredictiveController) and wind_bandwidth(*known) >= wind.least_bandwidth:
-        return WindFollowing(wind, core.control_period)
-    return ForceFollowing(DisturbanceObserver(targets=False), core.control_period, core.vehicle.mass)
+    period = core.control_period
+    bandwidth = wind_bandwidth(core.vehicle, air_of(core), parameters_of(core), wind, period)
+    if isinstance(core, PredictiveController) and bandwidth >= wind.least_bandwidth:
+        slope = bandwidth * wind.noise[0] * math.sqrt(period) / wind.wind_walk
+        return WindFollowing(wind, period, offset, slope)
+    return ForceFollowing(DisturbanceObserver(targets=False), period, core.vehicle.mass, offset)

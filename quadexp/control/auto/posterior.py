@@ -19,13 +19,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.control.auto.bank import AGE, DEAD_TIME, FADING, LAG, SPEEDS, Bank, stationary_scalar
+from quadexp.control.auto.bank import (
+    AGE,
+    DEAD_TIME,
+    FADING,
+    LAG,
+    LEAST_ATTITUDE,
+    SPEEDS,
+    Bank,
+    stationary_scalar,
+)  # fmt: skip
 from quadexp.control.delivered import INSTANT, NO_LAG
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
 FINER, CLOSER, BESIDE = 8.0, 5, 8  # by which a grid closes in, how often it moves, and its steps to either side then
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
+TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
 FRESHER = 1.0  # log odds for rates of now
 
@@ -91,6 +101,12 @@ class Posterior:
         deviation = np.hypot(spread, steps / 2)
         return Evidence(mean, deviation, late, slow, self._fresh, self._scale, self._bias, self._spin)
 
+    def early(self) -> tuple[float, float]:
+        """The likeliest age by attitude and rates alone (s), and its log odds against 0."""
+        ages = np.arange(0, AGE + STEPS[0] / FINER / 2, STEPS[0] / FINER)
+        J = self._attitude(ages) - ages / TYPICAL
+        return float(ages[J.argmax()]), float(J.max() - J[0])
+
     def weights(self, age: float, total: float, lag: float) -> np.ndarray:
         """For Bank.weights: of the thrust now, and of its mean over a period that ended `age` ago, (2, m)."""
         now = self._of_commands(np.array([total]), np.array([lag]), mean=False)[0, 0]
@@ -116,16 +132,17 @@ class Posterior:
             least = [G[0, 0] - np.max(by**2 / square) for G in bank.sums[:-1] for by, square in [_moments(G, W)]]
             self._spin = int(np.argmin(least))
         by_velocity, share = self._velocity(ages, choose=choose)
-        by_velocity = by_velocity[:, None, None]
+        by_velocity, by_attitude = by_velocity[:, None, None], self._attitude(ages)[:, None, None]
         rest = by_velocity - worth * faded / 2 * np.log(thrust / faded + 1e-12)
         rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL
         waits = totals[:, None] - lags
         J = np.where((waits < -INSTANT) | (waits > DEAD_TIME + INSTANT), -np.inf, rest)
         late = fresh = np.full_like(J, -np.inf)
         if choose or self._fresh:  # then the velocity alone tells the age
-            fresh = J - (1 - share) * by_velocity + self._gyro(totals[None], lags, scales)
+            fresh = J - (1 - share) * by_velocity + by_attitude + self._gyro(totals[None], lags, scales)
         if choose or not self._fresh:
-            late = J + self._gyro(ages[:, None] + totals, lags, scales)
+            together = self._attitude(np.zeros(1))
+            late = J + together + self._gyro(ages[:, None] + totals, lags, scales)
         if choose:
             self._fresh = bool(fresh.max() > (late - (1 - share) * by_velocity).max() + FRESHER)
         J = fresh if self._fresh else late
@@ -158,30 +175,38 @@ class Posterior:
         changes that is not noise of the readings. Finds the bias, and with `choose` the likeliest noise."""
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
         W = np.stack([_of_readings(age, bank.period, readings) for age in ages])
-        a, n = np.hstack([np.ones((len(ages), 1)), -W]), 2 * bank.count
-        plain, turned = slice(0, 1 + readings), slice(1 + readings, columns)
+        n = 2 * bank.part("speed_count")[0]
         likelihoods, now = {}, _of_readings(0.0, bank.period, readings)
         for i in range(len(SPEEDS)) if choose else [self._speed]:
-            G = bank.speed_sums[i]
-            reading, speed = bank.period * bank.noise, SPEEDS[i]
-            by_speed = 2 * speed**2 / (2 - stationary_scalar(speed, reading))
-            noise = by_speed + _of_noise(np.vstack([now, W]), reading, speed)
-            even = noise[1:] / noise[0]
-            by_a, against = ((a @ G[plain, plain]) * a).sum(1), a @ G[plain, turned]
-            known = np.linalg.inv(G[turned, turned] + by_a.min() / n / BIAS**2 * np.eye(3))
-            bias = -against @ known
-            squares = np.maximum(by_a + (against * bias).sum(1), 0)
+            squares, even, bias, known = _of_ages(
+                bank.speed_sums[i], W, now, n, bank.period * bank.noise, SPEEDS[i], BIAS
+            )
             likelihoods[i] = -n / 2 * np.log(squares / even / n + 1e-16), squares, bias, known
         self._speed = max(likelihoods, key=lambda i: float(likelihoods[i][0].max()))
         likelihood, squares, bias, known = likelihoods[self._speed]
         k = int(likelihood.argmax())
-        G, whole = bank.speed_sums[self._speed], np.concatenate([a[k], bias[k]])
+        G, whole = bank.speed_sums[self._speed], np.concatenate([[1], -W[k], bias[k]])
         worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
         apart = _of_readings(TYPICAL, bank.period, readings) - now
         moved = apart @ G[1 : 1 + readings, 1 : 1 + readings] @ apart
-        by_noise = 3 * bank.count * _of_noise(apart[None], bank.period * bank.noise, SPEEDS[self._speed])[0]
+        by_noise = 1.5 * n * _of_noise(apart[None], bank.period * bank.noise, SPEEDS[self._speed])[0]
         return worth * likelihood, float(max(1 - by_noise / max(moved, 1e-30), 0.0))
+
+    def _attitude(self, ages: np.ndarray) -> np.ndarray:
+        """Log likelihood of ages (a,) of the attitude against the rates."""
+        bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
+        W, now = (
+            np.stack([_of_readings(age, bank.period, readings) for age in ages]),
+            _of_readings(0.0, bank.period, readings),
+        )
+        n, G = 3 * bank.turns, bank.turn_sums
+        squares, even, bias, _ = _of_ages(G, W, now, n, *bank.turned_by, TURN_BIAS)
+        k = int((squares / even).argmin())
+        whole = np.concatenate([[1], -W[k], bias[k]])
+        worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
+        likelihood: np.ndarray = -worth * n / 2 * np.log(squares / even / n + LEAST_ATTITUDE**2)
+        return likelihood
 
     def _worth(self, G: np.ndarray, likely: np.ndarray) -> float:
         """Of an innovation, for the likeliest weights (m,)."""
@@ -222,6 +247,23 @@ def _moments(G: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """W G_phi,y and W G_phi,phi W' of a sum G, for weights (.., m): of k W they leave G_yy - 2 k first + k^2 second."""
     slots = slice(2, 2 + W.shape[-1])
     return W @ G[0, slots], ((W @ G[slots, slots]) * W).sum(-1)
+
+
+def _of_ages(
+    G: np.ndarray, W: np.ndarray, now: np.ndarray, n: int, reading: float, told: float, likely: float
+) -> tuple[np.ndarray, ...]:
+    """Of each age, by weights (a, k) on readings: sum of squared innovations, what noise makes of it against an age of
+    0, with weights now (k,), bias of the sensor (a, 3), and its covariance in units of an innovation's variance.
+
+    G: of a bank, of n innovations. reading, told: deviations, see _of_noise. likely: of the bias, beforehand.
+    """
+    noise = 2 * told**2 / (2 - stationary_scalar(told, reading)) + _of_noise(np.vstack([now, W]), reading, told)
+    plain, turned = slice(0, 1 + W.shape[1]), slice(1 + W.shape[1], 4 + W.shape[1])
+    a = np.hstack([np.ones((len(W), 1)), -W])
+    by_a, against = ((a @ G[plain, plain]) * a).sum(1), a @ G[plain, turned]
+    known = np.linalg.inv(G[turned, turned] + by_a.min() / n / likely**2 * np.eye(3))
+    bias = -against @ known
+    return np.maximum(by_a + (against * bias).sum(1), 0), noise[1:] / noise[0], bias, known
 
 
 def _of_noise(W: np.ndarray, reading: float, speed: float) -> np.ndarray:

@@ -1,9 +1,8 @@
-"""Sums of products of what is told and sent, a sample at a time, from which delays are found (control.delay.timing).
+"""Sums of products of what is told and sent over a flight, from which delays are found (control.delay.timing).
 
 All that is compared is linear in numbers of the sample, z, with weights that depend on the delays only. So of all
-samples only M = sum z z' has to be kept, and what any delays leave is b' M b: every sample costs the same, and so does
-every candidate, after any number of samples. With s_j the thrust over the mass and p_j the torques of the
-command j + 1 periods ago, and t the time,
+samples only M = sum z z' has to be kept, and what any delays leave is b' M b: every candidate costs the same, however
+long the flight. With s_j the thrust over the mass and p_j the torques of the command j + 1 periods ago, and t the time,
 
     thrust     z = [s_j, s_j^2, t s_j, air, f_z]          air = [1, v_b, |v_b| v_b], told velocity in body axes
     turning    z = [p_j, air, torque that the told rates need]                                    about x, about y
@@ -25,6 +24,7 @@ from scipy.linalg.blas import dger
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.errors import DataError
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -35,8 +35,21 @@ FELT = 4.0  # time constants for which a command is followed
 BEGINS = 0.3  # s, after which the commands before the first are forgotten
 CLOCK = 10.0  # s, unit of time within the products
 N_AIR = 7
-KEPT = 25  # samples between two records of the sums, of which that nearest to the half is taken; twice as many when
-MOST = 8  # records, none of which was made before the half, have become as many
+LEAST = 100  # samples
+ROUND, ROUNDS = 25, 15  # steps of the half, in spans; twice as long from so many steps on
+
+
+@dataclass(frozen=True)
+class Stream:
+    """What a controller was told and has sent at k instants, a period (s) apart.
+
+    t: (k,) (s). state: told, (k, 13). specific_force: (k, 3), body (m/s^2). command: (k, n) (N), sent at t.
+    """
+
+    t: np.ndarray
+    state: np.ndarray
+    specific_force: np.ndarray
+    command: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -68,22 +81,59 @@ class Sizes:
 
 
 class Moments:
-    """The sums of a flight; `add` every control instant. samples: taken so far.
+    """The sums of a stream of one flight. Raises DataError where it is too short.
 
     thrust, turning_x, turning_y: sums over `counted` samples. velocity, attitude: over `spans`, (3, ..) for the axes.
-    halves: (spans, velocity, attitude) of earlier instants, at most MOST, one of them within an eighth of the half.
+    half: spans of about the first half, and velocity and attitude over them.
     """
 
-    def __init__(self, vehicle: Vehicle, period: float) -> None:
-        self.vehicle, self.sizes, self.samples = vehicle, Sizes(period), 0
-        self._row = BufferedFunction(_row(vehicle, period))
-        given, self._rows = self._row.arguments, self._row.results
-        self._given = [given[name] for name in ("x_before", "x", "forces", "rates", "thrusts", "t")]
-        self._history = [_History(n) for n in (self.sizes.lags + 1, self.sizes.lags + 1, self.sizes.all_commands)]
-        self._to_thrusts = np.vstack([np.full(vehicle.n_rotors, 1 / vehicle.mass), vehicle.allocation[1:3]]).T.copy()
+    def __init__(self, stream: Stream, vehicle: Vehicle) -> None:
+        if len(stream.t) < LEAST:
+            raise DataError(f"delays cannot be found in {len(stream.t)} samples, {LEAST} are needed")
+        self.vehicle, self.sizes = vehicle, Sizes(float(np.median(np.diff(stream.t))))
+        function = BufferedFunction(_row(vehicle, self.sizes.period))
+        self._given, self._rows = function.arguments, function.results
         names = ("thrust", "turning_x", "turning_y")
         self.thrust, self.turning_x, self.turning_y = totals = [_zeros(self._rows[name].size) for name in names]
-        self._products = [(self._rows[name], total) for name, total in zip(names, totals, strict=True)]
+        products = [(self._rows[name], total) for name, total in zip(names, totals, strict=True)]
+        self._begin_spans()
+        self.spans = max(len(stream.t) - self.sizes.span - self.sizes.lags, 0)
+        half = half_of(self.spans)
+        self.half = (0, self.velocity.copy(), self.attitude.copy())
+        first = round(BEGINS / self.sizes.period)
+        self.counted = max(len(stream.t) - max(first, 1), 0)
+        histories = self._histories(stream)
+        for k in range(1, len(stream.t)):
+            self._given["x_before"][...], self._given["x"][...] = stream.state[k - 1], stream.state[k]
+            self._given["t"][0] = (stream.t[k] - stream.t[0]) / CLOCK
+            for name, (history, length) in histories.items():
+                self._given[name][...] = history[k : k + length]
+            function()
+            if k >= first:
+                for z, total in products:
+                    dger(1.0, z, z, a=total, overwrite_x=False, overwrite_y=False, overwrite_a=True)
+            self._add_spans(k, stream.state[k, VELOCITY])
+            if half and k + 1 - self.sizes.span - self.sizes.lags == half:
+                self.half = (half, self.velocity.copy(), self.attitude.copy())
+
+    def _histories(self, stream: Stream) -> dict[str, tuple[np.ndarray, int]]:
+        """Of every vector how it was until each sample, as if it had always been the first before; and how many of
+        these the sample takes: of readings until now, of commands without that of now."""
+        to_thrusts = np.vstack([np.full(self.vehicle.n_rotors, 1 / self.vehicle.mass), self.vehicle.allocation[1:3]]).T
+        to_thrusts = to_thrusts.copy()
+        sent = np.array([command @ to_thrusts for command in stream.command])
+        readings, commands = self.sizes.lags, self.sizes.all_commands
+
+        def before(values: np.ndarray, length: int) -> np.ndarray:
+            return np.vstack([np.tile(values[0], (length, 1)), values])
+
+        return {
+            "forces": (before(stream.specific_force, readings), readings + 1),
+            "rates": (before(stream.state[:, RATE], readings), readings + 1),
+            "thrusts": (before(sent, commands), commands),
+        }
+
+    def _begin_spans(self) -> None:
         added = [self._rows[name] for name in ("velocity", "attitude")]
         self.velocity, self.attitude = totals = [np.zeros((3, n, n)) for n in (len(one) + 4 for one in added)]
         sums = [np.zeros((self.sizes.span + 1, *one.shape)) for one in added]
@@ -91,36 +141,8 @@ class Moments:
         self._spans = list(zip(added, sums, z, totals, strict=True))
         self._told = np.zeros((self.sizes.span + 1, 2, 3))
         self._rotations = np.zeros((self.sizes.span + 1, 3, 3))
-        self._fallen = vehicle.gravity * self.sizes.span * period  # m/s in a span
+        self._fallen = self.vehicle.gravity * self.sizes.span * self.sizes.period  # m/s in a span
         self._on_body = z[0].copy(order="F")
-        self._begin = round(BEGINS / period)
-        self.counted = 0
-        self.halves, self._apart = [(0, self.velocity.copy(), self.attitude.copy())], KEPT
-
-    def add(self, t: float, state: np.ndarray, force: np.ndarray, command: np.ndarray) -> None:
-        """Told state, (13,), and reading, (3,), at t (s), and the command that is sent then, (n,) (N)."""
-        forces, rates, thrusts = self._history
-        k, rate, sent = self.samples, state[RATE], command @ self._to_thrusts
-        self.samples += 1
-        before, now, *histories, clock = self._given
-        if not k:
-            before[...], self._start = state, t
-            for history, value in zip(self._history, (force, rate, sent), strict=True):
-                history.fill(value)
-            return
-        forces.add(force)
-        rates.add(rate)
-        now[...], clock[0] = state, (t - self._start) / CLOCK
-        for given, history in zip(histories, self._history, strict=True):
-            given[...] = history.values
-        self._row()
-        thrusts.add(sent)
-        before[...] = state
-        if k >= self._begin:
-            self.counted += 1
-            for z, total in self._products:
-                dger(1.0, z, z, a=total, overwrite_x=False, overwrite_y=False, overwrite_a=True)
-        self._add_spans(k, state[VELOCITY])
 
     def _add_spans(self, k: int, velocity: np.ndarray) -> None:
         rows, span = len(self._told), self.sizes.span
@@ -140,47 +162,14 @@ class Moments:
                     z = self._on_body
                 for axis in range(3):
                     dger(1.0, z[:, axis], z[:, axis], a=total[axis].T, overwrite_a=True)
-        if counts and self.spans % self._apart == 0:
-            self._keep_halves()
-
-    def _keep_halves(self) -> None:
-        """One more record, of a number that a flight of any length has."""
-        self.halves.append((self.spans, self.velocity.copy(), self.attitude.copy()))
-        while 2 * self.halves[1][0] <= self.spans:  # the half only grows
-            del self.halves[0]
-        if len(self.halves) > MOST:
-            self._apart *= 2
-            self.halves = [one for one in self.halves if one[0] % self._apart == 0]
-
-    @property
-    def spans(self) -> int:
-        """How many spans are in the sums of velocity and attitude."""
-        return max(self.samples - self.sizes.span - self.sizes.lags, 0)
 
 
-class _History:
-    """The last vectors, (count, 3), the oldest first."""
-
-    def __init__(self, count: int) -> None:
-        self._count, self._end = count, count
-        self._buffer = np.zeros((8 * count, 3))
-
-    def fill(self, value: np.ndarray) -> None:
-        """As if it had always been this vector."""
-        self._buffer[...] = value
-
-    def add(self, value: np.ndarray) -> None:
-        """One more."""
-        if self._end == len(self._buffer):
-            self._buffer[: self._count] = self._buffer[-self._count :]
-            self._end = self._count
-        self._buffer[self._end] = value
-        self._end += 1
-
-    @property
-    def values(self) -> np.ndarray:
-        """All that are kept."""
-        return self._buffer[self._end - self._count : self._end]
+def half_of(spans: int) -> int:
+    """About half of them: in steps that grow with the flight, as results of earlier versions have it."""
+    apart = ROUND
+    while spans >= ROUNDS * apart:
+        apart *= 2
+    return apart * math.ceil(spans / (2 * apart) - 0.5)
 
 
 def _zeros(size: int) -> np.ndarray:

@@ -3,10 +3,10 @@
     x^(t) = phi(tau; x(t - tau), thrusts over [t - tau, t])
 
 phi: Runge-Kutta steps of at most STEP, the last parts of the time; the thrust of each is its mean over that part, after
-the dead time and lag of the commands (sent_commands.py). Where an observer is inside, phi is in the world that it
-believes in: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest measurement
-at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a model: an
-error a of its acceleration leaves a tau^2 / 2 in the position.
+the dead time and lag of the commands (delivered.py). Where an observer is inside, phi is in the world that it believed
+in at the last instant: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest
+measurement at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a
+model: an error a of its acceleration leaves a tau^2 / 2 in the position.
 
 An MPC predicts the dead time of its commands itself. Any other controller is told the state, and the reference, of the
 time at which its command begins to act: phi goes on over the dead time, under the commands that have been sent.
@@ -41,29 +41,29 @@ STEP = 0.02  # s, of the integration
 class Prediction(WrappedController):
     """A controller that is told the state of now instead of that of `delay` (s) ago, predicted by a model.
 
-    dead_time, lag: of commands (s). reach: largest delay, and how long commands may act (s), where `tune` changes them
-    in flight. The model is that of the MPC inside; without one, the rigid body alone.
+    dead_time, lag: of commands (s). The model is that of the MPC inside; without one, the rigid body alone.
     """
 
-    def __init__(
-        self, inner: Controller, delay: float, dead_time: float, lag: float, reach: tuple[float, float] | None = None
-    ) -> None:
+    def __init__(self, inner: Controller, delay: float, dead_time: float, lag: float) -> None:
         super().__init__(inner)
         self.delay, self.dead_time, self.lag = delay, dead_time, lag
-        largest, memory = reach or (delay, dead_time + SETTLED * lag)
         model = getattr(innermost(inner), "mpc", None)
         self._observer: Any = next((one for one in layers(inner) if hasattr(one, "belief")), None)
         residual = no_residual(self.vehicle) if model is None else model.residual
         self.ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
         self.node_times = inner.node_times + self.ahead
-        parts = math.ceil((largest + self.ahead) / STEP - 1e-9)
-        self.commands = SentCommands(self.vehicle.n_rotors, self.control_period, largest + memory + self.control_period)
+        parts = math.ceil((delay + self.ahead) / STEP - 1e-9)
+        reach = delay + dead_time + SETTLED * lag + self.control_period
+        self.commands = SentCommands(self.vehicle.n_rotors, self.control_period, reach)
         self._predict: BufferedFunction | None = None
+        self._believed: dict[str, np.ndarray] = {}  # where the MPC's step leaves what it believes in
         if parts:
             shared = {"commands": self.commands.values} | ({} if model is None else {"theta": model.parameters})
             world = None if self._observer is None else getattr(innermost(inner), "believed", None)
             if world is not None and model is not None:
-                shared |= {"push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:10]}
+                self._believed = {
+                    "push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:10],
+                }  # fmt: skip
                 self._observer = None  # nothing is to be told
             function = built(inner.backend, prediction, self.vehicle, residual, parts, len(self.commands.values))
             self._predict = BufferedFunction(function, shared)
@@ -72,7 +72,7 @@ class Prediction(WrappedController):
             self._arguments["scale"][0] = 1.0
             if model is None:
                 self._arguments["theta"][...] = residual.theta
-        self._since, self._shown, self._tuned = 0, -1.0, reach is not None
+        self._since, self._shown = 0, -1.0
         self._young, self._moves = np.ones(1), np.zeros(1)  # whether `late` is to change, and is not 0
         self._inverse_inertia = np.linalg.inv(self.vehicle.inertia_matrix)
 
@@ -81,6 +81,8 @@ class Prediction(WrappedController):
         self._since, self._shown = 0, -1.0
         self._young[0], self._moves[0] = 1.0, 0.0
         self.commands.reset(thrust_at_start(window, self.vehicle))
+        for name in self._believed:
+            self._arguments[name][...] = name == "scale"
         super().reset(x, self._later(window) if self.ahead else window)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
@@ -89,7 +91,9 @@ class Prediction(WrappedController):
         if self.ahead:
             operations.append(python(lambda: told.look(self._later(told.window))))
         inner = instant_of(self.inner, told, now)
-        return inner._replace(operations=[*operations, *inner.operations, *self.commands.after(inner.command)])
+        operations += [*inner.operations, *self.commands.after(inner.command)]
+        operations += [copy(self._arguments[name], value) for name, value in self._believed.items()]
+        return inner._replace(operations=operations)
 
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Predicts from the state that is found there, (13,), and the array that has the state of now then."""
@@ -100,15 +104,11 @@ class Prediction(WrappedController):
             operations.append(python(self._tell_belief))
         return [*operations, call(self._predict, self._moves)], self._now
 
-    def tune(self, delay: float, dead_time: float, lag: float) -> None:
-        """Go on with others."""
-        self.delay, self.dead_time, self.lag, self._shown = delay, dead_time, lag, -1.0
-
     def _grow(self) -> None:
         """Until `delay` has passed since the start, the measured state is that of the start."""
         late = min(self.delay, self._since * self.control_period)
         self._since += 1
-        self._young[0], self._moves[0] = self._tuned or late < self.delay, late + self.ahead > 0
+        self._young[0], self._moves[0] = late < self.delay, late + self.ahead > 0
         if late + self.ahead and late != self._shown:
             self._divide(late)
 

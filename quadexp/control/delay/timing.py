@@ -1,7 +1,7 @@
 """Age of the estimate, dead time and lag of the commands, found in what a controller was told and has sent.
 
 Dead time d and lag of the commands. The accelerometer's z axis is the thrust over the mass and air: with the thrust
-T(d, lag) of the commands (sent_commands.py), and T2 that of their squares,
+T(d, lag) of the commands (delivered.py), and T2 that of their squares,
 
     f_z = [1, T, T2, v_b, |v_b| v_b, t T] c                           v_b: told velocity, body axes
 
@@ -18,12 +18,12 @@ noise of its own: an age shows where the specific force changes, on x and y, by 
 z. The same of the body rate: q_told turns by the integral of
 w_told(t - tau); a shift of 0 says that the rates are as old as the attitude.
 
-Everything is found in sums over the samples (moments.py), so a `Search` can be made a piece at a time.
+Everything is found in sums over the samples (moments.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -32,16 +32,14 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
+from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes, Stream
 from quadexp.control.delivered import INSTANT, SentCommands, command_weights
-from quadexp.errors import DataError
 from quadexp.physics.vehicle import Vehicle
 
 TINY = 1e-18  # of a mean square: exact data have no noise
 WORTH = 8.0  # log likelihood that one more constant must bring to be real
 WITHIN = 2.0  # log likelihood of two standard errors
 WORTH_AN_AGE = 2.0  # log likelihood by which an age must be likelier than none to be one
-LEAST = 100  # readings
 OVERLAP = 6.0  # samples that tell the same, in spans that overlap
 KNOWN = 0.005  # s, standard error up to which a delay counts as known
 LARGEST = np.array([LARGEST_DEAD_TIME, LARGEST_LAG, LARGEST_AGE])
@@ -55,19 +53,6 @@ DESCENTS, TRIALS = 12, 4
 FINE = 400  # parts of a control period to which a shift is found
 # A polynomial of the fourth degree at these parts by its values at five even ones.
 BETWEEN = np.vander(np.linspace(0.0, 1.0, FINE + 1), 5) @ np.linalg.inv(np.vander(np.linspace(0.0, 1.0, 5), 5))
-
-
-@dataclass(frozen=True)
-class Stream:
-    """What a controller was told and has sent at k instants, a period (s) apart.
-
-    t: (k,) (s). state: told, (k, 13). specific_force: (k, 3), body (m/s^2). command: (k, n) (N), sent at t.
-    """
-
-    t: np.ndarray
-    state: np.ndarray
-    specific_force: np.ndarray
-    command: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -100,70 +85,39 @@ class Delays:
         return self.gyro > self.age / 2
 
 
-def moments_of(stream: Stream, vehicle: Vehicle) -> Moments:
-    """The sums of a stream of one flight. Raises DataError where it is too short."""
-    if len(stream.t) < LEAST:
-        raise DataError(f"delays cannot be found in {len(stream.t)} samples, {LEAST} are needed")
-    moments = Moments(vehicle, float(np.median(np.diff(stream.t))))
-    for row in zip(stream.t, stream.state, stream.specific_force, stream.command, strict=True):
-        moments.add(float(row[0]), *row[1:])
-    return moments
-
-
 def find_delays(stream: Stream, vehicle: Vehicle) -> Delays:
     """Delays of a stream of one flight. Raises DataError where it is too short."""
-    return Search(moments_of(stream, vehicle)).all()
+    return Search(Moments(stream, vehicle)).find()
 
 
 class Search:
-    """The search for the delays in the sums of a flight: `begin` takes them as they are, `go_on` tries one candidate.
-
-    found: None until `go_on` has said that it has ended. candidates: tried so far. samples: in the sums. rates_age: age
-    of the rates by the torques (s).
-    """
+    """The search for the delays in the sums of a flight. rates_age: age of the rates by the torques (s), once `find`
+    has ended."""
 
     def __init__(self, moments: Moments) -> None:
         self._evaluate = BufferedFunction(_evaluate(moments.vehicle, moments.sizes.period))
-        self.sizes, self._moments = moments.sizes, moments
-        self.begin()
-
-    def begin(self) -> None:
-        """Begin anew, with the sums of now."""
-        moments, given = self._moments, self._evaluate.arguments
+        self.sizes, self.rates_age, given = moments.sizes, 0.0, self._evaluate.arguments
         for name in ("thrust", "turning_x", "turning_y"):
             given[name].T[...] = getattr(moments, name)
         given["count"][0] = moments.counted
-        self.found: Delays | None = None
-        self.candidates, self.samples, self.rates_age = 0, moments.samples, 0.0
-        half = min(moments.halves, key=lambda one: abs(2 * one[0] - moments.spans))
-        self._velocity = _Spans(moments.velocity, half[1], moments.spans, half[0], self.sizes)
-        self._attitude = _Spans(moments.attitude, half[2], moments.spans, half[0], self.sizes)
-        self._pieces = self._search()
+        first, *halves = moments.half
+        totals = moments.velocity, moments.attitude
+        self._velocity, self._attitude = (
+            _Spans(total, half, moments.spans, first, self.sizes) for total, half in zip(totals, halves, strict=True)
+        )
 
-    def go_on(self) -> bool:
-        """Try one more candidate; True where the search has ended."""
-        if self.found is None:
-            self.candidates += 1
-            next(self._pieces, None)
-        return self.found is not None
-
-    def all(self) -> Delays:
-        """The search to its end."""
-        while self.found is None:
-            self.go_on()
-        return self.found
+    def find(self) -> Delays:
+        """The likeliest delays."""
+        found, errors = self._commands()
+        mean = within_periods(self.sizes, *found[:2])
+        age, age_error = self._velocity.least(mean)
+        gyro, gyro_error = self._attitude.least(np.empty(0))
+        return Delays(age, age_error, gyro, gyro_error, found[0], errors[0], found[1], errors[1])
 
     def age_likelihood(self, ages: np.ndarray) -> np.ndarray:
         """Log likelihood of ages (s) of the state, less that of the one found, when the search has ended."""
         found = self._velocity.likelihood(self._velocity.found)
         return np.array([self._velocity.likelihood(float(age)) - found for age in ages])
-
-    def _search(self) -> Iterator[None]:
-        found, errors = yield from self._commands()
-        mean = within_periods(self.sizes, *found[:2])
-        age, age_error = yield from self._velocity.least(mean)
-        gyro, gyro_error = yield from self._attitude.least(np.empty(0))
-        self.found = Delays(age, age_error, gyro, gyro_error, found[0], errors[0], found[1], errors[1])
 
     def cost(self, at: np.ndarray) -> float:
         """Minus the log likelihood of dead time, lag and age of the rates, (3,) (s)."""
@@ -171,37 +125,34 @@ class Search:
         self._evaluate()
         return float(self._evaluate.results["cost"][0])
 
-    def _commands(self) -> Any:
-        """Dead time, lag and the rates' age, and the standard error of each; a piece for every candidate."""
+    def _commands(self) -> tuple[list[float], list[float]]:
+        """Dead time, lag and the rates' age, and the standard error of each."""
         best, least = STARTS[0], np.inf
         for start in STARTS:
             cost = self.cost(start)
-            yield
             if cost < least:
                 best, least = start, cost
-        both = yield from self._descend(best, MASKS[-1])
+        both = self._descend(best, MASKS[-1])
         late, ends = both[0][0] + both[0][1], []
         for mask in MASKS[:-1]:  # from there, the delay of both in one
             start = mask * np.minimum([late, late, both[0][2]], LARGEST)
-            ends.append((yield from self._descend(start, mask)))
+            ends.append(self._descend(start, mask))
         ends.append(both)
         worth = min(cost for _, cost in ends) + WORTH
         found = next(at for at, cost in ends if cost <= worth)
         self.rates_age = float(found[2])
-        _, _, normal = yield from self._slopes(found)
+        _, _, normal = self._slopes(found)
         covariance = np.linalg.inv(normal + np.eye(3) / 0.1**2)  # 100 ms before anything is known
         together = float(found.sum() + np.sqrt(covariance.sum()))  # none is negative: none is more than all of them
         errors = np.minimum(np.sqrt(np.diag(covariance)), max(together, 0.0))
         return [float(one) for one in found], [float(one) for one in errors]
 
-    def _slopes(self, at: np.ndarray, free: Sequence[int] | np.ndarray = (0, 1, 2)) -> Any:
-        """Cost, its gradient and the normal matrix of what remains over its noise, by differences; a piece for each
-        candidate."""
+    def _slopes(self, at: np.ndarray, free: Sequence[int] | np.ndarray = (0, 1, 2)) -> tuple[float, Any, Any]:
+        """Cost, its gradient and the normal matrix of what remains over its noise, by differences."""
         costs, rows = [], []
         for step in (np.zeros(3), *(SMALL_STEP * np.eye(3)[i] for i in free)):
             costs.append(self.cost(at + step))
             rows.append([self._evaluate.results[name].copy() for name in LEFT])
-            yield
         gradient, normal = np.zeros(len(free)), np.zeros((len(free), len(free)))
         for i in range(0, len(LEFT), 2):
             left, against = (np.array([row[j] for row in rows]) for j in (i, i + 1))
@@ -212,12 +163,12 @@ class Search:
             normal += slopes @ along.T
         return costs[0], gradient, normal
 
-    def _descend(self, at: np.ndarray, mask: np.ndarray) -> Any:
+    def _descend(self, at: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:
         """Where the cost is least, from a candidate on, and that cost, by Levenberg and Marquardt's steps within the
         limits."""
         free, damping = np.flatnonzero(mask), 1e-3
         for _ in range(DESCENTS):
-            cost, gradient, normal = yield from self._slopes(at, free)
+            cost, gradient, normal = self._slopes(at, free)
             for _ in range(TRIALS):
                 step = np.zeros(3)
                 step[free] = -np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), gradient)
@@ -225,7 +176,6 @@ class Search:
                 if np.abs(to - at).max() < CLOSE:
                     return at, cost
                 tried = self.cost(to)
-                yield
                 if tried < cost:
                     break
                 damping *= 10
@@ -270,7 +220,7 @@ class _Spans:
         """Log likelihood of a shift (s), each axis with a noise of its own, once `least` has ended."""
         return -self.spans / OVERLAP / 2 * _unlikely(self.left(shift))
 
-    def least(self, mean: np.ndarray) -> Any:
+    def least(self, mean: np.ndarray) -> tuple[float, float]:
         """The likeliest shift in 0 .. LARGEST_AGE (s), each axis with a noise of its own, and its standard error (s):
         at least half of what the two halves of the samples differ by, and of what is nearly as likely. None where none
         is nearly as likely, and then at least what was found: a millisecond of age that is not there is 8 mm at 8 m/s.
@@ -280,7 +230,6 @@ class _Spans:
         for i, shift in enumerate(grid):
             b = self._weights(float(shift), mean)
             squares[:, i] = [self._squares(b, part) for part in range(3)]
-            yield
         found, *halves = (_bottom(grid, one) for one in squares)
         low, high = max(found - NEAR, 0.0), min(found + NEAR, LARGEST_AGE)
         slope = (self._weights(high, mean) - self._weights(low, mean)) / (high - low)
@@ -293,7 +242,6 @@ class _Spans:
         if self.likelihood(found) - likelihood[0] < WORTH_AN_AGE:
             found, error = 0.0, max(error, found)
         self.found = found
-        yield
         return found, float(error)
 
 

@@ -52,8 +52,9 @@ class BelievedWorld:
     mpc: made with disturbed=True. node_times: of the reference, from the measurement on, (k,) (s). targets: whether
     they are made anew. air: the model that references are made with; None: without.
     estimator: finds the belief; without one, it is `told`, (11,). numbers: what is believed since the last step, (11,).
-    thrust: an array with what the rotors deliver, (n,) (N), where somebody else knows it. rows: of the horizon that it
-    is told, an array with those that are the MPC's; None: all.
+    thrust: an array with what the rotors deliver, (n,) (N), where somebody else knows it. seen: an array with the state
+    (13,) at the time of the readings, where that is not now. rows: of the horizon that it is told, an array with those
+    that are the MPC's; None: all.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class BelievedWorld:
     ) -> None:
         self._mpc, settings, self._estimator = mpc, mpc.settings, estimator
         self.thrust: np.ndarray | None = None
+        self.seen: np.ndarray | None = None
         self.rows: np.ndarray | None = None
         model = None
         self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
@@ -136,11 +138,6 @@ class BelievedWorld:
         numbers: np.ndarray = self._given["settings"]
         return numbers
 
-    def estimate_by(self, settings: np.ndarray, state: np.ndarray) -> None:
-        """Other settings of the estimator's update, and its state, from the next step on."""
-        self._given["settings"].ravel()[:] = settings
-        self.estimate[:] = state
-
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the
         state (13,) in the array that is returned; the MPC is told of the rest."""
@@ -148,6 +145,7 @@ class BelievedWorld:
         operations = [copy(given["x"], state), Operation("window", given["X_ref"], self.rows, given["U_ref"])]
         if self._estimator is not None:
             operations += [copy(given["known"][:1], told.read), copy(given["reading"], told.force)]
+            operations.append(copy(given["seen"], state if self.seen is None else self.seen))
             if self.thrust is not None:
                 operations += [copy(given["known"][1:], YES), copy(given["measured"], self.thrust)]
             elif self._coefficient is not None:
@@ -211,8 +209,8 @@ def enter_function(
 
     Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); times (s N + 1,) of the reference from now, period (s);
     memory, see Layout; belief (11,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
-    known (2,), whether these two are, sent (n,), the last command (N), settings, delays (see Delays); theta (p,), where
-    the model or the estimator has parameters.
+    known (2,), whether these two are, seen (13,), the state then, sent (n,), the last command (N), settings, delays
+    (see Delays); theta (p,), where the model or the estimator has parameters.
     Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); low, high (n,), limits of delivered
     thrusts (N); found (11,), the belief; change (5,): of
     the wind, its size (m/s), and the sum of the squares of x_in, X_in and U_in; memory_next.
@@ -223,7 +221,7 @@ def enter_function(
     if update is None:
         shapes |= {"belief": (N_BELIEF, 1)}
     else:
-        shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "sent": (n, 1)}
+        shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "seen": (N_STATE, 1), "sent": (n, 1)}
         shapes |= {"settings": update.size_in("settings"), "delays": (6, 1)}
     shapes |= {"theta": (parameters, 1)} if update is not None or model is not None else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
@@ -278,7 +276,7 @@ def _estimated(
     now = turning * a["measured"] + (1 - turning) * thrust
     share = turning * had * lags / 2  # of the thrusts a period ago
     mean = turning * (share * before + (1 - share) * a["measured"]) + (1 - turning) * mean
-    given = [kept["estimate"], a["x"], a["reading"], now, mean, a["theta"], a["settings"]]
+    given = [kept["estimate"], a["seen"], a["reading"], now, mean, a["theta"], a["settings"]]
     estimate, belief = update(*given)
     nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
     left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
@@ -20,7 +20,7 @@ class PredictivePart(MPCSettings, ControllerPart):
     """What every MPC has, whatever its model of the air."""
 
     former_kind = "mpc"
-    added = ()
+    added: ClassVar[tuple[str, ...]] = ()
     backend: Backend = "auto"
 
     def build(self, given: Given) -> Any:
@@ -29,7 +29,7 @@ class PredictivePart(MPCSettings, ControllerPart):
         from quadexp.control.mpc.mpc import ModelPredictiveController
 
         residual = self.model(given)
-        if any(one.scales_air for one in given.remedies):
+        if any(one.scales_air(given) for one in given.remedies):
             from quadexp.models.residual import scaled_residual
 
             residual = scaled_residual(residual)
@@ -50,7 +50,18 @@ class PredictivePart(MPCSettings, ControllerPart):
 class MPC(PredictivePart):
     """Model predictive control (Torrente et al. 2021). residual: its model of the air."""
 
+    added = ("fallback",)
     residual: str = key(REQUIRED, RESIDUAL)
+    fallback: bool = key(False, "weigh a Gaussian process by its variance: outside its data it is drag fitted to it")
+
+    def model(self, given: Given) -> Any:
+        """See PredictivePart."""
+        model = super().model(given)
+        if not self.fallback:
+            return model
+        if not self.learned:
+            raise UsageError(f"controller.fallback: residual={self.residual} has no data; gaussian_process has")
+        return given.checkpoint(0).weighed(given.vehicle, model)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,7 @@ with both poles of the error at z = exp(-b T). The torque: control.observers.fil
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -41,13 +40,13 @@ from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
+from quadexp.parts.part import Given
 from quadexp.parts.settings import key
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-CAUTIOUS_BANDWIDTH = 3.0  # rad/s, where the time of the thrusts is not known
 N_FORCE_STATE = 7  # a^, v^, P
 N_FORCE_SETTINGS = 8
 
@@ -127,8 +126,7 @@ class DisturbanceObserver(ObserverPart):
     air_walk: float = key(0.0, "likewise of the scale of the air's force; 0: not estimated", "[0, 10]")
     air_initial: float = key(1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]")
 
-    @property
-    def scales_air(self) -> bool:
+    def scales_air(self, given: Given) -> bool:
         """See Remedy."""
         return self.air_walk > 0
 
@@ -151,35 +149,27 @@ class DisturbanceObserver(ObserverPart):
         )
         settings = disturbance_settings(self, inner.control_period)
 
-        def begin(x: np.ndarray, *, scales: bool = True) -> np.ndarray:
+        def begin(x: np.ndarray) -> np.ndarray:
             if self.scale_walk > 0 or self.air_walk > 0:
-                known = self.scale_initial if self.scale_walk and scales else 0.0
-                air = self.air_initial if self.air_walk and scales else 0.0
+                known = self.scale_initial if self.scale_walk else 0.0
+                air = self.air_initial if self.air_walk else 0.0
                 P = np.diag([self.force_initial**2] * 3 + [known**2, air**2])
                 return np.concatenate([np.zeros(N_SCALED), P.ravel(), np.zeros(3), x[RATE], np.zeros(3)])
             return np.concatenate([np.zeros(3), x[VELOCITY], [self.force_initial**2], x[RATE], np.zeros(3)])
 
-        slow = replace(
-            self,
-            scale_walk=0.0,
-            air_walk=0.0,
-            force_bandwidth=min(self.force_bandwidth, CAUTIOUS_BANDWIDTH),
-            torque_bandwidth=0.0,
-        )
-        cautious = disturbance_settings(slow, inner.control_period)
-        return Observer(inner, Update(function, settings, begin, (cautious, partial(begin, scales=False))), self)
+        return Observer(inner, Update(function, settings, begin), self)
 
     def check(self, vehicle: Vehicle, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
         """See Remedy. A scale of the thrust or of the air is the ratio of two forces at one time. Where motors lag, the
-        thrusts of that time are known from rotor speeds, or from a lag and a dead time that are told or found."""
+        thrusts of that time are known from rotor speeds, or from a lag and a dead time that are told."""
         lag = getattr(plant, "loop_lag", 0.0)
-        stated = [getattr(part, key, None) for part in (self, controller) for key in ("motor_lag", "dead_time")]
-        if vehicle.thrust_coefficient is not None or not lag or any(stated) or any(one.finds_delays for one in others):
+        stated = [getattr(part, name, None) for part in (self, controller) for name in ("motor_lag", "dead_time")]
+        if vehicle.thrust_coefficient is not None or not lag or any(stated):
             return
         for name in ("scale_walk", "air_walk"):
             if getattr(self, name) > 0:
                 raise UsageError(
                     f"observer.{name}: a scale is found from rotor speeds, which need vehicle.thrust_coefficient, and"
                     f" vehicle={vehicle.name} has none; its motors lag by {1e3 * lag:.0f} ms here: give the"
-                    f" coefficient, or observer.motor_lag and observer.dead_time, or observer.{key}=0"
+                    f" coefficient, or observer.motor_lag and observer.dead_time, or observer.{name}=0"
                 )

@@ -65,13 +65,12 @@ class Update(NamedTuple):
     """What an observer is made of.
 
     function: see the module. settings: its last argument. begin: state of the observer for the first measurement,
-    from that state, (13,). cautious: (settings, begin) for thrusts whose timing is not known, see `be_cautious`.
+    from that state, (13,).
     """
 
     function: ca.Function
     settings: np.ndarray
     begin: Any
-    cautious: Any = None
 
 
 class Observer(WrappedController):
@@ -88,7 +87,6 @@ class Observer(WrappedController):
         stated = {"dead_time": config.dead_time, "known_lag": config.motor_lag}
         known = [known_delay(given, inner, name) for name, given in stated.items()]
         self._begin, self._world = update.begin, None
-        self._ways = {False: (update.settings, update.begin), True: update.cautious or (update.settings, update.begin)}
         if isinstance(inner, PredictiveController):
             inner.targets = config.targets
             delays = Delays(inner.control_period, *known)
@@ -100,14 +98,6 @@ class Observer(WrappedController):
         self._given, self._result = self._update.arguments, self._update.results
         self._given["settings"].ravel()[:] = update.settings
         self._belief = np.hstack([*no_belief()])
-
-    def be_cautious(self, cautious: bool, x: np.ndarray | None) -> None:
-        """Estimate only what does not need the time of the thrusts, or all again, from the state x, (13,), on; None: a
-        flight begins. Thrusts that are taken for those of another time look like a wind along z, a thrust scale and a
-        torque, and the loop over these estimates is not stable."""
-        settings, self._begin = self._ways[cautious]
-        if self._world is not None:
-            self._world.estimate_by(settings, self._begin(np.zeros(13) if x is None else x))
 
     @property
     def estimate(self) -> np.ndarray:

@@ -18,7 +18,7 @@ what can be done.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,6 @@ from quadexp.physics.vehicle import Vehicle
 N_AIR = 4  # wind (3,), thrust scale - 1
 N_FORCE = 3  # over the mass
 N_WIND_SETTINGS = 8
-CAUTIOUS_NOISE = 3.0  # m/s^2, of the z axis where the time of the thrusts is not known
 TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
 
 
@@ -160,13 +159,4 @@ class WindObserver(ObserverPart):
             P = np.diag([self.wind_initial**2] * 3 + [self.scale_initial**2 if self.scale_walk else 0.0])
             return np.concatenate([np.zeros(N_AIR), P.ravel(), np.zeros(N_FORCE), x[RATE], np.zeros(3)])
 
-        def begin_without_scale(x: np.ndarray) -> np.ndarray:
-            s = begin(x)
-            s[N_AIR + N_AIR**2 - 1] = 0.0
-            return s
-
-        noise = (*self.noise[:2], max(self.noise[2], CAUTIOUS_NOISE))
-        slow = replace(self, noise=noise, scale_walk=0.0, force_bandwidth=0.0, torque_bandwidth=0.0)
-        cautious = wind_settings(slow, period)
-        update = Update(function, wind_settings(self, period), begin, (cautious, begin_without_scale))
-        return Observer(inner, update, self)
+        return Observer(inner, Update(function, wind_settings(self, period), begin), self)

@@ -58,7 +58,7 @@ def checked(options: Options) -> Mapping | None:
         raise UsageError(f"--log-format {options.format}: no such format; there are {', '.join(known)}")
     mapping = None if options.mapping is None else load_mapping(options.mapping)
     if mapping is None and options.format == "csv":
-        raise UsageError("--log-format csv: needs --mapping FILE, which says what its columns are")
+        raise UsageError("--log-format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
     if options.rate is not None and not 0.1 <= options.rate <= 10_000:
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
     if options.bad_rows not in MODES:

@@ -25,6 +25,8 @@ HEAD = 1 << 18  # bytes looked at for header and delimiter
 LONGEST_LINE = 1 << 16
 TEXT_SHARE = 0.97  # of the first bytes that must be printable for a file to be text
 MOST_VALUES = 1 << 30  # numbers read from one file at most: 8 GB would not fit beside what is made of them
+DESCRIBED_ROWS = 300_000
+DESCRIBED_COLUMNS = 400  # looked at for a mapping
 EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]
 
 
@@ -215,6 +217,29 @@ def _where(text: str, table: Table) -> str:
         return text
     at = f" at line {int(row[1]) + table.skip}" if row else ""
     return f"column {table.columns[int(column[1])]!r} holds {value[1][:40]!r}{at}, a number is needed"
+
+
+def numbers(table: Table) -> tuple[list[str], np.ndarray]:
+    """The columns that hold numbers, and their values (k, N).
+
+    The first DESCRIBED_COLUMNS and DESCRIBED_ROWS are looked at; of datasets of several lengths, the commonest length.
+    Raises DataError where no column holds numbers.
+    """
+    names = list(table.columns[:DESCRIBED_COLUMNS])
+    while names:
+        try:
+            columns = table.read(names, [], DESCRIBED_ROWS)
+            break
+        except DataError as error:
+            words = [name for name in names if f"column {name!r} holds" in str(error)]
+            if not words:
+                raise
+            names.remove(words[0])
+    else:
+        raise DataError(f"{table.path}: no column of numbers")
+    ((length, _),) = Counter(map(len, columns.values())).most_common(1)
+    names = [name for name in names if len(columns[name]) == length]
+    return names, np.stack([columns[name] for name in names], axis=1)
 
 
 # ------------------------------------------------------------------------------------------------------------ HDF5

@@ -32,6 +32,7 @@ from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.draw import figure_of
+from quadexp.report.inference import holm, mean_interval, paired_permutation
 from quadexp.report.pairing import grouped
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
@@ -41,6 +42,7 @@ MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it
 OFF = 2.0  # m of RMSE; a flight that is further off is not flown, although it stays inside the box
 RECORDED_AFTER = 2 / 500  # s: the first instant of their simulation not before the end of a period of 1/300 s
+ALPHA = 0.05  # of intervals and tests
 CLOSE = 0.2  # share by which a mean may differ and count as reproduced
 TITLES = {
     "sun_baseline": "baseline",
@@ -66,6 +68,7 @@ TITLES = {
 }
 WEAKER = {"sun_mass_30": (1.3, 1.0), "sun_ct_minus_30": (1.0, 0.7)}  # world -> factors on mass and on thrust
 INFEASIBLE_SET = "sun_baseline, infeasible"  # as a world: the ideal case of the infeasible ellipses
+OURS, KNOWN_AGE = "sun_mpc", "+strapdown"  # the controller others are compared with; late rows have it, others need not
 PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
 
 Row = Mapping[str, Any]
@@ -184,7 +187,44 @@ def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
 def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
     """Tables and figure of a sweep."""
     flown = conditions(with_logged(rows, out))
-    return {"sun": sun_table(flown)}, {"sun": sun_figure(flown)}
+    texts = [sun_table(flown), *(table.markdown() for table in [compared(rows)] if table.rows)]
+    return {"sun": "\n\n".join(texts)}, {"sun": sun_figure(flown)}
+
+
+def compared(rows: Iterable[Row]) -> Table:
+    """Every controller against OURS with the same remedies, paired by ellipse; no line without one.
+
+    Mean over ellipses of the RMSE with its 95 % interval, a lost flight counted as there. The ellipses are what varies:
+    none of these plants has noise.
+    """
+    errors: dict[tuple[str, str], dict[Ellipse, float]] = {}
+    for row in rows:
+        key = (str(row["controller"]).removesuffix(KNOWN_AGE), _world(row))
+        lost = row["outcome"] not in COMPLETED
+        errors.setdefault(key, {})[_ellipse(row)] = CRASHED[0] if lost else float(row["rmse"])
+    pairs = {}
+    for (name, world), found in errors.items():
+        who, plus, remedies = name.partition("+")
+        ours = errors.get((OURS + plus + remedies, world), {})
+        if who != OURS and (both := [ellipse for ellipse in found if ellipse in ours]):
+            pairs[name, world] = paired_permutation(np.array([found[one] - ours[one] for one in both]))
+    differs = dict(zip(pairs, holm(np.array([*pairs.values()])) < ALPHA, strict=True))
+    own = {OURS + "".join(name.partition("+")[1:]) for name, _ in pairs}
+    names = [name for name in dict.fromkeys(name for name, _ in errors) if name in own | {who for who, _ in pairs}]
+
+    def text(name: str, world: str) -> str:
+        values = np.array([*errors.get((name, world), {}).values()])
+        low, high, method = mean_interval(values, 1 - ALPHA, least=0.0)
+        limits = "" if method == "none" else f" [{low:.3f}, {high:.3f}]"
+        return f"{_mean(values):.3f}{limits}{'*' * bool(differs.get((name, world)))}" if len(values) else ""
+
+    worlds = _in_order(dict.fromkeys(world for _, world in pairs))
+    title = (
+        f"RMSE (m), mean over ellipses [95 % interval], a lost flight {CRASHED[0]:g} m; * differs from {OURS} with the"
+    )
+    title += f" same remedies (p < {ALPHA:g}, permutations paired by ellipse, Holm over {len(pairs)})"
+    lines = [[TITLES.get(world, world), *(text(name, world) for name in names)] for world in worlds]
+    return Table(["condition", *names], lines, title)
 
 
 def sun_table(flown: Mapping[str, Mapping[str, Condition]]) -> str:

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from quadexp.control.auto.ahead import CommandsAhead
 from quadexp.control.instant import run
 from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
@@ -198,3 +200,21 @@ def test_known_delays_cost_no_accuracy(vehicle, trajectory, settings, latency, l
     error = flight.stack(["p_x", "p_y", "p_z"]) - flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"])
     assert 1e3 * np.linalg.norm(error, axis=1).mean() < most
     assert np.abs(np.diff(flight.input, axis=0)).max() < 1  # no chatter
+
+
+@pytest.mark.parametrize(("dead_time", "lag"), [(0.01, 0.0), (0.035, 0.03), (0.06, 0.02)])
+def test_the_prediction_that_may_change_is_that_of_fixed_times(vehicle, rng, dead_time, lag):
+    """Against DeadTimePredictor, whose dead time is a part of its structure."""
+    settings = MPCSettings(dead_time=dead_time, motor_lead=lag)
+    mpc = ModelPredictiveController(vehicle, make_residual("none", vehicle), settings, backend="interpreted")
+    fixed, free = DeadTimePredictor(mpc), CommandsAhead(mpc)
+    commands = vehicle.hover_thrust * (1 + 0.2 * rng.standard_normal((60, 4)))
+    fixed.reset(commands[0])
+    for u in commands:
+        run(fixed.after(u))
+    free.tune(dead_time, lag, commands)
+    x = np.r_[1.0, 2, 3, 1, 0, 0, 0, 2, -1, 0.5, 0.3, 0.2, -0.4]
+    ours, theirs = free.predict(x), fixed.predict(x)
+    assert len(ours) == 17 and np.abs(ours[: len(theirs)] - theirs).max() < 2e-3  # the thrusts always stand behind
+    if lag:
+        assert np.abs(ours[13:] - theirs[13:]).max() < 1e-6

@@ -81,9 +81,83 @@ def write_csv(path: Path, columns: dict[str, np.ndarray], digits: int = 15) -> P
     return path
 
 
+def _named(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip(names.split("|"), values.T, strict=True))
+
+
 def frd_quaternion(f: Truth) -> np.ndarray:
     """FRD to NED, w first."""
     return (Rotation.from_matrix(NED) * f.R * Rotation.from_matrix(FRD)).as_quat(scalar_first=True)
+
+
+def rotorpy(path: Path, f: Truth) -> Path:
+    """As RotorPy's to_dataframe: seconds, ENU and FLU, quaternion with w last, rotor speeds."""
+    return write_csv(path, {
+        "time": f.t, **_named("x|y|z", f.p), **_named("xdot|ydot|zdot", f.v),
+        **_named("qx|qy|qz|qw", f.q[:, [1, 2, 3, 0]]),
+        **_named("wx|wy|wz", f.w), **_named("windx|windy|windz", 0 * f.v), **_named("r1|r2|r3|r4", 2500 * f.command),
+        **_named("xdes|ydes|zdes", f.p + 0.01), **_named("xdotdes|ydotdes|zdotdes", f.v),
+    })  # fmt: skip
+
+
+def euroc(path: Path, f: Truth) -> Path:
+    """As EuRoC's ground truth: nanoseconds since 1970, units in the names."""
+    return write_csv(path, {
+        "#timestamp [ns]": 1.4e18 + 1e9 * f.t, **_named("p_RS_R_x [m]|p_RS_R_y [m]|p_RS_R_z [m]", f.p),
+        **_named("q_RS_w []|q_RS_x []|q_RS_y []|q_RS_z []", f.q),
+        **_named("v_RS_R_x [m s^-1]|v_RS_R_y [m s^-1]|v_RS_R_z [m s^-1]", f.v),
+        **_named("b_w_RS_S_x [rad s^-1]|b_w_RS_S_y [rad s^-1]|b_w_RS_S_z [rad s^-1]", 0 * f.w + 0.01),
+        **_named("a_RS_S_x [m s^-2]|a_RS_S_y [m s^-2]|a_RS_S_z [m s^-2]", f.acc),
+        **_named("w_RS_S_x [rad s^-1]|w_RS_S_y [rad s^-1]|w_RS_S_z [rad s^-1]", f.w),
+    }, digits=19)  # fmt: skip
+
+
+def ulog2csv(path: Path, f: Truth) -> Path:
+    """One table of PX4's fields: microseconds, NED and FRD, pulse widths, motors in PX4's order."""
+    return write_csv(path, {
+        "timestamp": 5e6 + 1e6 * f.t, **_named("x|y|z", f.p @ NED.T), **_named("vx|vy|vz", f.v @ NED.T),
+        **_named("q[0]|q[1]|q[2]|q[3]", frd_quaternion(f)), **_named("xyz[0]|xyz[1]|xyz[2]", f.w @ FRD),
+        **_named("accelerometer_m_s2[0]|accelerometer_m_s2[1]|accelerometer_m_s2[2]", f.acc @ FRD),
+        **_named("output[0]|output[1]|output[2]|output[3]", 1000 + 1000 * f.command[:, [0, 2, 3, 1]]),
+        "voltage_v": f.voltage,
+    }, digits=18)  # fmt: skip
+
+
+def betaflight(path: Path, f: Truth) -> Path:
+    """As blackbox_decode: microseconds, counts of 2048 a g, degrees a second, no position and no attitude."""
+    names = {"loopIteration": np.arange(len(f.t)) * 4.0, "time (us)": 81e6 + 1e6 * f.t,
+             **_named("axisP[0]|axisP[1]|axisP[2]", f.w * 3)}  # fmt: skip
+    names |= _named("gyroADC[0] (deg/s)|gyroADC[1] (deg/s)|gyroADC[2] (deg/s)", np.degrees(f.w))
+    names |= _named("accSmooth[0]|accSmooth[1]|accSmooth[2]", 2048 / G * f.acc)
+    names |= _named("motor[0]|motor[1]|motor[2]|motor[3]", 48 + 1999 * f.command[:, [1, 0, 2, 3]])
+    names |= {"vbatLatest (V)": f.voltage}
+    write_csv(path, names)
+    head, *rows = path.read_text().splitlines()
+    rows = [f"{row},ANGLE_MODE|HORIZON" for row in rows]
+    path.write_text("\n".join([f"{head},flightModeFlags (flags)".replace(",", ", "), *rows, ""]))
+    return path
+
+
+def neurobem(path: Path, f: Truth) -> Path:
+    """As the NeuroBEM set: velocity in the body, rotor speeds, derivatives beside what was measured."""
+    body = f.R.apply(f.v, inverse=True)
+    return write_csv(path, {
+        "t": f.t, **_named("ang acc x|ang acc y|ang acc z", np.gradient(f.w, f.t, axis=0)),
+        **_named("ang vel x|ang vel y|ang vel z", f.w), **_named("quat x|quat y|quat z|quat w", f.q[:, [1, 2, 3, 0]]),
+        **_named("acc x|acc y|acc z", f.acc), **_named("vel x|vel y|vel z", body), **_named("pos x|pos y|pos z", f.p),
+        **_named("mot 1|mot 2|mot 3|mot 4", 2500 * f.command[:, [1, 2, 0, 3]]),
+        **_named("dmot 1|dmot 2|dmot 3|dmot 4", np.gradient(f.command, f.t, axis=0)), "vbat": f.voltage,
+    })  # fmt: skip
+
+
+def unnamed(path: Path, f: Truth) -> Path:
+    """No name says anything: attitude world to body with w last, degrees a second, g, milliseconds, z down."""
+    q = frd_quaternion(f) * [1, -1, -1, -1]
+    columns = np.column_stack([
+        1e3 * f.t, f.p @ NED.T, np.degrees(f.w @ FRD), q[:, [1, 2, 3, 0]], f.v @ NED.T, f.acc @ FRD / 9.80665,
+        65535 * f.command,
+    ])  # fmt: skip
+    return write_csv(path, {f"c{i}": column for i, column in enumerate(columns.T)})
 
 
 MAPPING = """

@@ -36,7 +36,7 @@ def read(path: Path, named: str) -> RawLog:
             return log
     if {"t", "p_x", "q_w"} <= set(table.columns) and all(describe(name).unit for name in table.columns):
         return _under_own_names(table)
-    advice = "pass --mapping FILE, which says what its columns are (docs/real_flights.md)"
+    advice = f"pass --mapping FILE; `quadexp import --describe {path.name}` proposes one"
     raise DataError(f"{path}: a table of unknown origin ({', '.join(table.columns[:6])}, ...): {advice}")
 
 
