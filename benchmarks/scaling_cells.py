@@ -99,14 +99,14 @@ def resident(pid: int | str = "self", name: str = "VmRSS") -> float:
     return float("nan")
 
 
-_keep = build._keep  # as it is without counting
+_keep = build.keep  # as it is without counting
 _built = [0]
 _ended: list[Any] = [None]  # clocks at the end of this process's last cell
 
 
 def _count_builds() -> int:
     """Controllers built by this process so far; begins to count when called first."""
-    build._keep = _counted_keep
+    build.keep = _counted_keep
     return _built[0]
 
 

@@ -43,9 +43,9 @@ class InfeasibleError(UsageError):
     """The reference exceeds the vehicle's total thrust, or the plant's lag what the loop tolerates."""
 
 
-def generator(config: Config) -> np.random.Generator:
+def generator(config: Config, record: dict[str, Any] | None = None) -> np.random.Generator:
     """Random generator of a flight: the same for every controller on one trajectory, plant, vehicle and seed."""
-    return np.random.default_rng(np.random.SeedSequence(flight_entropy(config)))
+    return np.random.default_rng(np.random.SeedSequence(flight_entropy(config, record)))
 
 
 def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
@@ -219,7 +219,9 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     controller = loop.controller
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
     metadata = describe(config, vehicle, model)
-    flight = loop.fly(trajectory, generator(config), digest=path_digest, metadata=metadata, **limits)
+    flight = loop.fly(
+        trajectory, generator(config, metadata["config"]), digest=path_digest, metadata=metadata, **limits
+    )
     residual = {"name": controller.name, "source": controller.source}
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are

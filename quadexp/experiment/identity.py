@@ -46,14 +46,16 @@ def flight_record(config: Config) -> dict[str, Any]:
     return {**nodes, "model": config.model, "seed": config.seed}
 
 
-def flight_entropy(config: Config) -> int:
+def flight_entropy(config: Config, record: dict[str, Any] | None = None) -> int:
     """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
+
+    record: the flight's, where it is there already.
 
     Flights of different controllers have the same noise, so comparisons are paired. Keys that do not decide noise say
     so where they are declared (`noise=False`). The parts of the world are none of it: each has a stream of its own,
     which is the same whatever the others do.
     """
-    nodes = flight_record(config)
+    nodes = record or flight_record(config)
     parts = []
     for group in ("vehicle", "plant", "trajectory"):
         keys = declared(type(getattr(config, group)))

@@ -211,6 +211,8 @@ def record(settings: Settings) -> dict[str, Any]:
 
 def lists(value: Any) -> Any:
     """A value with lists for tuples, at any depth."""
+    if isinstance(value, (float, str, int)):  # most; whether it is a Mapping takes long to find out
+        return value
     if isinstance(value, Mapping):
         return {key: lists(item) for key, item in value.items()}
     return [lists(item) for item in value] if isinstance(value, (list, tuple)) else value

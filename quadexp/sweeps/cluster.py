@@ -251,7 +251,7 @@ def _settled(task: Task, future: Future[Any], result: Any) -> Any:
         return result
     row, content = result
     if content is not None:
-        with written(task.path) as file:
+        with written(task.path, durable=False) as file:
             file.write(content)
     return row
 

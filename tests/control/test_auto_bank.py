@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from quadexp.control.auto.bank import FADING, SKIPPED, SPINS, THRUST, Bank, spin_of, stationary
 from quadexp.control.auto.posterior import Posterior, command_weights
 from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
-from quadexp.physics.state import RATE, VELOCITY
+from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 
 PERIOD = 0.02
 
@@ -128,3 +129,29 @@ def test_the_bands_hold(vehicle, correlation):
         evidence = Posterior(flown(vehicle, seed=seed, **known)).evidence()
         off.append((evidence.mean[:2] - [0.012, 0.03]) / evidence.deviation[:2])
     assert np.mean(np.abs(off) < 2) > 0.8 and np.abs(off).max() < 4
+
+
+@pytest.mark.parametrize("age", [0.0, 0.02, 0.05])
+def test_attitudes_tell_their_age_against_rates_of_now(vehicle, age):
+    """Of a vehicle that turns at random, noise of both sensors and a bias of the gyroscope; within a second."""
+    rng, fine, bias = np.random.default_rng(5), 0.002, np.array([0.02, -0.01, 0.01])
+    noise = 0.005, 0.0035
+    model = no_residual(vehicle)
+    bank = Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD / 2, 0.05, "interpreted", noise)
+    t = fine * np.arange(600)
+    turns = sum(rng.normal(size=3) * np.sin(f * t[:, None] + rng.normal(size=3)) for f in (3.0, 7.0, 11.0))
+    attitudes = [Rotation.identity()]
+    for rate in turns[1:]:
+        attitudes.append(attitudes[-1] * Rotation.from_rotvec(fine * rate))
+    told, command, x = Told(vehicle.n_rotors), np.full(vehicle.n_rotors, vehicle.hover_thrust), np.eye(13)[3]
+    bank.reset(x, command)
+    operations, told.read[0] = bank.after(told, told.state, command), 1.0
+    for k, now in enumerate(range(0, len(t), round(bank.period / fine))):
+        attitude = attitudes[max(now - round(age / fine), 0)] * Rotation.from_rotvec(noise[1] * rng.normal(size=3))
+        told.state[:] = x
+        told.state[ATTITUDE] = attitude.as_quat(scalar_first=True)
+        told.state[RATE] = turns[now] + bias + noise[0] * rng.normal(size=3)
+        run(operations, k)
+    found, odds = Posterior(bank).early()
+    assert abs(found - age) < 0.003
+    assert odds > 8 if age else odds < 1

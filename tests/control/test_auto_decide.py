@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from quadexp.control.auto.decide import CERTAIN, GATE, GRIDS, SURE, Acting, Decision, Senses, grids
-from quadexp.control.auto.following import ForceFollowing, WindFollowing
+from quadexp.control.auto.decide import CERTAIN, GATE, GRIDS, PLAIN, SURE, Acting, Decision, Senses, grids
+from quadexp.control.auto.following import (
+    FASTEST,
+    STRONGEST,
+    ForceFollowing,
+    SpeedFollowing,
+    WindFollowing,
+    speeds_tell,
+)
 from quadexp.control.auto.posterior import Evidence
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.observers.disturbance import DisturbanceObserver
 from quadexp.control.observers.wind import WindObserver
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
 
 NO_BIAS = (np.zeros(3), np.ones(3))
 
@@ -24,6 +34,23 @@ def test_an_age_acts_once_it_is_sure_for_some_decisions():
     acted = [decision.take(sure, Senses(), 3.0).age for _ in range(CERTAIN)]
     assert acted == [*[0.0] * (CERTAIN - 1), 0.01]
     assert Decision().take(evidence(age=0.01, late=SURE - 1), Senses(), 3.0).age == 0.0
+
+
+def test_an_age_that_is_plain_acts_at_once():
+    """By attitude and rates alone, before there is other evidence; and it stays while the evidence does."""
+    decision = Decision()
+    assert decision.at_once(0.05, PLAIN - 1).age == 0.0
+    began = decision.at_once(0.05, PLAIN + 1)
+    assert (began.age, began.fresh) == (0.05, True)
+    assert decision.take(evidence(age=0.05, late=SURE + 1), Senses(), 0.6).age == 0.05
+    fresh = evidence(age=0.05, late=PLAIN + 1)._replace(fresh=True)
+    assert Decision().take(fresh, Senses(), 0.6).age == 0.05
+
+
+def test_no_grid_is_softer_than_what_was_asked_for():
+    asked = MPCSettings(rate=50.0, nodes=10, position_weight=(200.0, 1.0, 500.0))
+    for settings, (*_, weight, _) in zip(grids(asked), GRIDS, strict=True):
+        assert settings.position_weight == (200.0, weight, 500.0)
 
 
 def test_small_changes_of_what_is_known_change_nothing():
@@ -57,6 +84,22 @@ def test_a_push_acts_from_five_deviations_on_and_for_good():
     assert decision.begin(Senses(away=(GATE + 1, 9, 9))).push == (True, False, False)  # thrusts have no time yet
     assert decision.take(evidence(), Senses(away=(0, 9, 9)), 3.0).push == (True, True, True)
     assert decision.take(evidence(sd=0.05), Senses(), 4.0).push == (True, True, True)
+
+
+def test_the_bandwidth_by_rotor_speeds_follows_from_the_sheet(vehicle):
+    """q / (r sqrt(T)), r of accelerometer, speeds (twice their relative noise in the thrust) and attitude; at most
+    FASTEST."""
+    vehicle, period = replace(vehicle, thrust_coefficient=1e-6), 0.01
+    noise = np.hypot(1.0, 0.02 * vehicle.gravity)  # of four rotors: 2 / sqrt(4)
+    sheet = SensorSheet(accelerometer=Stated(1.0), rotor_speed=Stated(0.02, delay=0.01))
+    assert speeds_tell(vehicle, sheet)
+    K = 1 - np.exp(-STRONGEST / (noise * np.sqrt(period)) * period)
+    settings = SpeedFollowing(vehicle, sheet, period).follow(np.zeros(39), Acting(), Acting(), Senses())
+    assert settings[1] == pytest.approx(noise**2) and settings[0] == pytest.approx(noise**2 * K**2 / (1 - K))
+    exact = SpeedFollowing(vehicle, SensorSheet(rotor_speed=Stated()), period)
+    assert exact.follow(np.zeros(39), Acting(), Acting(), Senses())[7] == pytest.approx(1 - np.exp(-FASTEST * period))
+    for other in (SensorSheet(), SensorSheet(rotor_speed=Stated(rate=25.0))):
+        assert not speeds_tell(vehicle, other)
 
 
 @pytest.mark.parametrize("kind", ["wind", "force"])

@@ -226,3 +226,25 @@ def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
     assert abs(spin_up) > 0.01 * yaw  # without it the rotors would be asked for more
     with pytest.raises(UsageError, match="rotor_inertia"):
         indi_function(vehicle, keys)
+
+
+@pytest.mark.parametrize("age", [0.0, 0.01])
+def test_rates_are_compared_with_thrusts_of_their_time(vehicle, age):
+    """A vehicle that spins up under a growing torque, told of its rotors' speeds `age` late, gets the torque that is
+    wanted on top of what it has; compared with rates of now it would miss the growth in that time."""
+    vehicle, keys, growth = replace(vehicle, thrust_coefficient=1e-6), INDIKeys(rate=300.0), 20.0  # rad/s^3
+    spin = np.linalg.pinv(vehicle.allocation) @ np.array([0, vehicle.inertia_matrix[0, 0], 0, 0])  # N for 1 rad/s^2
+    hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    loop = INDI(Held(vehicle, hover, 1 / 300), keys, backend="interpreted", late=age)
+    window = Window(np.zeros((1, N_STATE)), hover[None], np.zeros((5, 3)), np.zeros(3))
+    x = np.eye(N_STATE)[3]
+    loop.reset(x, window)
+    for k in range(150):
+        t = k / 300
+        x[RATE][0] = growth * t**2 / 2
+        speed = np.sqrt((hover + spin * growth * max(t - age, 0)) / vehicle.thrust_coefficient)
+        command, _ = loop.step(Measurement(t, x, np.zeros(3), speed), window)
+    wrench = vehicle.allocation @ command
+    # The rate's slope at the filter's time is half a period older than its newest value
+    assert wrench[1] / vehicle.inertia_matrix[0, 0] == pytest.approx(growth / 600, abs=0.02)
+    assert wrench[0] == pytest.approx(4 * vehicle.hover_thrust)

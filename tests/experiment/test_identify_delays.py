@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app
-from quadexp.control.delay.timing import Stream, find_delays
+from quadexp.control.delay.moments import Moments, Stream
+from quadexp.control.delay.timing import Search
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.delays import overrides, told
@@ -22,7 +23,7 @@ NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", 
 
 def found(overrides_given):
     config = compose(overrides_given)
-    return find_delays(told(fly_one(config), "a flight"), build_vehicle(config.vehicle))
+    return Search(Moments(told(fly_one(config), "a flight"), build_vehicle(config.vehicle))).find()
 
 
 @pytest.mark.parametrize(
@@ -71,7 +72,7 @@ def test_a_log_without_commands_or_accelerometer_is_refused(without, said):
 def test_too_few_samples_are_refused():
     flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
     with pytest.raises(DataError, match=r"delays cannot be found in 51 samples, 100 are needed"):
-        find_delays(told(flight, "short"), build_vehicle(compose([]).vehicle))
+        Moments(told(flight, "short"), build_vehicle(compose([]).vehicle))
 
 
 def test_the_command_prints_what_to_set(tmp_path):
@@ -106,5 +107,6 @@ def test_an_age_shows_on_the_axes_that_the_noise_of_the_thrust_is_not_on(age):
     reading = force[now] + rng.normal(size=(len(now), 3)) * [0.02, 0.02, 1.5]
     vehicle = build_vehicle(compose([], None).vehicle)
     command = np.full((len(now), 4), vehicle.hover_thrust)
-    found = find_delays(Stream(t[now], state[now - round(age / step)], reading, command), vehicle)
+    stream = Stream(t[now], state[now - round(age / step)], reading, command)
+    found = Search(Moments(stream, vehicle)).find()
     assert found.age == pytest.approx(age, abs=5e-4) and found.age_error < 1e-3

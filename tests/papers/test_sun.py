@@ -50,12 +50,7 @@ def test_published_data():
 
 @pytest.mark.parametrize(
     ("experiment", "feasible", "others"),
-    [
-        ("sun", True, 20 * 4),
-        ("sun_infeasible", False, 2),
-        ("sun_ours", True, 20 * 5 + 3),
-        ("equal_knowledge", True, 80),
-    ],
+    [("sun", True, 20 * 4), ("sun_infeasible", False, 2), ("sun_ours", True, 20 * 5), ("sun_equal", True, 80)],
 )
 def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, others):
     with session() as composer:
@@ -66,7 +61,7 @@ def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, oth
             numbers = (float(given[f"trajectory.{name}"]) for name in ("speed", "acceleration", "ratio"))
             found.add((given["trajectory.plane"], *numbers))
     wanted = {(e.plane, e.speed, e.acceleration, e.ratio) for e in ellipses() if e.feasible is feasible}
-    spread = experiment == "equal_knowledge"  # a quarter of them, in all planes, ratios and speeds
+    spread = experiment == "sun_equal"  # a quarter of them, in all planes, ratios and speeds
     assert len(cells) == others * len(found) and (found < wanted if spread else found == wanted)
     if spread:
         values = [[set(one) for one in np.array(sorted(some), dtype=object).T] for some in (found, wanted)]
@@ -164,9 +159,22 @@ def test_what_no_rotor_can_give_is_told_apart():
 def test_the_tables_have_every_condition_and_controller():
     rows = [row(world, name, "ok", 0.1) for world in TITLES for name in ("sun_dfbc+indi", "sun_nmpc", "gp_mpc")]
     text = sun_table(conditions(rows))
-    assert text.count("| baseline |") == 3 and "as logged" in text and "printed position" in text
+    assert text.count("| baseline |") == 4 and "as logged" in text and "printed position" in text
     assert overview(rows).columns == ["condition", "sun_nmpc", "sun_dfbc+indi", "gp_mpc"]
     assert [line[0] for line in overview(rows).rows] == list(TITLES.values())
+
+
+def test_sensors_stand_with_the_controller_and_both_errors_beside_the_best_printed_one():
+    rows = [
+        row(f"sun_late_30{sensor}", "sun_mpc+auto", "ok", rmse) for sensor, rmse in (("", 0.1), (",sensor=low", 0.2))
+    ]
+    rows = [one | {"rmse_logged": 2 * one["rmse"]} for one in rows]
+    found = conditions(rows)
+    assert {name: [*worlds] for name, worlds in found.items()} == {
+        "sun_mpc+auto": ["sun_late_30"], "sun_mpc+auto, low sensors": ["sun_late_30"],
+    }  # fmt: skip
+    lines = [line for line in sun_table(found).splitlines() if line.startswith("| 30 ms") and "0.158" in line]
+    assert [line.split("|")[-3:-1] for line in lines] == [[" yes ", " no "], [" no ", " no "]]
 
 
 def flight(*overrides):

@@ -13,6 +13,7 @@ from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
 from quadexp.parts.compose import expand
+from quadexp.sweeps import sweep
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
 from quadexp.sweeps.results import select
@@ -74,6 +75,22 @@ class TestSweep:
         assert len(columns["key"]) == 12 and len(record["conditions"]) == 12
         flight = read_flight(CellStore(tmp_path / "r").path(columns["key"][0]))
         assert flight.metadata["row"]["controller"] == "nominal_mpc"
+
+    def test_the_disk_holds_the_cells_before_a_table_says_so(self, grid, tmp_path, monkeypatch):
+        """They are flushed together: each by itself would wait for the disk as long as it flies."""
+        flushed = []
+
+        def flush(folder):
+            flushed.append(
+                (folder, len(list(folder.rglob("*.parquet"))), (tmp_path / "r" / "results.parquet").exists())
+            )
+            os.sync()
+
+        monkeypatch.setattr(sweep, "flush", flush)
+        fly(grid, tmp_path / "r")
+        assert flushed == [(tmp_path / "r" / "cells", len(grid), False)]
+        fly(grid, tmp_path / "r")
+        assert len(flushed) == 1
 
     def test_more_seeds_may_be_added(self, grid, tmp_path):
         fly(grid, tmp_path / "r")

@@ -1,5 +1,7 @@
 """Noise is a function of time: white and normal, drawn in its time, the same at every control rate and step."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from quadexp.world.motion_capture import ImuMocap
 from quadexp.world.sensors import Sensors
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.stated_estimate import StatedEstimate
-from quadexp.world.streams import TICK, Held, Sampled, Ticking, part_stream
+from quadexp.world.streams import BLOCK, TICK, Held, Sampled, Streams, Ticking, part_stream
 from quadexp.world.world import World
 
 
@@ -54,6 +56,24 @@ def test_sampled_numbers_are_independent_and_normal():
         assert found == pytest.approx(np.eye(3) * (lag == 0), abs=4.5 * np.sqrt(2 / n))
     one = Sampled(3, (0.0,)).begin(part_stream(np.random.default_rng(1), "any"))(TICK * np.arange(n), 0.0)
     assert np.abs((x * one).mean(axis=0)).max() < 4.5 / np.sqrt(n)
+
+
+@pytest.mark.parametrize("periods", [1, 127, 128, 300])
+def test_no_more_is_drawn_than_a_flight_needs_and_it_is_the_same(periods):
+    """What comes behind the end, where a flight goes on all the same, is drawn too."""
+    period = 1 / 60
+    drawn = [Held(2, (0.0, 5e-3, period)), Ticking(1, 5e-3, period), Sampled(3, (0.0, 2e-3))]
+    found = []
+    for duration in (0.0, periods * period):
+        streams = Streams([(np.random.default_rng(i), one) for i, one in enumerate(drawn)], period, duration)
+        numbers = np.empty((periods + 5, streams.size))
+        for row in numbers[:periods]:
+            streams.standard_normal(out=row)
+        assert streams.end == (periods if duration else BLOCK * math.ceil(periods / BLOCK))
+        for row in numbers[periods:]:
+            streams.standard_normal(out=row)
+        found.append(numbers)
+    assert np.allclose(*found, rtol=0, atol=1e-9)
 
 
 def test_parts_have_streams_of_their_own_and_leave_the_generator_alone():

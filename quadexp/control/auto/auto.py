@@ -39,8 +39,9 @@ from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE, VELOCITY
 
-LOOKS, DECIDES = 0.1, 0.2  # s, between two looks at what is measured, and between decisions
+LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
+INEXACT = 0.03  # of a delay: motors lag up and down unlike, and messages take unlike times
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
@@ -79,6 +80,7 @@ class Auto(WrappedController):
         self._sheet = sheet
         self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, (rate, attitude))
         self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
+        self._begins = np.ones(1)  # whether there is no other evidence yet
         self._posterior, self._decision = Posterior(self._bank), Decision()
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
@@ -107,7 +109,7 @@ class Auto(WrappedController):
         self._decision.reset()
         self._bank.weights[...] = self._posterior.weights(*self._posterior.best)
         self._beliefs[...], self._minus_bias[...] = NOTHING_KNOWN, 0.0
-        self._time = self._again = 0.0
+        self._time, self._again, self._begins[0] = 0.0, 0.0, 1.0
         self._observe(Acting(), Acting(), Senses())
 
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], Told, np.ndarray]:
@@ -115,11 +117,18 @@ class Auto(WrappedController):
         inside = copying.copy(told)
         inside.force = self._unbiased
         inside.turning = told.turning if self._turns else np.zeros(1)
-        decide = python(self._decide, told.read)._replace(every=self._looks * self._bank.every)
+        look = python(self._look, self._begins)._replace(every=self._looks * self._bank.every)
+        decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)
         now = np.zeros(N_STATE)
-        operations = [decide, Operation("add", self._unbiased, told.force, self._minus_bias), *predicted, *propagated]
+        operations = [
+            look,
+            decide,
+            Operation("add", self._unbiased, told.force, self._minus_bias),
+            *predicted,
+            *propagated,
+        ]
         operations += [copy(now, by_model), copy(now, by_readings, self._fresh)]
         return operations, inside, now
 
@@ -145,18 +154,12 @@ class Auto(WrappedController):
     def _decide(self) -> None:
         """Look at the evidence so far, and act on it from this instant on."""
         bank = self._bank
-        self._time += self._looks * bank.period
+        self._time += self._decides * bank.period
         senses, before = self._senses(), self._decision.acting
-        begins = bank.count < self._decides + self._looks
-        if begins or self._time < self._again:
-            acting = before
-            if begins:
-                acting = self._decision.begin(senses, *(self._posterior.early() if bank.turns else ()))
-                if acting.age != before.age:
-                    self._use(acting)
-            self._observe(acting, before, senses)
+        if bank.count < self._decides or self._time < self._again:
+            self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
             return
-        self._again = max(self._time + DECIDES - bank.period / 2, self._time * LATER)
+        self._again, self._begins[0] = self._time * LATER, 0.0
         evidence = self._posterior.evidence()
         acting = self._decision.take(evidence, senses, self._time)
         late = 0.0 if evidence.fresh else evidence.mean[0]
@@ -168,10 +171,17 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        known = (*evidence.mean, *np.hypot(evidence.deviation, self._inertial_age))
+        inexact = np.hypot(INEXACT * evidence.mean, self._inertial_age)
+        known = (*evidence.mean, *np.hypot(evidence.deviation, inexact))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
+
+    def _look(self) -> None:
+        """Act on an age that attitude and rates show before there is other evidence."""
+        before = self._decision.acting
+        if self._bank.turns and self._decision.at_once(*self._posterior.early()) != before:
+            self._use(self._decision.acting)
 
     def _senses(self) -> Senses:
         """What the bank has measured beside the delays."""
@@ -186,8 +196,8 @@ class Auto(WrappedController):
         torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
         (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
         pushes = float(away[:2].max()), float(away[2]), torque
-        velocity = part("x")[VELOCITY].copy()
-        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity)
+        velocity, swing = part("x")[VELOCITY].copy(), float(part("sent")[2::3].std())
+        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity, swing)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""

@@ -54,7 +54,8 @@ class Senses:
     """What is measured beside the delays, see senses.py. away: deviations of the lateral push, the vertical one and the
     torque from zero. walk: of the push, (3,) (m/s^2 in a root of a second). reading: deviation of a reading from the
     model, (3,) (m/s^2). position (m), attitude (rad), rate (rad/s): of the told state. twist: walk of the torque
-    (rad/s^2 in a root of a second). velocity: that is told, (3,) (m/s)."""
+    (rad/s^2 in a root of a second). velocity: that is told, (3,) (m/s). swing: deviation of the last thrusts over
+    the mass (m/s^2)."""
 
     away: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -64,6 +65,7 @@ class Senses:
     rate: float = 0.0
     twist: float = 0.0
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    swing: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,11 +97,15 @@ class Decision:
         """Nothing is acted on."""
         self.acting, self._certain = Acting(), 0
 
-    def begin(self, senses: Senses, age: float = 0.0, late: float = 0.0) -> Acting:
-        """What to act on where no more is known of delays than an age by attitude and rates (s), and its log odds."""
-        self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
-        if late > PLAIN and age > LEAST_AGE:
+    def at_once(self, age: float, late: float) -> Acting:
+        """What to act on where nothing is known but an age by attitude and rates (s), and its log odds."""
+        if late > PLAIN and age > LEAST_AGE and not self.acting.age:
             self.acting, self._certain = replace(self.acting, age=age, fresh=True), CERTAIN
+        return self.acting
+
+    def begin(self, senses: Senses) -> Acting:
+        """What to act on where nothing is known of the delays yet."""
+        self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
         return self.acting
 
     def take(self, evidence: Evidence, senses: Senses, time: float) -> Acting:

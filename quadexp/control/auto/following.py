@@ -4,8 +4,9 @@ The wind where the model of the air has a drag that tells it, the force otherwis
 a walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a period T: q / (r sqrt(T)).
 
 Deviations, for the bands: of a force that walks by q, under a gain K, ((1 - K)^2 q^2 T + K^2 r^2) / (1 - (1 - K)^2) is
-the variance; beside it what readings are off all along by their data sheet. Of a wind that of the filter, these offsets
-as a wind, and an airspeed times the thrust scale's distance from 1: by a wrong mass the drag is off as much.
+the variance; beside it what readings are off all along by their data sheet, and SCALE of what thrusts swing by. Of a
+wind that of the filter, these offsets as a wind, and an airspeed times the thrust scale's distance from 1: by a wrong
+mass the drag is off as much. Where no such scale is found, thrusts may be off by UNTIMED, which looks like a wind on z.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.control.auto.decide import Acting, Senses
+from quadexp.control.auto.posterior import SCALE
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.disturbance import DisturbanceObserver, disturbance_settings
 from quadexp.control.observers.filters import N_SCALED
@@ -29,6 +31,7 @@ LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the
 TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of the torque
 STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the observer's own settings
 UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
+SWING = 10.0  # m/s^2: where thrusts swing by more, a scale of theirs would look like a force that jumps with them
 SLOW = 3.0  # rad/s, of a force then
 LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
 # Where rotor speeds are told: readings of them in a second, the largest bandwidth of the force (rad/s), its walk (m/s^2
@@ -43,7 +46,7 @@ class WindFollowing:
 
     def __init__(self, config: WindObserver, period: float, offset: float, slope: float) -> None:
         """offset: of readings (m/s^2). slope: acceleration by wind, where it hovers in a breeze (1/s)."""
-        self.config, self._period, self._offset = config, period, offset / slope
+        self.config, self._period, self._offset, self._slope = config, period, offset / slope, slope
         self._velocity = np.zeros(3)
         self.around = config.around
         first = N_AIR + N_AIR**2
@@ -86,7 +89,8 @@ class WindFollowing:
         variances = estimate[N_AIR + (N_AIR + 1) * np.arange(N_AIR)]
         known = np.sqrt(np.where(variances > 1e-6, variances, np.nan))
         by_drag = estimate[self._scale] * np.linalg.norm(self._velocity - estimate[self._wind])
-        return np.array([*np.hypot(known[:3], math.hypot(self._offset, by_drag)), np.nan, known[3]])
+        by_thrust = np.array([0.0, 0.0, 0.0 if self._scaled else UNTIMED / self._slope])
+        return np.array([*np.hypot(known[:3], by_thrust + math.hypot(self._offset, by_drag)), np.nan, known[3]])
 
 
 class SpeedFollowing:
@@ -141,7 +145,8 @@ class ForceFollowing:
         config, (lateral, vertical, torque) = self.config, acting.push
         shown, first = lateral or vertical, not (before.push[0] or before.push[1])
         by_noise = float((senses.walk / np.maximum(senses.reading, 1e-3)).max()) / math.sqrt(self._period)
-        bandwidth = min(config.force_bandwidth / (1 + 15 * LIFT * senses.attitude), max(by_noise, 1e-3))
+        most = config.force_bandwidth / (1 + 15 * LIFT * senses.attitude + max(senses.swing - SWING, 0.0) / SWING)
+        bandwidth = min(most, max(by_noise, 1e-3))
         config = replace(
             config,
             force_bandwidth=bandwidth if acting.timed else min(bandwidth, SLOW),
@@ -150,7 +155,8 @@ class ForceFollowing:
         stays = math.exp(-config.force_bandwidth * self._period)
         walked = stays**2 * float(senses.walk.max()) ** 2 * self._period
         read = (1 - stays) ** 2 * (float(np.square(senses.reading).mean()) + (LIFT * senses.attitude) ** 2)
-        self._deviation = math.hypot(math.sqrt((walked + read) / (1 - stays**2)), self._offset)
+        by_filter = math.sqrt((walked + read) / (1 - stays**2))
+        self._deviation = math.hypot(by_filter, self._offset, SCALE * senses.swing)
         if shown and first:
             estimate[6] = config.force_initial**2
         estimate[:3] *= shown

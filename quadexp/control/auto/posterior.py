@@ -7,9 +7,9 @@ gyro's filter another one that is kept near it: a scale that is wrong would be t
 is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order process. The grid is
 over the age, the total d + l, which is known much better than either, and the lag.
 
-The told rates are as old as the rest of the state, or of now (`fresh`), whichever the gyro says. In the second case the
-velocity alone tells the age, against readings whose noise every age adds up in another way: it counts by the share of
-what an age changes that is not noise.
+The told rates are as old as the rest of the state, or of now (`fresh`), whichever gyro and attitude say. In the second
+case attitude and velocity tell the age: the velocity against readings whose noise every age adds up in another way, so
+that it counts by the share of what an age changes that is not noise.
 """
 
 from __future__ import annotations
@@ -141,8 +141,7 @@ class Posterior:
         if choose or self._fresh:  # then the velocity alone tells the age
             fresh = J - (1 - share) * by_velocity + by_attitude + self._gyro(totals[None], lags, scales)
         if choose or not self._fresh:
-            together = self._attitude(np.zeros(1))
-            late = J + together + self._gyro(ages[:, None] + totals, lags, scales)
+            late = J + self._attitude(np.zeros(1)) + self._gyro(ages[:, None] + totals, lags, scales)
         if choose:
             self._fresh = bool(fresh.max() > (late - (1 - share) * by_velocity).max() + FRESHER)
         J = fresh if self._fresh else late
@@ -195,13 +194,10 @@ class Posterior:
 
     def _attitude(self, ages: np.ndarray) -> np.ndarray:
         """Log likelihood of ages (a,) of the attitude against the rates."""
-        bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
-        W, now = (
-            np.stack([_of_readings(age, bank.period, readings) for age in ages]),
-            _of_readings(0.0, bank.period, readings),
-        )
+        bank, columns = self._bank, self._bank.layout.columns
+        now, *W = (_of_readings(age, bank.period, bank.layout.readings) for age in (0.0, *ages))
         n, G = 3 * bank.turns, bank.turn_sums
-        squares, even, bias, _ = _of_ages(G, W, now, n, *bank.turned_by, TURN_BIAS)
+        squares, even, bias, _ = _of_ages(G, np.array(W), now, n, *bank.turned_by, TURN_BIAS)
         k = int((squares / even).argmin())
         whole = np.concatenate([[1], -W[k], bias[k]])
         worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))

@@ -178,10 +178,6 @@ def _zeros(size: int) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _row(vehicle: Vehicle, period: float) -> ca.Function:
-    return row_function(vehicle, period)
-
-
-def row_function(vehicle: Vehicle, period: float) -> ca.Function:
     """z of an instant, and what it adds to the sums over spans.
 
     Inputs: told states x_before, x (13,); forces, rates (3, lags + 1), thrusts (3, all commands), the oldest first: s

@@ -26,7 +26,7 @@ from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.delay.strapdown import KnownDelay
 from quadexp.control.delivered import SETTLED, SentCommands
-from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python
+from quadexp.control.instant import Instant, Told, call, copy, instant_of, python
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import key
@@ -87,22 +87,19 @@ class Prediction(WrappedController):
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        operations, now = self.before(told, state)
+        operations, now = [], state
+        if self._predict is not None:
+            operations = [python(self._grow, self._young), copy(self._x, state), copy(self._now, state)]
+            if self._observer is not None:
+                operations.append(python(self._tell_belief))
+            operations.append(call(self._predict, self._moves))
+            now = self._now
         if self.ahead:
             operations.append(python(lambda: told.look(self._later(told.window))))
         inner = instant_of(self.inner, told, now)
         operations += [*inner.operations, *self.commands.after(inner.command)]
         operations += [copy(self._arguments[name], value) for name, value in self._believed.items()]
         return inner._replace(operations=operations)
-
-    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
-        """Predicts from the state that is found there, (13,), and the array that has the state of now then."""
-        if self._predict is None:
-            return [], state
-        operations = [python(self._grow, self._young), copy(self._x, state), copy(self._now, state)]
-        if self._observer is not None:
-            operations.append(python(self._tell_belief))
-        return [*operations, call(self._predict, self._moves)], self._now
 
     def _grow(self) -> None:
         """Until `delay` has passed since the start, the measured state is that of the start."""

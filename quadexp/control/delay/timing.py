@@ -32,7 +32,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes, Stream
+from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
 from quadexp.control.delivered import INSTANT, SentCommands, command_weights
 from quadexp.physics.vehicle import Vehicle
 
@@ -83,11 +83,6 @@ class Delays:
     def gyro_fresh(self) -> bool:
         """Whether the told body rate is nearer to now than to the attitude's time."""
         return self.gyro > self.age / 2
-
-
-def find_delays(stream: Stream, vehicle: Vehicle) -> Delays:
-    """Delays of a stream of one flight. Raises DataError where it is too short."""
-    return Search(Moments(stream, vehicle)).find()
 
 
 class Search:
@@ -273,10 +268,6 @@ def within_periods(sizes: Sizes, dead_time: float, lag: float) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _evaluate(vehicle: Vehicle, period: float) -> ca.Function:
-    return evaluate_function(vehicle, period)
-
-
-def evaluate_function(vehicle: Vehicle, period: float) -> ca.Function:
     """What candidates leave of thrust and turning.
 
     Inputs: at (3,): dead time, lag, age of the rates (s); the sums thrust, turning_x, turning_y of Moments, whole

@@ -69,6 +69,7 @@ TITLES = {
 WEAKER = {"sun_mass_30": (1.3, 1.0), "sun_ct_minus_30": (1.0, 0.7)}  # world -> factors on mass and on thrust
 INFEASIBLE_SET = "sun_baseline, infeasible"  # as a world: the ideal case of the infeasible ellipses
 OURS, KNOWN_AGE = "sun_mpc", "+strapdown"  # the controller others are compared with; late rows have it, others need not
+SENSOR = ",sensor="  # behind a world's name: sensors that are not exact
 PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
 
 Row = Mapping[str, Any]
@@ -123,7 +124,7 @@ def _mean(values: np.ndarray) -> float:
 
 def _possible(row: Row) -> bool:
     """Whether the rotors give the thrust that the row's ellipse takes, in its world."""
-    mass, thrust = WEAKER.get(row["plant"].partition("/")[2], (1.0, 1.0))
+    mass, thrust = WEAKER.get(_world(row), (1.0, 1.0))
     return mass == thrust or _ellipse(row).thrust(mass * MASS) <= thrust * THRUST
 
 
@@ -136,13 +137,19 @@ def _ellipse(row: Row) -> Ellipse:
 
 
 def _world(row: Row) -> str:
-    world = str(row["plant"].partition("/")[2])
+    world = str(row["plant"].partition("/")[2]).partition(SENSOR)[0]
     return world if world != "sun_baseline" or _ellipse(row).feasible else INFEASIBLE_SET
 
 
+def _flown_by(row: Row) -> str:
+    """The controller with its remedies, and its sensors where they are not exact."""
+    sensor = str(row["plant"]).partition(SENSOR)[2]
+    return f"{row['controller']}, {sensor} sensors" if sensor else str(row["controller"])
+
+
 def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
-    """Controller (with its variant's remedies) -> world -> condition; both in the order of the tables."""
-    groups = grouped((row["controller"], row) for row in rows)
+    """Controller (with its variant's remedies and sensors) -> world -> condition; both in the order of the tables."""
+    groups = grouped((_flown_by(row), row) for row in rows)
     names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
     worlds = {name: grouped((_world(row), row) for row in groups[name]) for name in names}
     return {name: {world: Condition.of(of[world]) for world in _in_order(of)} for name, of in worlds.items()}
@@ -191,15 +198,18 @@ def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figu
     return {"sun": "\n\n".join(texts)}, {"sun": sun_figure(flown)}
 
 
-def compared(rows: Iterable[Row]) -> Table:
+def compared(flights: Iterable[Row]) -> Table:
     """Every controller against OURS with the same remedies, paired by ellipse; no line without one.
 
     Mean over ellipses of the RMSE with its 95 % interval, a lost flight counted as there. The ellipses are what varies:
     none of these plants has noise.
     """
     errors: dict[tuple[str, str], dict[Ellipse, float]] = {}
-    for row in rows:
-        key = (str(row["controller"]).removesuffix(KNOWN_AGE), _world(row))
+    rows = [(str(row["controller"]), _world(row), row) for row in flights]
+    plain = {(name, world) for name, world, _ in rows}
+    for name, world, row in rows:
+        short = name.removesuffix(KNOWN_AGE)
+        key = (name if (short, world) in plain else short, world)
         lost = row["outcome"] not in COMPLETED
         errors.setdefault(key, {})[_ellipse(row)] = CRASHED[0] if lost else float(row["rmse"])
     pairs = {}
@@ -219,17 +229,16 @@ def compared(rows: Iterable[Row]) -> Table:
         return f"{_mean(values):.3f}{limits}{'*' * bool(differs.get((name, world)))}" if len(values) else ""
 
     worlds = _in_order(dict.fromkeys(world for _, world in pairs))
-    title = (
-        f"RMSE (m), mean over ellipses [95 % interval], a lost flight {CRASHED[0]:g} m; * differs from {OURS} with the"
-    )
-    title += f" same remedies (p < {ALPHA:g}, permutations paired by ellipse, Holm over {len(pairs)})"
+    title = f"RMSE (m), mean over ellipses [95 % interval], a lost flight {CRASHED[0]:g} m; * differs from {OURS} with"
+    title += f" the same remedies (p < {ALPHA:g}, permutations paired by ellipse, Holm over {len(pairs)})"
     lines = [[TITLES.get(world, world), *(text(name, world) for name in names)] for world in worlds]
     return Table(["condition", *names], lines, title)
 
 
 def sun_table(flown: Mapping[str, Mapping[str, Condition]]) -> str:
-    """Markdown: for every published controller ours and theirs, then all controllers side by side."""
+    """Markdown: every published controller, ours and theirs; every other one beside the best printed; all together."""
     tables = [_beside(name, flown[name]) for name in PUBLISHED if name in flown]
+    tables += [_against_best(name, worlds) for name, worlds in flown.items() if name not in PUBLISHED]
     return "\n\n".join([*tables, _all(flown).markdown()])
 
 
@@ -264,6 +273,25 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
     flights = ", ".join(str(number) for number in sorted({condition.flights for condition in worlds.values()}))
     title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
     return Table(heads, lines, title, notes=[*notes, *_apart(name, worlds)]).markdown()
+
+
+def _against_best(name: str, worlds: Mapping[str, Condition]) -> str:
+    """Both readings of the error beside the best mean that is printed, whichever controller has it."""
+    best: dict[str, float] = {}
+    for (world, _), theirs in published().items():
+        best[world] = min(theirs.position, best.get(world, math.inf))
+    lines = []
+    for world, ours in worlds.items():
+        lost = f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost)
+        possible = f"{_number(ours.possible_position, 3)} ({ours.possible})" if ours.possible < ours.flights else ""
+        below = ["yes" if error[0] < best.get(world, -math.inf) else "no" for error in (ours.position, ours.logged)]
+        errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1), lost, possible]
+        lines.append([TITLES.get(world, world), *errors, _number(best.get(world, math.nan), 3), *below])
+    heads = (
+        "condition", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "possible (m, flights)",
+        "best printed (m)", "below", "as logged",
+    )  # fmt: skip
+    return Table(heads, lines, f"{name}: mean (SD) over the flights, beside the best mean printed").markdown()
 
 
 def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
