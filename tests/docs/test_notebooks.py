@@ -15,9 +15,10 @@ AGAIN = "execute it again: python -m tests.docs.notebooks"
 
 
 def texts(cell) -> list[str]:
-    """Lines that a cell prints, those aside that differ from run to run."""
-    found = "".join(output["text"] for output in cell.get("outputs", ()) if output["output_type"] == "stream")
-    return [line.strip() for line in found.splitlines() if line.strip() and not line.strip().startswith(LOOSE)]
+    """Lines that a cell prints, those aside that differ from run to run, and that of who waits on a slow machine."""
+    printed = "".join(output["text"] for output in cell.get("outputs", ()) if output["output_type"] == "stream")
+    printed = re.sub(r"\r[^\r\n]*\x1b\[K", "", printed)
+    return [line.strip() for line in printed.splitlines() if line.strip() and not line.strip().startswith(LOOSE)]
 
 
 def kinds(cell) -> list[list[str]]:
