@@ -30,7 +30,7 @@ LOOPS = (
     "controller=perfect_mpc",
     "controller=perfect_mpc horizon=stiff",
     f"controller=perfect_mpc remedies=wind {NOISE}",
-    f"controller=perfect_mpc remedies=unknown_vehicle {SPEEDS}",
+    f"controller=perfect_mpc observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi {SPEEDS}",
     "controller=geometric",
     "controller=geometric adaptive=l1",
     "controller=pid",

@@ -26,6 +26,7 @@ FORMER = {
     "delay.after": _DELAYS,
     "delay.assumed": _DELAYS,
     "remedies=unknown_delays": "remedies=auto",
+    "remedies=unknown_vehicle": "remedies=auto; its observer and INDI by keys: docs/migrating.md",
     "remedies=all": "remedies=auto; delays that are known are told as docs/delays.md does, all together",
     "engine=slurm": "engine=jobs (engine.system=slurm), and what its queue takes in engine.options",
     "engine.tls": _TLS,

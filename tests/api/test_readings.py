@@ -12,7 +12,7 @@ ALONE = ("nominal_mpc", "online_mpc", "dfbc", "geometric", "pid", "raptor", "rot
 AROUND = {
     "nominal_mpc": (
         "observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01",
-        "delay=strapdown delay.time=0.01", "remedies=unknown_vehicle", "remedies=auto",
+        "delay=strapdown delay.time=0.01", "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi", "remedies=auto",
     ),
     "perfect_mpc": ("observer=wind", "observer=wind delay=prediction motor=states horizon=firm"),
     "dfbc": ("observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01", "remedies=auto"),

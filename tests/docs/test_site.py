@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.report.test_browser import browser, show, wait  # noqa: F401
+from tests.report.test_browser import browser, show  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 LOADED = re.compile(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"?https?://(?!squidfunk)[^\" >]+")
@@ -100,5 +100,11 @@ def test_in_a_browser_a_page_opened_from_a_file_has_its_scheme_its_search_and_no
         "i.value = 'gyroscope'; i.dispatchEvent(new KeyboardEvent('keyup', {bubbles: true}));"
         "i.dispatchEvent(new Event('input', {bubbles: true}))"
     )
-    wait(browser, "document.querySelector('.md-search-result__meta').textContent.includes('document')")
+    from selenium.common.exceptions import WebDriverException
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    counted = "return document.querySelector('.md-search-result__meta').textContent.includes('document')"
+    WebDriverWait(browser, 180, ignored_exceptions=[WebDriverException]).until(
+        lambda page: page.execute_script(counted)
+    )
     assert browser.get_log("browser") == []

@@ -329,7 +329,7 @@ REMEDIES = {
     "geometric observer=disturbance inner=indi inner.rate=500 observer.torque_bandwidth=0": (),
     "perfect_mpc observer=wind": ("wind=gust",),
     "nominal_mpc observer=disturbance observer.scale_walk=0.1 horizon=stiff": ("wind=gust",),
-    "perfect_mpc remedies=unknown_vehicle": SPEEDS,
+    "perfect_mpc observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi": SPEEDS,
     "perfect_mpc remedies=auto": ("world=everything",),
     "nominal_mpc remedies=auto": (*SPEEDS, "sensor=high", "estimator=late"),
     "dfbc remedies=auto": ("world=only_late_estimate",),

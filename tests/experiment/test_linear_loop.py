@@ -150,7 +150,8 @@ COMBINATIONS = {
     "everything": f"controller=nominal_mpc world=everything wind=none battery=none {NOISELESS}",
     "race": f"controller=nominal_mpc world=race battery=none link.jitter=0 {NOISELESS}"
     " actuator.time_constant_down=0.0125",
-    "unknown_vehicle": "controller=nominal_mpc remedies=unknown_vehicle",
+    "scales_indi": "controller=nominal_mpc observer=disturbance observer.force_bandwidth=100 observer.force_limit=50"
+    " observer.torque_bandwidth=0 observer.scale_walk=0.005 observer.air_walk=0.01 inner=indi inner.cutoff=30",
     "l1": "controller=nominal_mpc adaptive=l1",
     "prediction": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03 delay=prediction"
     " delay.time=0.03",
@@ -194,7 +195,7 @@ def test_flights_decay_below_a_margin_and_grow_above(name, kind):
     words = COMBINATIONS[name].split()
     loop = flown(*words)
     plant = loop.plant
-    if kind == "lag" and (getattr(plant, "loop_lag", 0.0) or name in ("blade_element", "unknown_vehicle")):
+    if kind == "lag" and (getattr(plant, "loop_lag", 0.0) or name in ("blade_element", "scales_indi")):
         pytest.skip("motors have one lag, and this observer refuses those of an unknown one")
     known = margins(hover_loop(loop.controller, plant))
     assert known["growth"] <= SLOW and known[kind] > 0

@@ -101,7 +101,7 @@ def test_a_combination_flies_and_does_something_or_is_refused(controller, parts)
         assert found.shape != bare.shape or np.abs(found - bare).max() > 1e-4  # an inner loop has a rate of its own
 
 
-SCALES = ["remedies=unknown_vehicle", "controller=nominal_mpc"]
+SCALES = ["observer=disturbance", "observer.scale_walk=0.005", "observer.air_walk=0.01", "controller=nominal_mpc"]
 
 
 @pytest.mark.parametrize(

@@ -81,8 +81,8 @@ def test_a_bundle_of_remedies_chooses_the_horizon_too(name, observer):
 
 def test_a_bundle_sets_values_of_the_part_that_it_chooses():
     """Not of another one that is chosen over it."""
-    with pytest.raises(UsageError, match=r"unknown_vehicle: sets observer\.\w+, which observer=wind does not have"):
-        compose(["observer=wind", "remedies=unknown_vehicle"])
+    with pytest.raises(UsageError, match=r"disturbance_tuned: sets observer\.\w+, which observer=wind does not have"):
+        compose(["observer=wind", "remedies=nominal_mpc_disturbance_tuned"])
 
 
 @pytest.mark.parametrize(
