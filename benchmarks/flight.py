@@ -24,13 +24,14 @@ from quadexp.parts.compose import compose
 ROUNDS = 15
 NOISE = "sensor.accelerometer_noise=[0.05,0.05,0.05]"
 SPEEDS = "vehicle.thrust_coefficient=1.2e-5 actuator=speed_lag_30ms controller.allow_unstable=true"
+SCALES = "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi"
 LOOPS = (
     "controller=nominal_mpc",
     f"controller=nominal_mpc remedies=offset_free {NOISE}",
     "controller=perfect_mpc",
     "controller=perfect_mpc horizon=stiff",
     f"controller=perfect_mpc remedies=wind {NOISE}",
-    f"controller=perfect_mpc observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi {SPEEDS}",
+    f"controller=perfect_mpc {SCALES} {SPEEDS}",
     "controller=geometric",
     "controller=geometric adaptive=l1",
     "controller=pid",

@@ -9,10 +9,11 @@ from quadexp.errors import QuadexpError
 
 LEI_LI = ("vehicle=lei_li", "plant=blade_element")
 ALONE = ("nominal_mpc", "online_mpc", "dfbc", "geometric", "pid", "raptor", "rotorpy_se3")
+SCALES = "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi"
 AROUND = {
     "nominal_mpc": (
         "observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01",
-        "delay=strapdown delay.time=0.01", "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi", "remedies=auto",
+        "delay=strapdown delay.time=0.01", SCALES, "remedies=auto",
     ),
     "perfect_mpc": ("observer=wind", "observer=wind delay=prediction motor=states horizon=firm"),
     "dfbc": ("observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01", "remedies=auto"),

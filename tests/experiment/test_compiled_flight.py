@@ -320,6 +320,7 @@ class TestWhereItHandsOver:
 
 # Controllers with what is around them, and worlds in which their readings are late, noisy, or of rotor speeds too.
 SPEEDS = ("vehicle.thrust_coefficient=1.2e-5", "actuator=speed_lag_30ms")
+SCALES = "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi"
 REMEDIES = {
     "geometric": (),
     "geometric controller.force_adaptation=2": (),
@@ -329,7 +330,7 @@ REMEDIES = {
     "geometric observer=disturbance inner=indi inner.rate=500 observer.torque_bandwidth=0": (),
     "perfect_mpc observer=wind": ("wind=gust",),
     "nominal_mpc observer=disturbance observer.scale_walk=0.1 horizon=stiff": ("wind=gust",),
-    "perfect_mpc observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi": SPEEDS,
+    f"perfect_mpc {SCALES}": SPEEDS,
     "perfect_mpc remedies=auto": ("world=everything",),
     "nominal_mpc remedies=auto": (*SPEEDS, "sensor=high", "estimator=late"),
     "dfbc remedies=auto": ("world=only_late_estimate",),
