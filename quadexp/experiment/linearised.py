@@ -119,7 +119,10 @@ class _Flown:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
         running = self._controller.running
         operations = [o for o in running.instant.operations if o.kind not in ("finite", "near")]  # which are C's
-        operations = [o for o in operations if not (o.kind == "python" and o.when is running.told.read)]  # learns
+        rare = [o.kind == "python" and (o.when is running.told.read or o.every > 1) for o in operations]
+        operations = [
+            o for o, seldom in zip(operations, rare, strict=True) if not seldom
+        ]  # nothing is learned meanwhile
         operations = _on_the_way(operations, running.instant)
         sensors = [one.tick for one in self._drawn if not isinstance(one, Held) and one.tick > TICK]
         ratios = [Fraction(self._period / tick).limit_denominator(MOST_PHASES) for tick in sensors]
