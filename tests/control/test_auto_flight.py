@@ -42,6 +42,13 @@ def test_it_is_better_than_none(controller, world, most):
     assert position_error(auto).mean() < most * position_error(none).mean()
 
 
+def test_a_law_that_knows_the_air_of_its_plant_is_helped():
+    words = "vehicle=sun", "plant=sun", "world=sun_force_5"
+    none, auto = (flown("sun_dfbc", *words, f"remedies={name}") for name in ("none", "auto"))
+    assert auto.outcome == none.outcome == "ok"
+    assert position_error(auto).mean() < 0.5 * position_error(none).mean()
+
+
 @pytest.mark.parametrize("seed", [82, 2203])
 def test_noise_of_poor_sensors_is_taken_neither_for_a_wind_nor_for_an_age(seed):
     """Of seed 82 the first reading was a wind, 48 mm off; of seed 2203 noise made the poses 30 ms old, and the error 12

@@ -94,7 +94,8 @@ class Observer(WrappedController):
             self._belief = self._world.numbers
             return
         self.delivered: Any = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
-        self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(inner)})
+        shared = {"theta": parameters_of(innermost(inner))}
+        self._update = BufferedFunction(realise(update.function, inner.backend), shared)
         self._given, self._result = self._update.arguments, self._update.results
         self._given["settings"].ravel()[:] = update.settings
         self._belief = np.hstack([*no_belief()])
