@@ -41,6 +41,7 @@ WORLDS = (
     "only_battery", "only_wind", "everything", "race", *OWN_SENSORS,
 )  # fmt: skip
 PATHS = "circle", "lemniscate", "random", "rectangle"
+TOLD = "horizon=firm", "motor=states", "observer=wind", "observer.targets=false", "delay=prediction"  # told the delays
 EACH = 8
 OFF, SHEET, SPEEDS = (0.7, 1.3), 3.0, (3.0, 9.0)  # factors of the vehicle; of data sheets; m/s
 SLOWER = 0.85  # a speed that the vehicle cannot fly, by this
@@ -75,7 +76,7 @@ def drawn(seed: int, number: int) -> tuple[list[str], list[str], list[str]]:
     true = np.sqrt(inertia)[:, None] * believed.vehicle.inertia * np.sqrt(inertia)
     untold = [f"controller={controller}", f"truth.mass={mass}", f"truth.inertia={json.dumps(inertia)}"]
     told = [f"vehicle.mass={mass * believed.vehicle.mass}", f"vehicle.inertia={json.dumps(true.tolist())}"]
-    return common, untold + ["controller.allow_unstable=true"] * controller.endswith("mpc"), told
+    return common, [*untold, "controller.allow_unstable=true"], told
 
 
 def _of_size(config: Config) -> list[str]:
@@ -110,7 +111,7 @@ def flown(seed: int, number: int) -> dict[str, Any]:
     if auto.outcome != "ok":
         timing = auto.metadata["timing"]
         delays = [f"controller.dead_time={timing['dead_time']}", f"controller.motor_lag={timing['lag']}"]
-        known = ["controller=perfect_mpc", "controller.allow_unstable=true", "remedies=all", *delays]
+        known = ["controller=perfect_mpc", "controller.allow_unstable=true", *TOLD, *delays]
         flights["told"] = _flight([*common, *told, *known, f"delay.time={timing['age']}"])
     for name, flight in flights.items():
         record[name] = {"outcome": flight.outcome, "cause": flight.metadata.get("cause", "")}

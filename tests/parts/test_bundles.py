@@ -81,8 +81,10 @@ def test_a_bundle_of_remedies_chooses_the_horizon_too(name, observer):
 
 def test_a_bundle_sets_values_of_the_part_that_it_chooses():
     """Not of another one that is chosen over it."""
-    with pytest.raises(UsageError, match=r"disturbance_tuned: sets observer\.\w+, which observer=wind does not have"):
-        compose(["observer=wind", "remedies=nominal_mpc_disturbance_tuned"])
+    with pytest.raises(
+        UsageError, match=r"wind_tuned: sets observer.wind_walk, which observer=disturbance does not have"
+    ):
+        compose(["observer=disturbance", "remedies=gp_mpc_wind_tuned"])
 
 
 @pytest.mark.parametrize(
