@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from quadexp.compile.library_function import LibraryFunction
 
 PRODUCT = "void casadi_mtimes_dense("  # one function for all of a library: its sums do not depend on what else is there
+FORM = "numbers linked"  # how libraries are made: another word where that changes
 NUMBER = re.compile(r"=(-?\d\.\d{16}e[-+]\d+);")  # in generated code, but for whole ones
 BACKENDS = ("auto", "compiled", "interpreted")
 
@@ -168,7 +169,7 @@ def numbers_apart(source: str) -> tuple[str, str]:
 
 def _cached(name: str, source: str, flags: Sequence[str], suffix: str, make: Callable[[Path, Path], None]) -> Path:
     """Path of what `make`, in a private folder, builds of a source, unless the cache has it."""
-    key = hashlib.sha256("\n".join([toolchain(), *flags, source]).encode()).hexdigest()[:24]
+    key = hashlib.sha256("\n".join([FORM, toolchain(), *flags, source]).encode()).hexdigest()[:24]
     folder = cache_folder()
     kept = folder.inside / f"{name}_{key}{suffix}"
     try:

@@ -217,9 +217,9 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
 
 def sensor_sheet(plant: Any) -> SensorSheet:
     """What is stated of the sensors of what is flown; without a world they are exact."""
-    exact = SensorSheet(rotor_speed=Stated() if hasattr(plant, "rotor_speed") else None)
-    sheet: SensorSheet = getattr(plant, "sheet", exact)
-    return sheet
+    sheet: SensorSheet | None = getattr(plant, "sheet", None)
+    exact = Stated() if sheet is None and hasattr(plant, "rotor_speed") else None
+    return SensorSheet(rotor_speed=exact) if sheet is None else sheet
 
 
 def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:

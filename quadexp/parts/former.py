@@ -75,10 +75,10 @@ FORMER_CLASSES = {
 _SCHEMA = re.compile(r"/schema/(\w+/\w+)@_here_")
 
 
-def refuse_former(text: str) -> None:
-    """UsageError where a key, or GROUP=OPTION, is one of an earlier version."""
+def refuse_former(text: str, where: str = "") -> None:
+    """UsageError where a key, or GROUP=OPTION, is of an earlier version. where: the file that says so."""
     if text in FORMER:
-        raise UsageError(f"{text}: is no more: {FORMER[text]}")
+        raise UsageError(f"{where}{text}: is no more; instead: {FORMER[text]}")
 
 
 def former_name(default: str, file: Path) -> str:

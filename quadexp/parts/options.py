@@ -184,7 +184,7 @@ class OptionFiles:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)
             if name is None:
-                refuse_former(f"{group}={option}")
+                refuse_former(f"{group}={option}", f"{path}: defaults: ")
                 raise UsageError(f"{path}: defaults: {key}: {option}: there is no such option of {group}")
             choices[group] = name
         return choices

@@ -126,6 +126,13 @@ def ellipse(world, sensor, *given):
     return fly_one(compose([*flown, "controller=sun_mpc", *given]))
 
 
+def test_an_unstable_loop_with_rotor_speeds_is_refused_in_a_line():
+    """What was tried to make it stable asks the world again what its sensors state."""
+    words = "world=everything", "sensor=race_dshot", "vehicle=hummingbird", "trajectory.speed=5", "remedies=auto"
+    with pytest.raises(UsageError, match="is not stable at hover"):
+        fly_one(compose(["controller=perfect_mpc", *words]))
+
+
 @pytest.mark.parametrize(
     ("world", "sensor", "most"),
     [

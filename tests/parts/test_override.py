@@ -98,7 +98,7 @@ def test_each_is_refused_with_what_replaces_it(text):
     asked = [text] if "=" in text else [f"{group}={CHOSEN[group]}", f"{text}=1"]
     with pytest.raises(UsageError) as error:
         compose(asked)
-    assert str(error.value) == f"{text}: is no more: {FORMER[text]}"
+    assert str(error.value) == f"{text}: is no more; instead: {FORMER[text]}"
     assert text.replace("=", ".") in (ROOT / "docs" / "migrating.md").read_text().replace("=", ".")
 
 
@@ -106,5 +106,7 @@ def test_in_a_file_of_the_users_own_too(tmp_path):
     (tmp_path / "engine").mkdir()
     content = "defaults: [/schema/engine/jobs@_here_, _self_]\nname: ours\nqueue: short\n"
     (tmp_path / "engine" / "ours.yaml").write_text(content)
-    with pytest.raises(UsageError, match="engine.queue: is no more: engine=jobs 'engine.options={queue: NAME}'"):
+    with pytest.raises(
+        UsageError, match="engine.queue: is no more; instead: engine=jobs 'engine.options={queue: NAME}'"
+    ):
         compose(["engine=ours"], tmp_path)

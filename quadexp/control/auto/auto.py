@@ -74,11 +74,12 @@ class Auto(WrappedController):
         noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
         rate, attitude = (0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
         inertial = (sensor.delay for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
-        self._inertial_age = sum(age or 0.0 for age in inertial)  # by which age and delays cannot be told apart
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
         self._sheet = sheet
         self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, (rate, attitude))
+        # By which age and delays cannot be told apart; within a period of the bank a faster law answers to noise.
+        self._apart = sum(age or 0.0 for age in inertial) + self._bank.period - period
         self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
         self._begins = np.ones(1)  # whether there is no other evidence yet
         self._posterior, self._decision = Posterior(self._bank), Decision()
@@ -172,7 +173,7 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        inexact = np.hypot(INEXACT * evidence.mean, self._inertial_age)
+        inexact = np.hypot(INEXACT * evidence.mean, self._apart)
         known = (*evidence.mean, *np.hypot(evidence.deviation, inexact))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
