@@ -126,6 +126,17 @@ def ellipse(world, sensor, *given):
     return fly_one(compose([*flown, "controller=sun_mpc", *given]))
 
 
+def test_a_noise_of_rotor_speeds_that_is_stated_too_high_does_not_run_away():
+    """Making it good drove the scale of the thrust up to 1.8 and that of the air to 5, until the reference was not
+    finite."""
+    words = "vehicle=crazyflie", "world=only_motor_lag", "trajectory=circle", "trajectory.speed=3.85", "sensor=low"
+    words += "sensor.sheet_factor=1.741", "truth.mass=1.242", "truth.inertia=[1.159,0.726,0.774]", "seed=282676"
+    words += "plant.linear_drag=[0.0081,0.0081,0]", "plant.quadratic_drag=[0.00216,0.00216,0.00216]"
+    words += "plant.force_noise_density=3.02e-6", "plant.torque_noise_density=6.18e-8"
+    flight = fly_one(compose(["controller=perfect_mpc", "controller.allow_unstable=true", "remedies=auto", *words]))
+    assert flight.outcome == "ok" and np.abs(flight.columns["observer_thrust_scale"] - 1 / 1.242).max() < 0.5
+
+
 def test_an_unstable_loop_with_rotor_speeds_is_refused_in_a_line():
     """What was tried to make it stable asks the world again what its sensors state."""
     words = "world=everything", "sensor=race_dshot", "vehicle=hummingbird", "trajectory.speed=5", "remedies=auto"
