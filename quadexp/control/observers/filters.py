@@ -24,7 +24,7 @@ what is expected, nu' S^-1 nu > SURPRISE^2, the scales follow it that much less.
 
 Noise of the thrust, of relative variance n, is in y and, the other way round, in h: K (y - H x) contains on average
 -P e_k n (1 + k) h' S^-1 h, which would pull k towards -1 where little else moves h. It is added back,
-to first order, and not where k is above 0 already: a noise that is stated too high would have it run away.
+to first order, the less, the higher k is: a noise that is stated too high would have it run away.
 
 However fast the estimated force is, the filter believes in one of APART at most: a faster one takes the noise of the
 readings for forces, the controller answers them with thrust, and what it answered with is taken for a scale. What the
@@ -77,7 +77,7 @@ APART = 25.0  # rad/s
 SCALES = (-0.5, 1.0)  # limits of k
 AIR_SCALES = (-1.0, 4.0)  # of c
 SURPRISE = 4.0
-STATED = 0.1  # scale above which the stated noise of the thrust is no longer made good
+STATED = 0.3  # scale above which the stated noise of the thrust is no longer made good
 
 
 def scaled_force_update(
