@@ -16,12 +16,13 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, check_feasible, fly_one
 from quadexp.log.schema import Flight
@@ -30,6 +31,7 @@ from quadexp.parts.schema import Config
 from quadexp.provenance import sources
 from quadexp.report.beliefs import BAND, beliefs
 from quadexp.report.metrics import position_error
+from quadexp.world.true_vehicle import with_factors
 
 EXAMPLES = Path(__file__).parents[1] / "examples"  # whose vehicle has six rotors
 VEHICLES = "torrente", "blackbird", "hummingbird", "quad_bench", "lei_li", "crazyflie", "hexacopter"
@@ -56,10 +58,11 @@ def drawn(seed: int, number: int) -> tuple[list[str], list[str], list[str]]:
         return names[int(rng.integers(len(names)))]
 
     vehicle, world, sensor = map(one, (VEHICLES, WORLDS, SENSORS))
-    mass, *inertia = rng.uniform(*OFF, 4).round(3).tolist()
-    body = np.diagonal(compose([f"vehicle={vehicle}"], EXAMPLES).vehicle.inertia)
-    while 2 * np.max(inertia * body) >= np.sum(inertia * body):  # of no rigid body
-        inertia = rng.uniform(*OFF, 3).round(3).tolist()
+    body, true = build_vehicle(compose([f"vehicle={vehicle}"], EXAMPLES).vehicle), None
+    while true is None:
+        mass, *inertia = rng.uniform(*OFF, 4).round(3).tolist()
+        with suppress(UsageError):  # no rigid body, or one that cannot hover
+            true = with_factors(body, mass, np.array(inertia), np.zeros(3))
     rng = np.random.default_rng([seed, number // EACH, 1 + number % EACH])
     controller, path = map(one, (CONTROLLERS, PATHS))
     sheet, speed = float(SHEET ** rng.uniform(-1, 1)), float(rng.uniform(*SPEEDS))
@@ -73,9 +76,8 @@ def drawn(seed: int, number: int) -> tuple[list[str], list[str], list[str]]:
     while not _flyable([*common, f"trajectory.speed={speed:.2f}", f"truth.mass={mass}"]):
         speed *= SLOWER
     common.append(f"trajectory.speed={speed:.2f}")
-    true = np.sqrt(inertia)[:, None] * believed.vehicle.inertia * np.sqrt(inertia)
     untold = [f"controller={controller}", f"truth.mass={mass}", f"truth.inertia={json.dumps(inertia)}"]
-    told = [f"vehicle.mass={mass * believed.vehicle.mass}", f"vehicle.inertia={json.dumps(true.tolist())}"]
+    told = [f"vehicle.mass={true.mass}", f"vehicle.inertia={json.dumps(true.inertia)}"]
     return common, [*untold, "controller.allow_unstable=true"], told
 
 

@@ -94,8 +94,8 @@ class WindFollowing:
 
 
 class SpeedFollowing:
-    """Of the force and the scales of thrust and air, where rotor speeds tell the thrusts, so that no time of commands
-    has to be known; torques are left to INDI. Believed from the first reading on, as far as its noise lets it."""
+    """Of force, torque and the scales of thrust and air, where rotor speeds tell the thrusts, so that no time of
+    commands has to be known. Believed from the first reading on, as far as its noise lets it."""
 
     def __init__(self, vehicle: Vehicle, sheet: SensorSheet, period: float) -> None:
         accelerometer, speeds, attitude = (
@@ -109,7 +109,6 @@ class SpeedFollowing:
             force_noise=max(noise, DisturbanceObserver.force_noise),
             force_limit=MOST_FORCE,
             thrust_noise=2 * speeds / math.sqrt(vehicle.n_rotors),
-            torque_bandwidth=0.0,
             scale_walk=0.005,
             air_walk=0.01,
         )

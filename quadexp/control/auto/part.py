@@ -11,15 +11,11 @@ from quadexp.control.auto.around_mpc import AutoMPC
 from quadexp.control.auto.auto import Auto
 from quadexp.control.auto.decide import grids
 from quadexp.control.auto.following import speeds_tell
-from quadexp.control.indi import INDI, INDIKeys
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.part import Remedy
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
-from quadexp.parts.sensor_sheet import later_speeds
-
-INNER_RATE, INNER_CUTOFF = 300.0, 30.0  # Hz, about, of INDI where rotor speeds are told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,16 +38,10 @@ class AutoPart(Remedy):
             )
         return grids(replace(settings, input_hold="deviation"))[0]
 
-    def put_around(self, controller: Any, given: Given) -> Auto | INDI:
-        """See Remedy; inside INDI where rotor speeds are told. UsageError where the controller learns its model itself,
-        or has other remedies around it."""
+    def put_around(self, controller: Any, given: Given) -> Auto:
+        """See Remedy. UsageError where the controller learns its model itself, or has other remedies around it."""
         if type(controller) is PredictiveController:
-            around = AutoMPC(controller, given.sheet)
-            if not speeds_tell(given.vehicle, given.sheet):
-                return around
-            rate = max(1, round(INNER_RATE * controller.control_period)) / controller.control_period
-            keys = INDIKeys(rate=rate, cutoff=INNER_CUTOFF, allocation="exact")
-            return INDI(around, keys, backend=controller.backend, late=later_speeds(given.sheet))
+            return AutoMPC(controller, given.sheet)
         if isinstance(controller, ExplicitController):
             return AutoLaw(controller, given.sheet, sent_commands(controller.vehicle, controller.control_period))
         raise UsageError(

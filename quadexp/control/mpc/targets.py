@@ -8,11 +8,12 @@ Under a force F, a torque tau and a wind W the same path needs R_1, u_1 with
     G u_1 = [T_1, G_tau u + tau_0 - tau_1 - tau]                              tau_0, tau_1: of the air, likewise
 
 R_1 turns R by the shortest way that brings its z axis onto the right-hand side. The d in it is that of the last control
-step, which converges from step to step; where nothing moves the targets are exact. d is found at every second node, and
-linear in time between. The rates get the turn's derivative along the horizon, by differences. Where next to no specific
-force is asked for, its direction is none to follow, and the attitude remains that of the reference. With weights on
-attitude and thrust an MPC only reaches zero error with such targets (Muske and Badgwell 2002, Maeder, Borrelli and
-Morari 2009).
+step, which converges from step to step; where nothing moves the targets are exact. No axis of d or tau_1 - tau_0 is
+larger than what the rotors can hold, so that targets stay finite where the air is believed far too strong. d is found
+at every second node, and linear in time between. The rates get the turn's derivative along the horizon, by differences.
+Where next to no specific force is asked for, its direction is none to follow, and the attitude remains that of the
+reference. With weights on attitude and thrust an MPC only reaches zero error with such targets (Muske and Badgwell
+2002, Maeder, Borrelli and Morari 2009).
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ def held_targets(
     None: made without, and there is none. disturbance: (6,), see physics.rigid_body. wind: (3,) (m/s).
     """
     allocate, inertia = ca.DM(np.linalg.pinv(vehicle.allocation)), ca.DM(vehicle.inertia_matrix)
+    force, *torque = np.abs(vehicle.allocation).sum(1) * vehicle.thrust_max
+    most = ca.DM([force / vehicle.mass] * 3 + torque)
 
     def turned(x: Expression, u: Expression, air: Expression, disturbance: Expression) -> list[Expression]:
         axis, thrust = rotation_matrix(x[ATTITUDE])[:, 2], ca.sum1(u)
@@ -72,7 +75,7 @@ def held_targets(
     def difference(x: Expression, q: Expression, y0: Expression, y1: Expression, scale: Expression) -> Expression:
         y1 = scale * y1
         force = ca.mtimes(rotation_matrix(q), y1[:3]) - ca.mtimes(rotation_matrix(x[ATTITUDE]), y0[:3])
-        return ca.vertcat(force, y1[3:] - y0[3:])
+        return ca.fmin(ca.fmax(ca.vertcat(force, y1[3:] - y0[3:]), -most), most)
 
     last = len(states) - 1
     if model is not None:

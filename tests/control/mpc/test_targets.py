@@ -34,6 +34,24 @@ def test_they_hold_the_path(vehicle, rng):
         assert axis * thrust == pytest.approx(wanted, abs=1e-6)
 
 
+def test_they_stay_finite_in_an_air_that_is_far_too_strong(vehicle):
+    """The air's force is asked for where the last step turned the vehicle to: from step to step it would grow."""
+    fast = np.concatenate([np.zeros(3), [1, 0, 0, 0], [8.0, 0, 0], np.zeros(3)])
+    thrusts = np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    z = ca.MX.sym("z", 6 + vehicle.n_rotors)
+    force = ca.vertcat(-50 * z[0] * (1 + z[0] ** 2), 0, z[0] ** 3, 0, 0, 0)
+    model = ca.Function("air", [z, ca.MX.sym("theta", 0)], [force, ca.jacobian(force, z)])
+    last = ca.MX.sym("last", 6, 3)
+    _, _, air = held_targets(
+        [ca.MX(ca.DM(fast))] * 3, [ca.MX(ca.DM(thrusts))] * 3, ca.horzsplit(last), [ca.MX(0.1 * k) for k in range(3)],
+        model, ca.MX(0, 1), ca.MX.zeros(6), ca.MX(ca.DM([9.0, 0, 0])), ca.MX(4), vehicle,
+    )  # fmt: skip
+    step, now = ca.Function("step", [last], [ca.horzcat(*air)]), np.zeros((6, 3))
+    for _ in range(20):
+        now = np.array(step(now))
+        assert np.abs(now[:3]).max() <= vehicle.n_rotors * vehicle.thrust_max / vehicle.mass + 1e-9
+
+
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
 def test_next_to_no_specific_force_is_followed_by_its_share(vehicle, share):
     """A force across the rotors' axis, of a share of LEAST: the axis is turned to share * across + (1 - share) * up."""
