@@ -151,7 +151,8 @@ def evaluate(
 
     papers.check(first.evaluate.figures)
     figures = sweep if figures is None else figures
-    preload = _preload(cells[:SAMPLED], figures)
+    sample = cells[:SAMPLED]
+    preload = _preload(sample, figures)
     if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
         start_server(preload)  # which imports these while the modules that follow are imported here
 
@@ -198,19 +199,18 @@ def evaluate(
     if missing := result.not_flown:
         cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
         failed.append(cause)
-    doubts = [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes]
+    doubts = [unused_model(cell.config for cell in cells), *_doubts(sample), *result.notes]
     notes, invalid = [note for note in doubts if note], invalid_text(result.rows) if result.invalid else ""
     return Swept(result, settings.metric, out, files | special, lines, notes, failed, invalid)
 
 
 def _doubts(cells: Sequence[Any]) -> list[str]:
-    """What references of a sweep are below the ground, and drag that its vehicles cannot have, as far as its first
-    cells show."""
+    """What references of some cells are below the ground, and drag that their vehicles cannot have."""
     from quadexp.experiment.build import build_trajectory, build_vehicle
     from quadexp.experiment.evaluate import below_ground, heavy_drag
 
     nodes: dict[Any, Config] = {}
-    for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
+    for config in (cell.config for cell in cells if not cell.invalid):
         if config.trajectory.shipped:  # which is a program of its own: built where it is flown
             nodes.setdefault((config.trajectory, config.ground, config.vehicle, config.plant), config)
     low = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]

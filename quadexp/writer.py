@@ -79,7 +79,8 @@ def written(
     """
     path = Path(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.parent.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
         with opened(path.parent, inside) as folder:
             temporary, file = _new_file(folder)
             try:

@@ -19,7 +19,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -159,29 +159,19 @@ def _parts(chunk: Any) -> list[Any]:
     return [repr(chunk.to_pylist()).encode()]
 
 
-def write_sealed(table: Any, file: BinaryIO, **options: Any) -> None:
-    """Write an Arrow table as Parquet, with the hash of its own bytes, into an empty file that is open for reading and
-    writing. options: of the Parquet writer."""
+def sealed_parquet(table: Any, **options: Any) -> bytes:
+    """An Arrow table as a Parquet file, with a checksum of every page and the hash of its own bytes. options: of the
+    Parquet writer."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with pq.ParquetWriter(file, table.schema, **options) as writer:
+    memory = pa.BufferOutputStream()
+    with pq.ParquetWriter(memory, table.schema, write_page_checksum=True, **options) as writer:
         writer.write_table(table)
         writer.add_key_value_metadata({FILE_KEY: _NONE_YET})
-    file.seek(0)
-    digest = hashlib.file_digest(file, "sha256").hexdigest().encode()  # type: ignore[arg-type]  # reads as a file does
-    footer = _read_footer(file)
-    (found,) = _SEAL.finditer(footer)
-    file.seek(-len(footer) + found.start(1), 2)
-    file.write(digest)
-
-
-def _read_footer(file: Any) -> bytes:
-    """What stands in a Parquet file behind its data."""
-    end = file.seek(0, 2)
-    file.seek(max(0, end - 8))
-    size = int.from_bytes(file.read(4), "little") + 8
-    file.seek(max(0, end - size))
-    return bytes(file.read())
+    content = memory.getvalue().to_pybytes()
+    (seal,) = _SEAL.finditer(content, _footer_start(content))
+    return content[: seal.start(1)] + hashlib.sha256(content).hexdigest().encode() + content[seal.end(1) :]
 
 
 def sealed_bytes(path: Path) -> tuple[bytes, bool | None]:

@@ -27,6 +27,7 @@ import importlib
 import importlib.util
 import inspect
 import os
+import pickle
 import sys
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, PathFinder
@@ -76,8 +77,27 @@ class Part(Settings):
 
     def recorded(self) -> dict[str, Any]:
         """Its settings as plain data, for files and hashes."""
+        return dict(self._recorded)
+
+    @functools.cached_property
+    def _recorded(self) -> dict[str, Any]:
         settings = {k: v for k, v in record(self).items() if k not in self.added or v != getattr(type(self), k)}
         return settings | ({"kind": self.former_kind} if self.former_kind else {})
+
+    def __reduce__(self) -> Any:
+        return _restored, (self._packed,)
+
+    @functools.cached_property
+    def _packed(self) -> bytes:
+        return pickle.dumps((type(self), vars(self)))
+
+
+@functools.lru_cache(1024)  # a worker is told the same parts with many cells
+def _restored(packed: bytes) -> Any:
+    kind, attributes = pickle.loads(packed)
+    part = object.__new__(kind)
+    vars(part).update(attributes)
+    return part
 
 
 @dataclass(frozen=True, kw_only=True)

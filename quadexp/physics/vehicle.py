@@ -108,7 +108,7 @@ class Vehicle(Part):
     def n_rotors(self) -> int:
         return len(self.rotor_position)
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Largest distance between two rotors (m)."""
         position = np.array(self.rotor_position, float)

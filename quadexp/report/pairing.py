@@ -180,7 +180,8 @@ def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
     values: (condition, seed) -> (...); those that are not whole are left out."""
     kept = sorted(whole(values.keys()), key=str) if values else []
     by_seed = grouped((seed, values[at, seed]) for at, seed in kept)
-    return np.array([np.mean(by_seed[seed], axis=0) for seed in sorted(by_seed)])
+    each = (by_seed[seed] for seed in sorted(by_seed))
+    return np.array([values[0] if len(values) == 1 else np.mean(values, axis=0) for values in each])
 
 
 def flew_least(flights: Mapping[Who, Flights]) -> frozenset[Who]:

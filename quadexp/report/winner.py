@@ -45,10 +45,10 @@ def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) 
     """ln of the error of each, (who, seeds), without flights in which one of them has no error above zero."""
     logs: dict[tuple[Condition, int], np.ndarray] = {}
     for condition, seeds in among.seeds.items():
-        values = np.array([groups.values(condition, contestant, place, seeds) for contestant in who]).T
-        for seed, errors in zip(sorted(seeds), values, strict=True):
-            if np.all(np.isfinite(errors) & (errors > 0)):
-                logs[condition, seed] = np.log(errors)
+        errors = np.array([groups.values(condition, contestant, place, seeds) for contestant in who]).T
+        kept = (np.isfinite(errors) & (errors > 0)).all(axis=1)
+        flown = ((condition, seed) for seed in np.array(sorted(seeds))[kept].tolist())
+        logs |= zip(flown, np.log(errors[kept]), strict=True)
     return seed_means(logs).reshape(-1, len(who)).T
 
 

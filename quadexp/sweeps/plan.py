@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import marshal
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle
-from quadexp.experiment.identity import ModelFile, canonical, digest, find_model, flight_record, input_hashes
+from quadexp.experiment.identity import ModelFile, digest, find_model, flight_record, input_hashes
 from quadexp.parts.cells import Cell, Grid, refuse_mistakes
 from quadexp.parts.schema import world_parts
 from quadexp.report.inference import least_seeds
@@ -41,7 +42,7 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
     Raises UsageError where a file that a cell needs does not exist, or the request is wrong as a whole.
     """
     jobs: dict[str, Job] = {}
-    known: dict[str, tuple[ModelFile | None, dict[str, str]]] = {}  # files that some settings name, hashed once
+    known: dict[bytes, tuple[ModelFile | None, dict[str, str]]] = {}  # files that some settings name, hashed once
     for cell in refuse_mistakes(cells):
         config, record = cell.config, flight_record(cell.config)
         if cell.invalid:
@@ -49,7 +50,7 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
             jobs.setdefault(key, Job(key, key, cell, None, cell.invalid))
             continue
         named = {group: [record.get(group, {}).get(name) for name in ("_target_", "model", "path")] for group in FILES}
-        reads = canonical([config.model, record["controller"], named])
+        reads = marshal.dumps([config.model, record["controller"], named], 2)
         if reads not in known:
             model = find_model(config)
             known[reads] = model, input_hashes(config, model)
@@ -118,7 +119,7 @@ def flying_order(jobs: Sequence[Job]) -> list[Job]:
 
     First comes one cell of every structure, so that the workers begin by compiling different ones in parallel.
     """
-    groups: dict[str, dict[str, list[Job]]] = {}
+    groups: dict[bytes, dict[bytes, list[Job]]] = {}
     for job in jobs:
         structure, controller = _builds(job)
         groups.setdefault(structure, {}).setdefault(controller, []).append(job)
@@ -129,13 +130,13 @@ def flying_order(jobs: Sequence[Job]) -> list[Job]:
     return [*first.values(), *(job for job in grouped if job.key not in first)]
 
 
-def _builds(job: Job) -> tuple[str, str]:
+def _builds(job: Job) -> tuple[bytes, bytes]:
     """What a worker builds for a cell: the structure that is compiled, and the controller with its numbers."""
     config = job.cell.config
     vehicle, controller = config.vehicle.recorded(), config.controller.recorded()
-    structure = canonical([vehicle, [controller.get(name) for name in STRUCTURE]])
+    structure = marshal.dumps([vehicle, [controller.get(name) for name in STRUCTURE]], 2)
     known = config.plant.recorded() if config.controller.knows_plant else job.model and job.model.sha256
-    return structure, canonical([structure, controller, known])
+    return structure, marshal.dumps([structure, controller, known], 2)
 
 
 def _build_effects(vehicle: Any, *parts: Any) -> Any:

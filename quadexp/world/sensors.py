@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -63,7 +64,7 @@ class Sensors(SensorKeys, Effect):
             if name.startswith(quantities)
         )
 
-    @property
+    @cached_property
     def idle(self) -> bool:
         """See Part."""
         return not self.sets("accelerometer", "rotor_speed", "battery", *STATE)
@@ -82,10 +83,11 @@ class Sensors(SensorKeys, Effect):
         """The age of the attitude, on which a loop's margins depend most."""
         return self.later + (self.pose_delay + self.pose_jitter / 2 if self.attitude_age == "pose" else 0.0)
 
-    def recorded(self) -> dict[str, Any]:
-        """See Part: without what is exact, so that records of earlier versions are those of today."""
+    @cached_property
+    def _recorded(self) -> dict[str, Any]:
+        """Without what is exact, so that records of earlier versions are those of today."""
         always, keys = ("name", "accelerometer_bias", "accelerometer_noise"), declared(type(self))
-        kept = super().recorded().items()
+        kept = super()._recorded.items()
         return {name: value for name, value in kept if name in always or getattr(self, name) != keys[name].default}
 
     def among(self, effects: Sequence[Effect]) -> Effect:

@@ -1,7 +1,6 @@
 """Metrics against cases worked by hand."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -122,9 +121,8 @@ def test_attitude_error_against_scipy(rng):
     b[:10] = a[:10] * rng.uniform(-3, 3, (10, 1))  # no angle, quaternions of any length and sign
     b[10:20] = a[10:20] + 1e-9 * rng.normal(size=(10, 4))
     expected = (Rotation.from_quat(b, scalar_first=True).inv() * Rotation.from_quat(a, scalar_first=True)).magnitude()
-    flight = SimpleNamespace(
-        metadata={}, state=np.pad(a, ((0, 0), (3, 6))), reference_state=np.pad(b, ((0, 0), (3, 6)))
-    )
+    columns = dict(zip(("q_w", "q_x", "q_y", "q_z"), a.T, strict=True))
+    flight = Flight(columns | dict(zip((f"ref_{name}" for name in columns), b.T, strict=True)), {})
     np.testing.assert_allclose(attitude_error(flight), expected, rtol=0, atol=1e-9)
 
 

@@ -1,6 +1,5 @@
 """Keys: whatever can change a flight changes its key, and nothing else does."""
 
-import copy
 from dataclasses import fields, is_dataclass, replace
 
 import pytest
@@ -50,13 +49,12 @@ def leaves(node, path=()):
             yield (*path, name)
 
 
-def changed(config, path):
-    config = copy.deepcopy(config)
-    node = config
-    for name in path[:-1]:
-        node = getattr(node, name)
-    object.__setattr__(node, path[-1], another(getattr(node, path[-1])))  # without the checks: the key alone is tested
-    return config
+def changed(node, path):
+    name, *below = path
+    other = object.__new__(type(node))  # without the checks: the key alone is tested
+    vars(other).update({f.name: getattr(node, f.name) for f in fields(node)})
+    vars(other)[name] = changed(vars(other)[name], below) if below else another(vars(other)[name])
+    return other
 
 
 @pytest.mark.parametrize("overrides", OPTIONS, ids=lambda o: o[0] if o else "defaults")
