@@ -156,15 +156,20 @@ def test_the_mean_between_readings_is_that_of_a_force_that_jumps_with_commands(r
         held += share * (u - held)
         force[k] = held
 
-    def mean(end, length):
+    def over(end, length):
         last, length = round(end / fine), max(round(length / fine), 1)
-        return force[len(force) - last - length : len(force) - last].mean()
+        return force[len(force) - last - length : len(force) - last]
+
+    def mean(end, length):
+        return over(end, length).mean()
 
     readings = [mean(PERIOD * i, span) for i in range(count)]
     each = (np.array([value]).tobytes() for value in (age, wait + lag, lag))
-    W = reading_weights(PERIOD, count, m, *each, span)[0, 0, 0]
-    assert W.sum() == pytest.approx(1, abs=1e-3)
+    W, moment = np.split(reading_weights(PERIOD, count, m, *each, span)[0, 0, 0], 2)
+    assert W.sum() == pytest.approx(1, abs=1e-3) and moment.sum() == pytest.approx(0, abs=1e-3)
     assert W @ readings == pytest.approx(mean(age, PERIOD), abs=0.03)
+    inside = over(age, PERIOD)
+    assert moment @ readings == pytest.approx(inside @ np.linspace(-0.5, 0.5, len(inside)) / len(inside), abs=0.02)
     line = (
         np.interp(-(age + PERIOD * (np.arange(100) + 0.5) / 100), -PERIOD * np.arange(count)[::-1], readings[::-1])
     ).mean()

@@ -18,8 +18,8 @@ One matrix G of each filter has the sum of squares of every hypothesis, those be
 moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
 are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
 
-Where in a period a reading jumped by df is not known, nor so the attitude that it belongs to: while the vehicle turns,
-an innovation of the velocity is off by up to e = T^2 |w| |df| / 8, and counts by s^2 / (s^2 + e^2), s = INEXACT.
+A reading along the thrust may jump within a period in which the vehicle turns. So its phi are two, of the mean of the
+force and of its first moment: R f = R_m (1 + (t - t_m) w x) f, m: of the middle of the period.
 """
 
 from __future__ import annotations
@@ -48,7 +48,6 @@ PERIOD = 0.01  # s, about: of the bank, a whole multiple of the control period
 AGE, DEAD_TIME, LAG = 0.06, 0.06, 0.064  # s, the largest hypotheses
 SPINS = tuple(pairs((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0)))  # rad/s of a reading, rad/s^2 of b in a root of a second
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
-INEXACT = 0.0005  # m/s: an innovation of the velocity that is surely off by more counts less
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
 SHEET = 3.0  # factor by which a data sheet may be wrong
 LEAST_TURN, LEAST_ATTITUDE = 3e-4, 1e-5  # rad/s of a reading of the gyroscope, rad of a told attitude
@@ -60,18 +59,18 @@ FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves wit
 
 class Layout:
     """Places in a bank's memory, by name. commands: m that are kept. readings: of the accelerometer. columns: of the
-    filter of the velocity: y, phi of each reading along the thrust, phi of each across it, phi of each axis of beta.
+    filter of the velocity: y, two phi of each reading along the thrust, phi of each across it and of each axis of beta.
     turning: of that of the attitude: y, phi of each reading, phi of each axis of beta. rows: of a sum over commands: y,
     the y before, phi of m + 1 commands."""
 
     def __init__(self, period: float) -> None:
         self.commands = math.ceil((AGE + DEAD_TIME + SETTLED * LAG + period) / period - 1e-9) + 1
         self.readings = int(AGE / period + 1e-9) + 3
-        self.columns, self.turning, self.rows = 1 + 2 * self.readings + 3, 1 + self.readings + 3, self.commands + 3
+        self.columns, self.turning, self.rows = 1 + 3 * self.readings + 3, 1 + self.readings + 3, self.commands + 3
         channels, speed = 2 * len(SPINS), 3 * self.columns * len(SPEEDS)
         sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
         sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
-        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS), "speed_count": 1}
+        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
         sizes |= {"rates": 3 * self.readings, "turn": 3 * self.turning}
         sizes |= sense_sizes()
         ends = [*accumulate(sizes.values())]
@@ -268,17 +267,18 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         part = z[:, 2 * i : 2 * i + 2] if i < spins else z[:, -1]
         sums.append(fade * G + counts * ca.mtimes(part, part.T))
 
-    # velocity: y, phi of each reading along the thrust and across it, phi of each axis of beta
+    # velocity: y, phi of each reading along the thrust, of its moment, of each across, and of each axis of beta
     forces = ca.horzcat(f, ca.reshape(kept["forces"], 3, layout.readings)[:, :-1])  # the newest first
     q = x[ATTITUDE]
     other = kept["x"][ATTITUDE]
     q = q + other * ca.sign(ca.dot(q, other))
     turned = rotation_matrix(q / ca.norm_2(q))
-    drive = ca.horzcat(ca.vertcat(0, 0, -vehicle.gravity), turned @ along @ forces, turned @ across @ forces, turned)
+    moment = turned @ ca.skew(period * middle) @ along @ forces
+    drive = ca.horzcat(
+        ca.vertcat(0, 0, -vehicle.gravity), turned @ along @ forces, moment, turned @ across @ forces, turned
+    )
     speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
-    jumped = ca.sqrt(ca.mmax(ca.sum1((forces[:, 1:] - forces[:, :-1]) ** 2)))
     lateral = lateral_variance(kept["noise"], kept["count"], a["noise"], period)
-    share = INEXACT**2 / (INEXACT**2 + (period**2 / 8 * ca.norm_2(w) * jumped) ** 2)
     for state, before, G, noise in zip(
         speed,
         ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns),
@@ -292,7 +292,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
         into = ca.horzcat(nu[:, 0], -nu[:, 1:])
         speed_next.append(predicted + P / (P + 1) * into)
-        nus.append(ca.sqrt(share) * ca.mtimes(R[:, :2].T, nu))
+        nus.append(ca.mtimes(R[:, :2].T, nu))
         z = ca.horzcat(nus[-1], before)
         speed_sums.append(G + counts * ca.mtimes(z.T, z))
 
@@ -311,7 +311,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
     now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
     now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
-    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), "speed_count": kept["speed_count"] + counts * share}
+    now |= {"speed_before": ca.vec(ca.horzcat(*nus))}
     now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
     results = [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums), turn_sums]

@@ -182,8 +182,8 @@ class Posterior:
         given = bank.period, readings, bank.layout.commands
         along = reading_weights(*given, ages.tobytes(), totals.tobytes(), lags.tobytes(), bank.spans[0])
         across = np.stack([_of_readings(age - bank.spans[0] / 2, bank.period, readings) for age in ages])[:, None, None]
-        W = np.concatenate([along, np.broadcast_to(across, along.shape)], axis=-1)
-        n = 2 * bank.part("speed_count")[0]
+        W = np.concatenate([along, np.broadcast_to(across, (*along.shape[:-1], readings))], axis=-1)
+        n = 2 * bank.count
         noise = bank.period * bank.lateral_noise
         found: dict[int, tuple[Any, ...]] = {}
         for i in range(len(SPEEDS)) if choose else [self._speed]:
@@ -197,7 +197,7 @@ class Posterior:
         worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
         apart = _of_readings(TYPICAL, bank.period, readings) - _of_readings(0.0, bank.period, readings)
-        both = np.tile(apart, 2)
+        both = np.concatenate([apart, np.zeros(readings), apart])
         moved = both @ G[1 : 1 + len(both), 1 : 1 + len(both)] @ both
         by_noise = 1.5 * n * _of_noise(apart, noise, 1 - gain)
         likelihood = likelihood - likelihood.max(0)  # how a force goes between readings is no evidence of the commands
@@ -311,30 +311,35 @@ def _of_readings(age: float, period: float, count: int) -> np.ndarray:
 def reading_weights(
     period: float, count: int, commands: int, ages: bytes, totals: bytes, lags: bytes, span: float
 ) -> np.ndarray:
-    """Weights (a, t, l, count) on readings of the force along the thrust, the newest first, of what its mean over a
-    period was that ended an age ago.
+    """Weights (a, t, l, 2 count) on readings of the force along the thrust, the newest first, of its mean over a period
+    that ended an age ago, and of its first moment about the middle, over the period.
 
     Between two readings a force that jumps with each command goes another way than along a straight line, and the mean
     of a line would be of another time, by half a period at most. So it is what is likeliest of a force whose commands
     make a step of their own, all alike, in each period, and which follows them after dead time and lag: with steps s,
     readings H s and the mean M s it is M H' (H H')^-1 of the readings. Each is itself a mean over a span (s).
     """
-    age = np.frombuffer(ages)[:, None, None]
-    total, lag = np.frombuffer(totals)[:, None], np.frombuffer(lags)
-    wait, span = np.maximum(total - lag, 0.0)[..., None], max(span, INSTANT)
+    age, lag = np.frombuffer(ages), np.frombuffer(lags)[:, None]
+    since = period * np.arange(1, commands + 1) - np.maximum(np.frombuffer(totals)[:, None, None] - lag, 0.0)
+    span, constant = max(span, INSTANT), np.maximum(lag, NO_LAG)
 
-    def passed(end: np.ndarray, length: float) -> np.ndarray:
-        """Mean of the response to each step over a length that ended so long ago; in front of the last axis (t, l)."""
-        since = period * np.arange(1, commands + 1) - wait - end
-        response = [
-            x - lag[:, None] * -np.expm1(-x / np.maximum(lag, NO_LAG)[:, None])
-            for x in (np.maximum(since, 0), np.maximum(since - length, 0))
-        ]
-        return (response[0] - response[1]) / length
+    def integrals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the response to a step a time x ago, once and twice, (t, l, steps)."""
+        x = np.maximum(x, 0)
+        settling = -lag * np.expm1(-x / constant)
+        return x - settling, x * x / 2 - lag * (x - settling)
 
-    H = np.stack([passed(np.array(period * i), span) for i in range(count)], axis=-2)  # (t, l, count, steps)
-    M = np.stack([passed(a, period) for a in age[:, 0]], axis=-2)  # (t, l, a, steps)
-    level = LEVEL * np.ones((count, count))
-    alike = H @ H.mT + level + UNLIKE * np.eye(count)
-    W: np.ndarray = np.linalg.solve(alike, (M @ H.mT + LEVEL).mT)  # (t, l, count, a)
-    return np.ascontiguousarray(np.moveaxis(W, -1, 0))
+    H, M, moments = [], [], []
+    for end in period * np.arange(count):
+        H.append((integrals(since - end)[0] - integrals(since - end - span)[0]) / span)
+    for end in age:
+        (once, twice), (before, twice_before) = integrals(since - end), integrals(since - end - period)
+        M.append((once - before) / period)
+        moments.append((once + before) / 2 / period - (twice - twice_before) / period**2)
+    readings = np.stack(H, axis=-2)  # (t, l, count, steps)
+    likely = np.linalg.inv(readings @ readings.mT + LEVEL + UNLIKE * np.eye(count))
+    parts = [
+        (np.stack(of, axis=-2) @ readings.mT + level) @ likely  # (t, l, a, count)
+        for of, level in ((M, LEVEL), (moments, 0.0))
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.concatenate(parts, axis=-1), -2, 0))
