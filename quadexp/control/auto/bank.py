@@ -8,8 +8,9 @@ A hypothesis is an age a of the told state, a dead time d and a lag l of the com
     attitude   q+ = q Exp(T (w(t - a) - beta_w))                            tells a, where the told rates are of now
 
 f: accelerometer, beta: its bias; tau, T_z: torque and thrust of the commands after d and l. The gains are the same for
-all hypotheses, and stationary. So a filter is linear, and an innovation is linear in the weights W that a hypothesis
-gives to the last commands (control.delivered) or to the last readings:
+all hypotheses, and stationary, but for that of the velocity, which follows the measured noise. So a filter is linear,
+and an innovation is linear in the weights W that a hypothesis gives to the last commands (control.delivered) or to the
+last readings:
 
     nu = y - W phi            y, phi: what the filter makes of the readings, and of each of the last commands by itself
     sum nu^2 = [1, -W] G [1, -W]',      G = sum z z',      z = [y, phi]
