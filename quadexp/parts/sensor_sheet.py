@@ -17,13 +17,18 @@ class Stated:
     noise: standard deviation of the white noise of one reading, of the worst axis; of rotor speeds relative to them.
     drift: standard deviation of what is correlated in time: a bias as the flight begins, or a slow error.
     rate: readings a second (Hz); 0: one at every control instant. delay: mean age (s) of a reading that is just told;
-    None: not stated.
+    None: not stated. span: over which a reading is a mean (s), as of an IMU's increments; its driver knows that.
     """
 
     noise: float = 0.0
     drift: float = 0.0
     rate: float = 0.0
     delay: float | None = 0.0
+    span: float = 0.0
+
+    def within(self, period: float) -> float:
+        """The span where the readings of a control period (s) are a whole number."""
+        return period / math.ceil(period / self.span - 1e-9) if self.span else 0.0
 
     def scaled(self, factor: float) -> Stated:
         """The sheet of somebody who is wrong by a factor in noise, drift and delay."""

@@ -65,7 +65,7 @@ def beliefs(flight: Flight) -> list[Belief]:
 def truths(flight: Flight) -> dict[str, np.ndarray]:
     """What the world of a simulated flight states, by column of QUANTITIES, (k,)."""
     columns, config, timing = flight.columns, flight.metadata["config"], flight.metadata.get("timing")
-    true = {}
+    true, unknown = {}, np.full(len(flight), np.nan)
     if timing is not None:
         ways = [config.get("actuator", {}).get(f"time_constant_{way}", 0.0) for way in ("up", "down")]
         lag = timing["lag"] - abs(ways[1] - ways[0]) / 2  # of which the slower way is stated
@@ -80,14 +80,16 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
         true["observer_thrust_scale"] = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
     if timing is not None and flight.metadata["residual"]["name"] == "none" and "thinned" not in flight.metadata:
-        force = true_force(flight, timing["dead_time"], lag)
+        by_speeds = all(np.isfinite(columns.get(f"auto_{of}_sd", unknown)[-1]) for of in ("force", "thrust_scale"))
+        force = true_force(flight, timing["dead_time"], lag, by_speeds=by_speeds)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
 
 
-def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
-    """What acts beside gravity and the commanded thrusts after dead time and lag, on a model without air: m (a + g e_z)
-    - T R e_z, world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period."""
+def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool = False) -> np.ndarray:
+    """What acts beside gravity and the thrusts that are believed, on a model without air: m (a + g e_z) - T R e_z,
+    world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period. T: of the commands
+    after dead time and lag; by_speeds: at the instants that of the rotors' speeds, times the scale that is believed."""
     from scipy.signal import lfilter
     from scipy.spatial.transform import Rotation
 
@@ -98,7 +100,12 @@ def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     sent = flight.input.sum(axis=1)
     late = np.clip(np.floor((t[:, None] - t[0] - ages - dead_time) / period + 1e-9).astype(int), 0, None)
     thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / FINE / lag) if lag else 1.0
-    thrust = lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE).mean(axis=1)
+    followed = lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE)
+    thrust = followed.mean(axis=1)
+    if by_speeds:
+        squares = sum(flight.columns[f"rotor_speed_{i}"] ** 2 for i in range(flight.input.shape[1]))
+        off = vehicle["thrust_coefficient"] * squares - followed[:, -1]
+        thrust = flight.columns["observer_thrust_scale"] * (thrust + (off + np.roll(off, 1)) / 2)
     acceleration = np.diff(flight.state[:, VELOCITY], axis=0, prepend=np.nan) / period
     middle = (up + np.roll(up, 1, axis=0)) / 2
     force: np.ndarray = vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle

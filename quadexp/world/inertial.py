@@ -228,7 +228,10 @@ class InertialSensors(Effect):
 
     def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
         force, turn, *_ = (self.densities * math.sqrt(self.imu_rate)).tolist()
-        accelerometer, gyroscope = Stated(force, self.accelerometer_bias_std), Stated(turn, self.gyroscope_bias_std)
+        accelerometer, gyroscope = (
+            Stated(noise, bias, span=1 / self.imu_rate)
+            for noise, bias in ((force, self.accelerometer_bias_std), (turn, self.gyroscope_bias_std))
+        )
         return replace(sheet, accelerometer=accelerometer, gyroscope=gyroscope)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:

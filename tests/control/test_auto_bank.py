@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.auto.bank import FADING, SKIPPED, SPINS, THRUST, Bank, spin_of, stationary
-from quadexp.control.auto.posterior import Posterior, command_weights
+from quadexp.control.auto.posterior import Posterior, command_weights, reading_weights
 from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
@@ -16,9 +16,9 @@ from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 PERIOD = 0.02
 
 
-def bank_of(vehicle):
+def bank_of(vehicle, **about):
     model = no_residual(vehicle)
-    return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, 0.05, "interpreted")
+    return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, 0.05, "interpreted", **about)
 
 
 def integral(slopes, step):
@@ -27,11 +27,12 @@ def integral(slopes, step):
     return np.cumsum((slopes + before) / 2 * step, axis=0)
 
 
-def flown(vehicle, *, age=0.0, dead_time=0.0, lag=0.0, noise=0.005, correlation=0.0, steps=500, seed=0):
+def flown(vehicle, *, age=0.0, dead_time=0.0, lag=0.0, noise=0.005, correlation=0.0, steps=500, seed=0, span=0.0):
     """A bank after a flight whose commands are noise: the vehicle turns about x and y, moves under a wind that pushes
-    to the side, and is told of it `age` (s) late. correlation: of successive errors of the rates."""
+    to the side, and is told of it `age` (s) late. correlation: of successive errors of the rates. span: over which
+    force and rates are means (s)."""
     rng, n, fine = np.random.default_rng(seed), vehicle.n_rotors, 0.001
-    bank, told = bank_of(vehicle), Told(vehicle.n_rotors)
+    bank, told = bank_of(vehicle, spans=(span, span)), Told(vehicle.n_rotors)
     command, per = np.full(n, vehicle.hover_thrust), round(PERIOD / fine)
     total = steps * per
     commands = vehicle.hover_thrust * (1 + 0.2 * rng.normal(size=(steps, n)))
@@ -47,6 +48,9 @@ def flown(vehicle, *, age=0.0, dead_time=0.0, lag=0.0, noise=0.005, correlation=
     t = fine * np.arange(1, total + 1)
     force = np.column_stack([2 * np.sin(9 * t), 2 * np.cos(7 * t), thrust.sum(1) / vehicle.mass])
     speed = integral(force - [0, 0, vehicle.gravity], fine)
+    if span:
+        of = round(span / fine)
+        rates, force = (np.apply_along_axis(np.convolve, 0, y, np.ones(of) / of)[:total] for y in (rates, force))
     x = np.zeros(13)
     x[3] = 1.0
     bank.reset(x, command)
@@ -107,9 +111,9 @@ def test_the_sums_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
         run([*operations, *sent.after(command)], k)
     m = bank.layout.commands
     total, lags = np.array([dead_time + age + lag]), np.array([lag])
-    W = command_weights(PERIOD, m, total.tobytes(), lags.tobytes(), mean=True)[0, 0]
+    W = command_weights(PERIOD, m, total.tobytes(), lags.tobytes(), PERIOD)[0, 0]
     assert [squares_of(G, W) for G in bank.sums[:-1]] == pytest.approx(squares, rel=1e-6)
-    W = command_weights(PERIOD, m, (total - age).tobytes(), lags.tobytes(), mean=False)[0, 0]
+    W = command_weights(PERIOD, m, (total - age).tobytes(), lags.tobytes(), 0.0)[0, 0]
     assert squares_of(bank.sums[-1], W) == pytest.approx(thrust_squares, rel=1e-4)
 
 
@@ -119,6 +123,57 @@ def test_known_delays_lie_within_what_is_said_of_them(vehicle, age, dead_time, l
     off = np.abs(evidence.mean - [age, dead_time + lag, lag])
     assert (off < 3 * evidence.deviation + 1e-3).all() and evidence.deviation[:2].max() < 2e-3
     assert (evidence.late > 6) == (age > 0) and (evidence.slow > 6) == (dead_time > 0) and not evidence.fresh
+
+
+def test_readings_that_are_means_over_a_time_are_no_older_for_that(vehicle):
+    known = {"age": 0.012, "dead_time": 0.006, "lag": 0.02, "span": 0.01}
+    evidence = Posterior(flown(vehicle, **known)).evidence()
+    assert (np.abs(evidence.mean[:2] - [0.012, 0.026]) < 3 * evidence.deviation[:2] + 1e-3).all()
+    assert evidence.deviation[:2].max() < 2e-3
+
+
+def test_a_posterior_wider_than_the_steps_of_its_grid_is_not_cut_off(vehicle):
+    """Without lag, and where nothing but the rates tells, an age is worth as much as a dead time: all splits alike."""
+    posterior = Posterior(flown(vehicle, dead_time=0.01))
+    posterior._velocity = lambda ages, totals, lags, choose: (np.zeros((len(ages), len(totals), len(lags))), 0.0)
+    evidence = posterior.evidence()
+    assert evidence.mean[:2].sum() == pytest.approx(0.01, abs=1e-3)
+    assert evidence.deviation[0] == pytest.approx(0.01 / np.sqrt(12), rel=0.15)
+
+
+@pytest.mark.parametrize(("age", "wait", "lag"), [(0.0, 0.0, 0.0), (0.004, 0.013, 0.0), (0.013, 0.005, 0.012)])
+@pytest.mark.parametrize("span", [0.0, 0.005])
+def test_the_mean_between_readings_is_that_of_a_force_that_jumps_with_commands(rng, age, wait, lag, span):
+    """Against the integral of the response to commands that jump at random, on a fine grid."""
+    fine, count, m = 2e-5, 8, 60
+    commands = np.cumsum(rng.normal(size=m))  # the oldest first, the newest a period ago
+    t = np.arange(-m * PERIOD, 0, fine) + fine / 2
+    sent = commands[np.clip(((t - wait) / PERIOD + m).astype(int), 0, m - 1)]
+    sent[t < wait - m * PERIOD] = commands[0]
+    force, share = np.empty_like(sent), -np.expm1(-fine / lag) if lag else 1.0
+    held = commands[0]
+    for k, u in enumerate(sent):
+        held += share * (u - held)
+        force[k] = held
+
+    def over(end, length):
+        last, length = round(end / fine), max(round(length / fine), 1)
+        return force[len(force) - last - length : len(force) - last]
+
+    def mean(end, length):
+        return over(end, length).mean()
+
+    readings = [mean(PERIOD * i, span) for i in range(count)]
+    each = (np.array([value]).tobytes() for value in (age, wait + lag, lag))
+    W, moment = np.split(reading_weights(PERIOD, count, m, *each, span)[0, 0, 0], 2)
+    assert W.sum() == pytest.approx(1, abs=1e-3) and moment.sum() == pytest.approx(0, abs=1e-3)
+    assert W @ readings == pytest.approx(mean(age, PERIOD), abs=0.03)
+    inside = over(age, PERIOD)
+    assert moment @ readings == pytest.approx(inside @ np.linspace(-0.5, 0.5, len(inside)) / len(inside), abs=0.02)
+    line = (
+        np.interp(-(age + PERIOD * (np.arange(100) + 0.5) / 100), -PERIOD * np.arange(count)[::-1], readings[::-1])
+    ).mean()
+    assert abs(line - mean(age, PERIOD)) > 0.05
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8])

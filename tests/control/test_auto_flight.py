@@ -87,6 +87,16 @@ def test_bands_of_a_force_contain_it(controller):
     assert all(b.deviation[-1] < 0.25 * np.abs(b.true[settled]).max() for b in forces[:2])
 
 
+def test_a_force_beside_the_thrusts_of_rotor_speeds_is_within_its_band():
+    """Of a vehicle that is heavier than believed, whose scale of the thrust is believed beside the force."""
+    heavy = ["vehicle=hummingbird", "truth.mass=1.29", "world=indoor_mocap", "controller.allow_unstable=true"]
+    flight = fly_one(compose(["controller=nominal_mpc", *heavy, *PATH[:1], "seed=5", "remedies=auto"]))
+    settled = flight.t > 4
+    forces = [belief for belief in beliefs(flight) if belief.name.startswith("force")]
+    assert np.mean([np.abs(b.value - b.true)[settled] <= BAND * b.deviation[settled] for b in forces]) > 0.85
+    assert flight["observer_thrust_scale"][-1] < 0.9
+
+
 @pytest.mark.parametrize(
     ("controller", "said"), [("pid", ["takes no belief"]), ("dfbc", ["it is a force"]), ("perfect_mpc", [])]
 )

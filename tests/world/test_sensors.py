@@ -352,6 +352,10 @@ def test_the_data_sheet_says_what_is_set_and_no_more():
     assert late.velocity == Stated(rate=100.0, delay=pytest.approx(0.012)) and late.gyroscope.delay is None
     stated = sheet_of("estimator.position_noise=0.03", "sensor.position_noise=[0.04,0.01,0]")
     assert stated.position.noise == pytest.approx(0.05)
+    means = sheet_of("world=indoor_mocap")  # an IMU's readings are means; as many in a control period as are whole
+    for sensor in (means.accelerometer, means.gyroscope):
+        assert sensor.span == 1 / 200 and sensor.within(0.02) == 0.005 and sensor.within(1 / 300) == 1 / 300
+    assert exact.accelerometer.within(0.02) == 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,13 +11,14 @@ deviation; what is believed of the world is in the columns of the observer.
 from __future__ import annotations
 
 import copy as copying
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from quadexp.control.auto.ahead import LARGEST, Ahead
-from quadexp.control.auto.bank import SPINS, Bank
+from quadexp.control.auto.bank import SHEET, SPINS, Bank
 from quadexp.control.auto.decide import GATE, Acting, Decision, Senses
 from quadexp.control.auto.following import (
     DEVIATIONS,
@@ -41,7 +42,11 @@ from quadexp.physics.state import N_STATE, VELOCITY
 
 LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
-INEXACT = 0.03  # of a delay: motors lag up and down unlike, and messages take unlike times
+INEXACT = 0.03  # of a delay: messages take unlike times
+# Of a lag: motors lag unlike up and down, by a third of the mean to either side (RotorS); which of both counts by how
+# thrusts change, within a fifth of that. Where thrusts stand in a period is off as much, and so an age.
+UNLIKE = 0.07
+BAND = 1.96  # deviations of half a 95 % band
 LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
@@ -73,13 +78,20 @@ class Auto(WrappedController):
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
         rate, attitude = (0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
-        inertial = (sensor.delay for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
+        inertial = (sensor.delay or 0.0 for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
         speeds = sheet.rotor_speed
         self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
         self._sheet = sheet
-        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, (rate, attitude))
-        # By which age and delays cannot be told apart; within a period of the bank a faster law answers to noise.
-        self._apart = sum(age or 0.0 for age in inertial) + self._bank.period - period
+        force, turn = (
+            0.0 if sensor is None else sensor.within(period) for sensor in (sheet.accelerometer, sheet.gyroscope)
+        )
+        of = {"turning": (rate, attitude), "spans": (force, turn)}
+        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, **of)
+        # By which age and delays cannot be told apart: by readings that are old, or as old as nobody says, as far as a
+        # data sheet may be wrong; and within a period of the bank a faster law answers to noise.
+        self._apart = SHEET / BAND * max(inertial, default=0.0) + self._bank.period - period
+        unsaid = sheet.gyroscope is not None and sheet.gyroscope.delay is None
+        self._unsaid = unsaid and sheet.attitude is not None and bool(sheet.attitude.delay)
         self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
         self._begins = np.ones(1)  # whether there is no other evidence yet
         self._posterior, self._decision = Posterior(self._bank), Decision()
@@ -173,8 +185,9 @@ class Auto(WrappedController):
         if replace(acting, timed=before.timed, push=before.push) != before:
             self._use(acting)
         self._observe(acting, before, senses)
-        inexact = np.hypot(INEXACT * evidence.mean, self._apart)
-        known = (*evidence.mean, *np.hypot(evidence.deviation, inexact))
+        age, total, lag = evidence.mean
+        apart = math.hypot(self._apart, self._unsaid * age / BAND, UNLIKE * lag)
+        known = (age, total, lag, *np.hypot(evidence.deviation, np.hypot(INEXACT * evidence.mean, apart)))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
         doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing

@@ -8,8 +8,9 @@ A hypothesis is an age a of the told state, a dead time d and a lag l of the com
     attitude   q+ = q Exp(T (w(t - a) - beta_w))                            tells a, where the told rates are of now
 
 f: accelerometer, beta: its bias; tau, T_z: torque and thrust of the commands after d and l. The gains are the same for
-all hypotheses, and stationary. So a filter is linear, and an innovation is linear in the weights W that a hypothesis
-gives to the last commands (control.delivered) or to the last readings:
+all hypotheses, and stationary, but for that of the velocity, which follows the measured noise. So a filter is linear,
+and an innovation is linear in the weights W that a hypothesis gives to the last commands (control.delivered) or to the
+last readings:
 
     nu = y - W phi            y, phi: what the filter makes of the readings, and of each of the last commands by itself
     sum nu^2 = [1, -W] G [1, -W]',      G = sum z z',      z = [y, phi]
@@ -18,8 +19,8 @@ One matrix G of each filter has the sum of squares of every hypothesis, those be
 moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
 are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
 
-Where in a period a reading jumped by df is not known, nor so the attitude that it belongs to: while the vehicle turns,
-an innovation of the velocity is off by up to e = T^2 |w| |df| / 8, and counts by s^2 / (s^2 + e^2), s = INEXACT.
+A reading along the thrust may jump within a period in which the vehicle turns. So its phi are two, of the mean of the
+force and of its first moment: R f = R_m (1 + (t - t_m) w x) f, m: of the middle of the period.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import math
 from functools import cache
 from itertools import accumulate
 from itertools import product as pairs
+from typing import Any
 
 import numpy as np
 
@@ -47,8 +49,8 @@ PERIOD = 0.01  # s, about: of the bank, a whole multiple of the control period
 AGE, DEAD_TIME, LAG = 0.06, 0.06, 0.064  # s, the largest hypotheses
 SPINS = tuple(pairs((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0)))  # rad/s of a reading, rad/s^2 of b in a root of a second
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
-INEXACT = 0.0005  # m/s: an innovation of the velocity that is surely off by more counts less
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
+SHEET = 3.0  # factor by which a data sheet may be wrong
 LEAST_TURN, LEAST_ATTITUDE = 3e-4, 1e-5  # rad/s of a reading of the gyroscope, rad of a told attitude
 SUMMED = "memory", "sums", "speed_sums", "turn_sums"
 STILL = AGE + 0.02  # s, for which told attitudes may be those from before the flight
@@ -58,18 +60,19 @@ FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves wit
 
 class Layout:
     """Places in a bank's memory, by name. commands: m that are kept. readings: of the accelerometer. columns: of the
-    filter of the velocity: y, phi of each reading, phi of each axis of beta. rows: of a sum over commands: y, the y
-    before, phi of m + 1 commands."""
+    filter of the velocity: y, two phi of each reading along the thrust, phi of each across it and of each axis of beta.
+    turning: of that of the attitude: y, phi of each reading, phi of each axis of beta. rows: of a sum over commands: y,
+    the y before, phi of m + 1 commands."""
 
     def __init__(self, period: float) -> None:
         self.commands = math.ceil((AGE + DEAD_TIME + SETTLED * LAG + period) / period - 1e-9) + 1
         self.readings = int(AGE / period + 1e-9) + 3
-        self.columns, self.rows = 1 + self.readings + 3, self.commands + 3
+        self.columns, self.turning, self.rows = 1 + 3 * self.readings + 3, 1 + self.readings + 3, self.commands + 3
         channels, speed = 2 * len(SPINS), 3 * self.columns * len(SPEEDS)
         sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
         sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
-        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS), "speed_count": 1}
-        sizes |= {"rates": 3 * self.readings, "turn": 3 * self.columns}
+        sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
+        sizes |= {"rates": 3 * self.readings, "turn": 3 * self.turning}
         sizes |= sense_sizes()
         ends = [*accumulate(sizes.values())]
         self.size = ends[-1]
@@ -81,6 +84,7 @@ class Bank:
     controller's, at every control instant.
 
     theta: parameters of the residual, shared. noise: standard deviation of a reading of the accelerometer (m/s^2).
+    spans: over which readings of accelerometer and gyroscope are means (s).
     period: of the bank (s), `every` control periods. memory: see Layout. sums: (filters, rows, rows), those of SPINS
     and then of the thrust. speed_sums: of SPEEDS. turn_sums: of the attitude, by turning: what gyroscope and attitude
     are off by (rad/s, rad). weights: (2, m) on the commands, the newest last, of the likeliest
@@ -90,8 +94,9 @@ class Bank:
 
     def __init__(
         self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, control_period: float, noise: float,
-        backend: str, turning: tuple[float, float] = (0.0, 0.0),
+        backend: str, turning: tuple[float, float] = (0.0, 0.0), spans: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
+        self.spans = spans
         self.vehicle, self.every = vehicle, max(1, round(PERIOD / control_period))
         self.period = self.every * control_period
         self.layout = Layout(self.period)
@@ -99,12 +104,12 @@ class Bank:
         self._update = BufferedFunction(function, {"theta": theta})
         given = self._update.arguments
         self.memory, self.weights, self.gains, self.bias = (given[k] for k in ("memory", "weights", "gains", "bias"))
-        rows, columns = self.layout.rows, 2 * self.layout.columns
+        rows, columns, turn = self.layout.rows, 2 * self.layout.columns, 2 * self.layout.turning
         self.sums, self.speed_sums = (
             given["sums"].reshape(-1, rows, rows),
             given["speed_sums"].reshape(-1, columns, columns),
         )
-        self.turn_sums = given["turn_sums"].reshape(columns, columns)
+        self.turn_sums = given["turn_sums"].reshape(turn, turn)
         given["noise"][...] = self.noise = noise
         self.turned_by = LEAST_TURN * self.period + turning[0] * self.period, LEAST_ATTITUDE + turning[1]
         given["kept_turn"][...] = 1 - stationary_scalar(self.turned_by[1], self.turned_by[0])
@@ -138,6 +143,12 @@ class Bank:
         return np.sqrt(np.maximum(self.part("noise"), least) if warm else least)
 
     @property
+    def lateral_noise(self) -> float:
+        """Standard deviation of readings across the thrust, see lateral_variance (m/s^2)."""
+        count = self.part("count")[0]
+        return math.sqrt(float(lateral_variance(self.part("noise"), count, self.noise, self.period)))
+
+    @property
     def pose_noise(self) -> np.ndarray:
         """Standard deviations of the told position (m) and attitude (rad)."""
         return np.sqrt(np.maximum(self.part("pose_noise"), 0.0)) * (self.part("count")[0] > WARM / self.period)
@@ -165,6 +176,14 @@ class Bank:
         due += [copy(given[name], left[f"{name}_next"], told.read) for name in SUMMED]
         due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
         return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
+
+
+def lateral_variance(measured: Any, count: Any, stated: Any, period: float) -> Any:
+    """Of readings across the thrust: as measured, within what a data sheet may be wrong by; as stated (a deviation)
+    until then. An innovation of a filter with another gain would answer to noise that the commands answer to as well,
+    which looks like another age."""
+    mean = ca.fmin(ca.fmax((measured[0] + measured[1]) / 2, (stated / SHEET) ** 2), (stated * SHEET) ** 2)
+    return ca.if_else(count > WARM / period, mean, stated**2)
 
 
 def spin_of(vehicle: Vehicle) -> np.ndarray:
@@ -201,9 +220,10 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     """
     layout, n = Layout(period), vehicle.n_rotors
     m, rows, columns, spins = layout.commands, layout.rows, layout.columns, len(SPINS)
+    along, across = ca.DM(np.diag([0.0, 0.0, 1.0])), ca.DM(np.diag([1.0, 1.0, 0.0]))
     shapes = {"memory": (layout.size, 1), "sums": (rows, rows * (spins + 1))}
     shapes |= {"speed_sums": (2 * columns, 2 * columns * len(SPEEDS)), "x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
-    shapes |= {"turn_sums": (2 * columns, 2 * columns), "kept_turn": (1, 1)}
+    shapes |= {"turn_sums": (2 * layout.turning, 2 * layout.turning), "kept_turn": (1, 1)}
     shapes |= {"weights": (m, 2), "gains": (2, 1), "bias": (3, 1), "noise": (1, 1)}
     shapes |= {"theta": (residual.function.size1_in(1), 1)}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
@@ -248,16 +268,18 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         part = z[:, 2 * i : 2 * i + 2] if i < spins else z[:, -1]
         sums.append(fade * G + counts * ca.mtimes(part, part.T))
 
-    # velocity: y, phi of each reading, phi of each axis of beta
+    # velocity: y, phi of each reading along the thrust, of its moment, of each across, and of each axis of beta
     forces = ca.horzcat(f, ca.reshape(kept["forces"], 3, layout.readings)[:, :-1])  # the newest first
     q = x[ATTITUDE]
     other = kept["x"][ATTITUDE]
     q = q + other * ca.sign(ca.dot(q, other))
     turned = rotation_matrix(q / ca.norm_2(q))
-    drive = ca.horzcat(ca.vertcat(0, 0, -vehicle.gravity), ca.mtimes(turned, forces), turned)
+    moment = turned @ ca.skew(period * middle) @ along @ forces
+    drive = ca.horzcat(
+        ca.vertcat(0, 0, -vehicle.gravity), turned @ along @ forces, moment, turned @ across @ forces, turned
+    )
     speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
-    jumped = ca.sqrt(ca.mmax(ca.sum1((forces[:, 1:] - forces[:, :-1]) ** 2)))
-    share = INEXACT**2 / (INEXACT**2 + (period**2 / 8 * ca.norm_2(w) * jumped) ** 2)
+    lateral = lateral_variance(kept["noise"], kept["count"], a["noise"], period)
     for state, before, G, noise in zip(
         speed,
         ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns),
@@ -265,13 +287,13 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         SPEEDS,
         strict=True,
     ):
-        ratio = (period * a["noise"] / noise) ** 2
+        ratio = lateral * (period / noise) ** 2
         P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
         predicted = state + period * drive
         nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
         into = ca.horzcat(nu[:, 0], -nu[:, 1:])
         speed_next.append(predicted + P / (P + 1) * into)
-        nus.append(ca.sqrt(share) * ca.mtimes(R[:, :2].T, nu))
+        nus.append(ca.mtimes(R[:, :2].T, nu))
         z = ca.horzcat(nus[-1], before)
         speed_sums.append(G + counts * ca.mtimes(z.T, z))
 
@@ -281,7 +303,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     sine = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], other)))[1:]
     rotated = 2 * sine * (1 + ca.sumsqr(sine) / 6)  # the arc of a sine, to third order
     begun = count > STILL / period
-    last = begun * ca.reshape(kept["turn"], 3, columns)
+    last = begun * ca.reshape(kept["turn"], 3, layout.turning)
     turn = ca.horzcat(rotated, period * rates, period * ca.DM.eye(3))
     turn += a["kept_turn"] * ca.mtimes(rotation_matrix(product(back, x[ATTITUDE])).T, last)
     z = ca.horzcat(turn, last)
@@ -290,7 +312,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
     now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
     now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
-    now |= {"speed_before": ca.vec(ca.horzcat(*nus)), "speed_count": kept["speed_count"] + counts * share}
+    now |= {"speed_before": ca.vec(ca.horzcat(*nus))}
     now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
     results = [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums), turn_sums]

@@ -1,11 +1,12 @@
 """What the sums of a bank say of the age, the dead time and the lag: a posterior over a grid that closes in.
 
-    log p(a, d, l) = sum over filters of  -tau n/2 log(sum nu^2)  -  (a + d + l) / TYPICAL
+    log p(a, d, l) = sum over filters of  -tau n/2 log(sum nu^2)  -  (a + d + l) / TYPICAL  -  log lags(d + l)
 
 n: innovations; their size is profiled out, and so are the bias of the accelerometer and a scale of the thrust, in the
 gyro's filter another one that is kept near it: a scale that is wrong would be taken for a lag. tau: what an innovation
-is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order process. The grid is
-over the age, the total d + l, which is known much better than either, and the lag.
+is worth, (1 - rho) / (1 + rho) where successive ones are correlated by rho, as of a first-order process. lags: how many
+a total may have; without it an age would be the less likely, the more ways there are to share it between the others.
+The grid is over the age, the total d + l, which is known much better than either, and the lag.
 
 The told rates are as old as the rest of the state, or of now (`fresh`), whichever gyro and attitude say. In the second
 case attitude and velocity tell the age: the velocity against readings whose noise every age adds up in another way, so
@@ -15,7 +16,7 @@ that it counts by the share of what an age changes that is not noise.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,11 +34,13 @@ from quadexp.control.delivered import INSTANT, NO_LAG
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
-FINER, CLOSER, BESIDE = 8.0, 5, 8  # by which a grid closes in, how often it moves, and its steps to either side then
+FINER, CLOSER, BESIDE = 8.0, 6, 8  # by which a grid closes in at most, how often it moves, its steps to either side
+ALIKE = 0.5  # logarithm of a ratio of steps that are not worth another grid
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
 TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
 FRESHER = 1.0  # log odds for rates of now
+LEVEL, UNLIKE = 1e4, 1e-3  # variances of where a force begins, and of what readings are off by, in those of a step
 
 
 class Evidence(NamedTuple):
@@ -75,7 +78,7 @@ class Posterior:
 
     def evidence(self) -> Evidence:
         """Of the bank's sums as they are; there must be some."""
-        grids, steps, most = list(self._grids), np.array(STEPS), [grid[-1] for grid in self._grids]
+        grids, steps = list(self._grids), np.array(STEPS)
         late = slow = 0.0
         for closer in range(CLOSER):
             J = self._joint(*grids, choose=not closer)
@@ -89,15 +92,15 @@ class Posterior:
             mean = np.array([share @ grid for share, grid in zip(shares, grids, strict=True)])
             about = [(grid - centre) ** 2 for grid, centre in zip(grids, mean, strict=True)]
             spread = np.sqrt([share @ square for share, square in zip(shares, about, strict=True)])
-            finer = (spread < steps) & (steps == STEPS)
-            steps[finer] /= FINER
-            axes = zip(self.best, grids, most, strict=True)
-            ends = [best in (grid[0], grid[-1]) and 0 < best < top for best, grid, top in axes]
-            if not (finer | ends).any():
+            finer = np.clip(spread / 2, np.array(STEPS) / FINER, STEPS)
+            finer[:2] = finer[:2].max()  # so that sums of age and total coincide
+            axes = zip(self.best, grids, self._grids, strict=True)
+            ends = any(best in (grid[0], grid[-1]) and 0 < best < whole[-1] for best, grid, whole in axes)
+            if closer and not ends and (np.abs(np.log(finer / steps)) < ALIKE).all():
                 break
-            for i in np.flatnonzero((steps < STEPS) & (finer | np.any(ends))):
-                near = self.best[i] + steps[i] * np.arange(-BESIDE, BESIDE + 1)
-                grids[i] = near[(near > -INSTANT) & (near < most[i] + INSTANT)]
+            steps = finer
+            about_best = zip(self.best, steps, STEPS, self._grids, strict=True)
+            grids = [_near(best, step, whole) if step < most else whole for best, step, most, whole in about_best]
         deviation = np.hypot(spread, steps / 2)
         return Evidence(mean, deviation, late, slow, self._fresh, self._scale, self._bias, self._spin)
 
@@ -109,7 +112,7 @@ class Posterior:
 
     def weights(self, age: float, total: float, lag: float) -> np.ndarray:
         """For Bank.weights: of the thrust now, and of its mean over a period that ended `age` ago, (2, m)."""
-        now = self._of_commands(np.array([total]), np.array([lag]), mean=False)[0, 0]
+        now = self._of_commands(np.array([total]), np.array([lag]))[0, 0]
         before = self._of_commands(np.array([total + age]), np.array([lag]), mean=True)[0, 0]
         return np.stack([now[::-1], before[::-1]])
 
@@ -117,7 +120,7 @@ class Posterior:
         """Log posterior, but for a constant; choose: also the likeliest noise, and whether rates are of now."""
         bank = self._bank
         faded = self._faded
-        W = self._of_commands(totals, lags, mean=False)
+        W = self._of_commands(totals, lags)
         G = bank.sums[-1]
         by, square = _moments(G, W)
         prior = (G[0, 0] - 2 * by + square).min() / faded / SCALE**2
@@ -131,11 +134,12 @@ class Posterior:
             W = self._of_commands(few, lags[::3], mean=True)
             least = [G[0, 0] - np.max(by**2 / square) for G in bank.sums[:-1] for by, square in [_moments(G, W)]]
             self._spin = int(np.argmin(least))
-        by_velocity, share = self._velocity(ages, choose=choose)
-        by_velocity, by_attitude = by_velocity[:, None, None], self._attitude(ages)[:, None, None]
+        by_velocity, share = self._velocity(ages, totals, lags, choose=choose)
+        by_attitude = self._attitude(ages)[:, None, None]
         rest = by_velocity - worth * faded / 2 * np.log(thrust / faded + 1e-12)
-        rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL
-        waits = totals[:, None] - lags
+        waits, step = totals[:, None] - lags, np.diff(lags).max(initial=INSTANT)
+        likely = np.clip(totals, 0.0, LAG) - np.clip(totals - DEAD_TIME, 0.0, LAG)  # lags of a total, each alike
+        rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL - np.log1p(np.floor(likely / step))[:, None]
         J = np.where((waits < -INSTANT) | (waits > DEAD_TIME + INSTANT), -np.inf, rest)
         late = fresh = np.full_like(J, -np.inf)
         if choose or self._fresh:  # then the velocity alone tells the age
@@ -169,35 +173,44 @@ class Posterior:
         likelihood: np.ndarray = -worth * n / 2 * np.log(squares / n + 1e-14)
         return likelihood
 
-    def _velocity(self, ages: np.ndarray, *, choose: bool) -> tuple[np.ndarray, float]:
-        """Log likelihood of ages (a,), and what it is worth where nothing else tells the age: the share of what an age
+    def _velocity(
+        self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool
+    ) -> tuple[np.ndarray, float]:
+        """Log likelihood, (a, t, l), and what it is worth where nothing else tells the age: the share of what an age
         changes that is not noise of the readings. Finds the bias, and with `choose` the likeliest noise."""
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
-        W = np.stack([_of_readings(age, bank.period, readings) for age in ages])
-        n = 2 * bank.part("speed_count")[0]
-        likelihoods, now = {}, _of_readings(0.0, bank.period, readings)
+        given = bank.period, readings, bank.layout.commands
+        along = reading_weights(*given, ages.tobytes(), totals.tobytes(), lags.tobytes(), bank.spans[0])
+        across = np.stack([_of_readings(age - bank.spans[0] / 2, bank.period, readings) for age in ages])[:, None, None]
+        W = np.concatenate([along, np.broadcast_to(across, (*along.shape[:-1], readings))], axis=-1)
+        n = 2 * bank.count
+        noise = bank.period * bank.lateral_noise
+        found: dict[int, tuple[Any, ...]] = {}
         for i in range(len(SPEEDS)) if choose else [self._speed]:
-            squares, even, bias, known = _of_ages(
-                bank.speed_sums[i], W, now, n, bank.period * bank.noise, SPEEDS[i], BIAS
-            )
-            likelihoods[i] = -n / 2 * np.log(squares / even / n + 1e-16), squares, bias, known
-        self._speed = max(likelihoods, key=lambda i: float(likelihoods[i][0].max()))
-        likelihood, squares, bias, known = likelihoods[self._speed]
-        k = int(likelihood.argmax())
+            gain = stationary_scalar(SPEEDS[i], noise)
+            found[i] = gain, *_of_ages(bank.speed_sums[i], W, across, n, noise, SPEEDS[i], gain, BIAS)
+        self._speed = min(found, key=lambda i: float(found[i][1].min()))
+        gain, squares, even, bias, known = found[self._speed]
+        likelihood = -n / 2 * np.log(squares / even / n + 1e-16)
+        k = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
         G, whole = bank.speed_sums[self._speed], np.concatenate([[1], -W[k], bias[k]])
         worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
-        apart = _of_readings(TYPICAL, bank.period, readings) - now
-        moved = apart @ G[1 : 1 + readings, 1 : 1 + readings] @ apart
-        by_noise = 1.5 * n * _of_noise(apart[None], bank.period * bank.noise, SPEEDS[self._speed])[0]
+        apart = _of_readings(TYPICAL, bank.period, readings) - _of_readings(0.0, bank.period, readings)
+        both = np.concatenate([apart, np.zeros(readings), apart])
+        moved = both @ G[1 : 1 + len(both), 1 : 1 + len(both)] @ both
+        by_noise = 1.5 * n * _of_noise(apart, noise, 1 - gain)
+        likelihood = likelihood - likelihood.max(0)  # how a force goes between readings is no evidence of the commands
         return worth * likelihood, float(max(1 - by_noise / max(moved, 1e-30), 0.0))
 
     def _attitude(self, ages: np.ndarray) -> np.ndarray:
         """Log likelihood of ages (a,) of the attitude against the rates."""
-        bank, columns = self._bank, self._bank.layout.columns
-        now, *W = (_of_readings(age, bank.period, bank.layout.readings) for age in (0.0, *ages))
-        n, G = 3 * bank.turns, bank.turn_sums
-        squares, even, bias, _ = _of_ages(G, np.array(W), now, n, *bank.turned_by, TURN_BIAS)
+        bank, columns = self._bank, self._bank.layout.turning
+        since = bank.spans[1] / 2  # a rate of so long ago
+        W = np.stack([_of_readings(age - since, bank.period, bank.layout.readings) for age in ages])
+        n, G, (reading, told) = 3 * bank.turns, bank.turn_sums, bank.turned_by
+        gain = stationary_scalar(told, reading)
+        squares, even, bias, _ = _of_ages(G, W, W, n, reading, told, gain, TURN_BIAS)
         k = int((squares / even).argmin())
         whole = np.concatenate([[1], -W[k], bias[k]])
         worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
@@ -210,18 +223,21 @@ class Posterior:
         before = np.concatenate([[0, 1], [0], -likely])
         return _worth(now @ G @ before / max(now @ G @ now, 1e-30))
 
-    def _of_commands(self, totals: np.ndarray, lags: np.ndarray, *, mean: bool) -> np.ndarray:
-        """See command_weights."""
-        given = self._bank.period, self._bank.layout.commands, totals.tobytes(), lags.tobytes()
-        return command_weights(*given, mean=mean)
+    def _of_commands(self, totals: np.ndarray, lags: np.ndarray, *, mean: bool = False) -> np.ndarray:
+        """See command_weights: of a reading of the accelerometer, or the mean by which two of the gyroscope differ."""
+        bank = self._bank
+        force, turn = bank.spans
+        if mean:
+            totals, force = totals + turn / 2, bank.period
+        return command_weights(bank.period, bank.layout.commands, totals.tobytes(), lags.tobytes(), force)
 
 
 @lru_cache(maxsize=64)
-def command_weights(period: float, count: int, totals: bytes, lags: bytes, *, mean: bool) -> np.ndarray:
-    """Weights (t, l, m) on m = count commands, the newest first, as of control.delivered: of the thrust now, or of its
-    mean over the last period. totals, lags: bytes of arrays (t,), (l,) (s); a total is a dead time and the lag."""
+def command_weights(period: float, count: int, totals: bytes, lags: bytes, span: float) -> np.ndarray:
+    """Weights (t, l, m) on m = count commands, the newest first, as of control.delivered: of the mean thrust over the
+    last span (s). totals, lags: bytes of arrays (t,), (l,) (s); a total is a dead time and the lag."""
     total, lag = np.frombuffer(totals)[:, None, None], np.frombuffer(lags)[:, None]
-    begin = -period if mean else -INSTANT
+    begin = -max(span, INSTANT)
     acts = np.maximum(total - lag, 0.0) - period * np.arange(1, count + 1)
     constant = np.maximum(lag, NO_LAG)
 
@@ -232,6 +248,14 @@ def command_weights(period: float, count: int, totals: bytes, lags: bytes, *, me
     passed = (response(-acts) - response(begin - acts)) / -begin
     passed[..., -1] = 1.0
     return np.diff(passed, axis=-1, prepend=0.0)
+
+
+def _near(best: float, step: float, whole: np.ndarray) -> np.ndarray:
+    """A grid about the best point of another one, within the whole of it: deviations of half a step or more lie in it
+    four times."""
+    near = best + step * np.arange(-BESIDE, BESIDE + 1)
+    inside: np.ndarray = near[(near > -INSTANT) & (near < whole[-1] + INSTANT)]
+    return inside
 
 
 def _worth(rho: float) -> float:
@@ -246,37 +270,76 @@ def _moments(G: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _of_ages(
-    G: np.ndarray, W: np.ndarray, now: np.ndarray, n: int, reading: float, told: float, likely: float
+    G: np.ndarray, W: np.ndarray, noisy: np.ndarray, n: int, reading: float, told: float, gain: float, likely: float
 ) -> tuple[np.ndarray, ...]:
-    """Of each age, by weights (a, k) on readings: sum of squared innovations, what noise makes of it against an age of
-    0, with weights now (k,), bias of the sensor (a, 3), and its covariance in units of an innovation's variance.
+    """Of each age, by weights (.., k) on readings: sum of squared innovations, what noise makes of it, in that of the
+    first age, bias of the sensor (.., 3), and its covariance in units of an innovation's variance.
 
-    G: of a bank, of n innovations. reading, told: deviations, see _of_noise. likely: of the bias, beforehand.
+    G: of a bank, of n innovations. noisy: weights of readings whose noise is seen. reading, told: deviations, see
+    _of_noise. gain: of the filter. likely: of the bias, beforehand.
     """
-    noise = 2 * told**2 / (2 - stationary_scalar(told, reading)) + _of_noise(np.vstack([now, W]), reading, told)
-    plain, turned = slice(0, 1 + W.shape[1]), slice(1 + W.shape[1], 4 + W.shape[1])
-    a = np.hstack([np.ones((len(W), 1)), -W])
-    by_a, against = ((a @ G[plain, plain]) * a).sum(1), a @ G[plain, turned]
+    noise = 2 * told**2 / (2 - gain) + _of_noise(noisy, reading, 1 - gain)
+    plain, turned = slice(0, 1 + W.shape[-1]), slice(1 + W.shape[-1], 4 + W.shape[-1])
+    a = np.concatenate([np.ones((*W.shape[:-1], 1)), -W], axis=-1)
+    by_a, against = ((a @ G[plain, plain]) * a).sum(-1), a @ G[plain, turned]
     known = np.linalg.inv(G[turned, turned] + by_a.min() / n / likely**2 * np.eye(3))
     bias = -against @ known
-    return np.maximum(by_a + (against * bias).sum(1), 0), noise[1:] / noise[0], bias, known
+    return np.maximum(by_a + (against * bias).sum(-1), 0), noise / noise.flat[0], bias, known
 
 
-def _of_noise(W: np.ndarray, reading: float, speed: float) -> np.ndarray:
-    """Variance that the noise of readings has in an innovation of the velocity, (k,), by weights (k, m) on them.
+def _of_noise(W: np.ndarray, reading: float, stays: float) -> np.ndarray:
+    """Variance that the noise of readings has in an innovation, (..), by weights (.., m) on them.
 
-    reading: deviation of the velocity by one reading, speed: of a told one (m/s). The bank's filter leaves b^i of what
-    a reading was off i periods before: of an average over readings less stays in one innovation, but as much in many.
+    reading: deviation of the velocity by one reading (m/s). The bank's filter leaves stays^i of what a reading was off
+    i periods before: of an average over readings less stays in one innovation, but as much in many.
     """
-    stays = 1 - stationary_scalar(speed, reading)
-    apart = np.abs(np.subtract.outer(range(W.shape[1]), range(W.shape[1])))
-    variance: np.ndarray = reading**2 * ((W @ stays**apart) * W).sum(1) / (1 - stays**2)
+    apart = np.abs(np.subtract.outer(range(W.shape[-1]), range(W.shape[-1])))
+    variance: np.ndarray = reading**2 * ((W @ stays**apart) * W).sum(-1) / (1 - stays**2)
     return variance
 
 
 def _of_readings(age: float, period: float, count: int) -> np.ndarray:
-    """Weights on readings, the newest first, of their mean over a period that ended `age` ago, linear between them."""
+    """Weights on readings, the newest first, of their mean over a period that ended `age` ago, linear between them; a
+    little beyond the newest, too."""
     weights, k = np.zeros(count), int(age / period + 1e-9)
     r = age / period - k
     weights[k : k + 3] = (1 - r) ** 2 / 2, 0.5 + r - r * r, r * r / 2
     return weights
+
+
+@lru_cache(maxsize=64)
+def reading_weights(
+    period: float, count: int, commands: int, ages: bytes, totals: bytes, lags: bytes, span: float
+) -> np.ndarray:
+    """Weights (a, t, l, 2 count) on readings of the force along the thrust, the newest first, of its mean over a period
+    that ended an age ago, and of its first moment about the middle, over the period.
+
+    Between two readings a force that jumps with each command goes another way than along a straight line, and the mean
+    of a line would be of another time, by half a period at most. So it is what is likeliest of a force whose commands
+    make a step of their own, all alike, in each period, and which follows them after dead time and lag: with steps s,
+    readings H s and the mean M s it is M H' (H H')^-1 of the readings. Each is itself a mean over a span (s).
+    """
+    age, lag = np.frombuffer(ages), np.frombuffer(lags)[:, None]
+    since = period * np.arange(1, commands + 1) - np.maximum(np.frombuffer(totals)[:, None, None] - lag, 0.0)
+    span, constant = max(span, INSTANT), np.maximum(lag, NO_LAG)
+
+    def integrals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the response to a step a time x ago, once and twice, (t, l, steps)."""
+        x = np.maximum(x, 0)
+        settling = -lag * np.expm1(-x / constant)
+        return x - settling, x * x / 2 - lag * (x - settling)
+
+    H, M, moments = [], [], []
+    for end in period * np.arange(count):
+        H.append((integrals(since - end)[0] - integrals(since - end - span)[0]) / span)
+    for end in age:
+        (once, twice), (before, twice_before) = integrals(since - end), integrals(since - end - period)
+        M.append((once - before) / period)
+        moments.append((once + before) / 2 / period - (twice - twice_before) / period**2)
+    readings = np.stack(H, axis=-2)  # (t, l, count, steps)
+    likely = np.linalg.inv(readings @ readings.mT + LEVEL + UNLIKE * np.eye(count))
+    parts = [
+        (np.stack(of, axis=-2) @ readings.mT + level) @ likely  # (t, l, a, count)
+        for of, level in ((M, LEVEL), (moments, 0.0))
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.concatenate(parts, axis=-1), -2, 0))
