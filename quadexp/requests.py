@@ -308,7 +308,6 @@ def identify(
     chosen: Callable[[str, str], None] = lambda method, reason: None,
     method: str | None = None,
     vehicle: str | None = None,
-    paper: bool = False,
     settings: Mapping[str, Any],
     figures: bool = True,
     figure: Path | None = None,
@@ -327,7 +326,7 @@ def identify(
 
         return {"method": "delays", **identify_delays(flights, named, conf, figure)}
     if choice.method == "rls":
-        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)
+        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force)
         records = [{"path": path, **estimate.metadata()} for path, estimate in estimates]
         lines = [line for path, estimate in estimates for line in (*estimate.lines(), path)]
         return {"method": "rls", "out": out, "flights": records, "lines": lines}

@@ -130,11 +130,6 @@ class FitSettings(CurveSettings):
     kinds: tuple[str, ...] = KINDS
     induced: bool = True
 
-    def __post_init__(self) -> None:
-        for kind in self.kinds:
-            if kind not in KINDS:
-                raise UsageError(f"identify: drag '{kind}' is none of {', '.join(KINDS)}")
-
 
 @dataclass(frozen=True)
 class LevelFit:
@@ -177,11 +172,11 @@ def fit_level(
     if level == "blade_element":
         terms = WITHOUT_RADIUS
         if momentum:
-            fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
+            fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum)
             terms, inflow, z = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
     model = fit_terms(
         level, terms, samples.velocity, rotors, target, samples.segment, samples.flight,
-        what=LEVEL_NAMES[level].lstrip("+ "), momentum=inflow, z=z, loss=settings.loss, intervals=intervals,
+        what=LEVEL_NAMES[level].lstrip("+ "), momentum=inflow, z=z, intervals=intervals,
     )  # fmt: skip
     return LevelFit(curve, model)
 
@@ -225,7 +220,7 @@ def fit_vehicle_model(
         linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
         best if best is not None and best in kinds else kinds[-1], tuple(notes),
         vehicle=record, dataset=_dataset_record(samples), feature_range=feature_ranges(velocity),
-        settings={"loss": settings.loss, "signal": samples.kind, "momentum": momentum},
+        settings={"loss": linear.curve.loss, "signal": samples.kind, "momentum": momentum},
     )  # fmt: skip
 
 
