@@ -135,7 +135,7 @@ def identify_vehicle(
     """
     settings = settings or FitSettings()
     samples = samples or gather_to_fit(flights, settings.signal, names)
-    momentum = momentum_of(vehicle, settings.mass, settings.radius)
+    momentum = momentum_of(vehicle, settings.radius)
     curves = compare_curves(samples, settings) if settings.powers is None else []
     if curves:
         settings = chosen_curve(curves, settings)

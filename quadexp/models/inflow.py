@@ -39,14 +39,15 @@ class ThrustFit(NamedTuple):
     target: np.ndarray
 
 
-def momentum_of(vehicle: Vehicle | None, mass: float | None, radius: float | None) -> float:
-    """kappa = 2 rho pi r^2 / m (1/m), 0 where radius or mass is unknown; mass (kg), radius (m) override the vehicle."""
-    geometry = vehicle.rotor_geometry if vehicle and vehicle.rotor else None
-    mass = mass or (vehicle.mass if vehicle else None)
+def momentum_of(vehicle: Vehicle | None, radius: float | None) -> float:
+    """kappa = 2 rho pi r^2 / m (1/m), 0 where radius or mass is unknown; radius (m): other than the vehicle's."""
+    if vehicle is None:
+        return 0.0
+    geometry = vehicle.rotor_geometry if vehicle.rotor else None
     if radius is None:
-        return geometry.momentum_factor / mass if geometry and mass else 0.0
+        return geometry.momentum_factor / vehicle.mass if geometry else 0.0
     density = geometry.air_density if geometry else AIR_DENSITY
-    return 2 * density * math.pi * radius**2 / mass if mass else 0.0
+    return 2 * density * math.pi * radius**2 / vehicle.mass
 
 
 @cache

@@ -119,14 +119,13 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 class FitSettings(CurveSettings):
     """How a vehicle model is fitted; of the thrust curve, None: chosen from the flights.
 
-    signal: of the rotors. radius: of the rotors, m, for the induced velocity. mass: kg, where no vehicle gives it.
+    signal: of the rotors. radius: of the rotors, m, for the induced velocity.
     kinds: models to fit besides linear. induced: False omits the induced velocity from the blade-element model even if
     the radius is known.
     """
 
     signal: str | None = None
     radius: float | None = None
-    mass: float | None = None
     kinds: tuple[str, ...] = KINDS
     induced: bool = True
 
@@ -193,8 +192,8 @@ def fit_vehicle_model(
     """
     settings = settings or FitSettings()
     samples = samples or gather_to_fit(flights, settings.signal, names)
-    record = _vehicle_record(flights, vehicle, settings.mass, samples.names)
-    momentum = momentum_of(vehicle, settings.mass, settings.radius)
+    record = _vehicle_record(flights, vehicle, samples.names)
+    momentum = momentum_of(vehicle, settings.radius)
     linear = fit_level("linear", samples, settings)
     optional: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
     notes = []
@@ -224,14 +223,12 @@ def fit_vehicle_model(
     )  # fmt: skip
 
 
-def _vehicle_record(
-    flights: Sequence[Flight], vehicle: Vehicle | None, mass: float | None, names: Sequence[str]
-) -> dict[str, Any]:
+def _vehicle_record(flights: Sequence[Flight], vehicle: Vehicle | None, names: Sequence[str]) -> dict[str, Any]:
     """{name, fingerprint, mass}; raises DataError where the records of two flights name different vehicles."""
     flown = {name: dict(flight.metadata.get("vehicle") or {}) for name, flight in zip(names, flights, strict=True)}
     flown = {name: record for name, record in flown.items() if record.get("fingerprint")}
     first = next(iter(flown.values()), {})
-    wanted = vehicle.record if vehicle else {"name": None, "fingerprint": None, "mass": mass} | first | {"mass": mass}
+    wanted = vehicle.record if vehicle else {"name": None, "fingerprint": None} | first | {"mass": None}
     for name, record in flown.items():
         if record["fingerprint"] != wanted["fingerprint"]:
             said = f"flown by vehicle {record.get('name')} ({record['fingerprint']}), not by {wanted['name']}"

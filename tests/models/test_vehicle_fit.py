@@ -1,5 +1,7 @@
 """A vehicle model from logged flights with a known truth, and from recorded ones of which something is published."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,7 @@ from quadexp.models.vehicle_model import (
     selection,
 )
 from quadexp.report.model_lines import identification_lines
+from tests.log.imitated import vehicle_named
 from tests.models.logged_flights import CURVE, DRAG, OFFSET, logged_flight, specific_force
 from tests.models.recorded_data import blackbird, nanobench
 
@@ -186,9 +189,11 @@ def test_a_thinned_ladder_says_the_same(monkeypatch):
 @pytest.mark.parametrize(("radius", "winner"), [(0.02, "blade_element"), (0.3, ladder.HOVER_INFLOW)])
 def test_knowing_the_radius_keeps_the_row_without_it_and_takes_the_better(radius, winner):
     """Linear drag is the truth: which radius helps on flights left out is chance, and the ladder shows both rows."""
-    flights, names = [logged_flight(seed, seconds=12) for seed in range(3)], ["a", "b", "c"]
-    without = identify_vehicle(flights, names, settings=FitSettings(mass=0.03))
-    found = identify_vehicle(flights, names, settings=FitSettings(mass=0.03, radius=radius))
+    vehicle, names = replace(vehicle_named("crazyflie"), mass=0.03), ["a", "b", "c"]
+    flown = [logged_flight(seed, seconds=12) for seed in range(3)]
+    flights = [Flight(flight.columns, {**flight.metadata, "vehicle": vehicle.record}) for flight in flown]
+    without = identify_vehicle(flights, names, vehicle)
+    found = identify_vehicle(flights, names, vehicle, FitSettings(radius=radius))
     rows = {row["level"]: row for row in found.report["selection"]}
     alone = {row["level"]: row for row in without.report["selection"]}
     assert ladder.HOVER_INFLOW in rows and ladder.HOVER_INFLOW not in alone
