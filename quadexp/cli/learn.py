@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -107,6 +107,7 @@ def _fit(
 
 
 # ------------------------------------------------------------------------------------------------------- identification
+Method = Literal["rls", "regression", "delays"]
 CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
 CURVE = "Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage."
 # Options that not every method has.
@@ -118,11 +119,9 @@ def identify(
     context: typer.Context,
     flights: Flights,
     out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("data/estimates"),
-    method: Annotated[
-        str | None, Ask("rls where rotor speeds and geometry are known.", "rls|regression|delays")
-    ] = None,
+    method: Annotated[Method | None, Ask("rls where rotor speeds and geometry are known.")] = None,
     vehicle: Vehicle = None,
-    curve: Annotated[str, Ask(CURVE, "s+s2|s|s2|auto", "--thrust-curve")] = "auto",
+    curve: Annotated[Literal["auto", "s", "s2", "s+s2"], Ask(CURVE, flag="--thrust-curve")] = "auto",
     radius: Annotated[float | None, Ask("Rotor radius for the induced velocity.", "M", "--rotor-radius")] = None,
     figures: Figures = True,
     figure: Annotated[Path | None, Ask("delays: draw the search, as SVG and PNG.")] = None,
@@ -144,8 +143,6 @@ def identify(
     """
     from quadexp import requests
 
-    if curve not in CURVES:
-        raise UsageError(f"identify --thrust-curve: '{curve}' is none of {', '.join(CURVES)}")
     report = requests.identify(
         flights, out, conf, chosen=partial(_accepted, context), method=method, vehicle=vehicle, figures=figures,
         settings={"powers": CURVES[curve], "radius": radius}, figure=figure, force=force,

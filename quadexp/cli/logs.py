@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, command
 from quadexp.cli.terminal import print_lines
@@ -35,7 +35,7 @@ def import_(
     align: Annotated[bool, Ask("Move gyro and accelerometer by the offsets found.")] = False,
     mounting: Annotated[str | None, Ask("Roll, pitch, yaw of the accelerometer in the body (deg).", "R,P,Y")] = None,
     gyro_mounting: Annotated[str | None, Ask("The same of the gyro.", "R,P,Y")] = None,
-    bad_rows: Annotated[str, Ask(BAD_ROWS, "HOW")] = "refuse",
+    bad_rows: Annotated[Literal["refuse", "drop", "gap"], Ask(BAD_ROWS)] = "refuse",
     keep: Annotated[bool, Ask("Write flights with blocking findings too.")] = False,
     conf: Conf = None,
     force: Force = False,

@@ -39,7 +39,6 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output
 
-METHODS = ("rls", "regression", "delays")
 LEAST_IMPROVEMENT = 0.02  # relative, of the held-out error along z: another thrust curve replaces c_1, c_2 from here on
 EXPONENT_IMPROVEMENT = 0.1  # the same, for a fitted voltage exponent to replace 1
 EXPONENTS = (0.5, 1.5)  # plausible voltage exponents of a motor; outside, flights differ in something else
@@ -56,11 +55,9 @@ class Choice(NamedTuple):
 def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | None) -> Choice:
     """rls where the flights have rotor speeds and the rotors' geometry is known, else regression.
 
-    vehicle: None: that recorded in the flights. Raises UsageError for an unknown method.
+    vehicle: None: that recorded in the flights.
     """
     if asked is not None:
-        if asked not in METHODS:
-            raise UsageError(f"identify --method: '{asked}' is none of {', '.join(METHODS)}")
         return Choice(asked, "as asked")
     if not paths:
         raise UsageError("identify: no flight given")

@@ -124,8 +124,8 @@ def test_options_of_other_methods_are_refused(logged, tmp_path, method):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--method", "magic"], "'magic' is none of rls, regression"),
-        (["--thrust-curve", "s3"], "'s3' is none of auto, s, s2, s+s2"),
+        (["--method", "magic"], "'magic' is not one of 'rls', 'regression', 'delays'"),
+        (["--thrust-curve", "s3"], "'s3' is not one of 'auto', 's', 's2', 's+s2'"),
         (["--method", "rls", "--rotor-radius", "0.1"], "is for --method regression"),
     ],
 )
