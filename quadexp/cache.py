@@ -24,7 +24,6 @@ from quadexp.writer import FOLDER_FLAGS, clean
 
 BOUND = 1_000_000_000  # bytes of all libraries
 LONG_AGO = 86400.0  # s
-CONFIGURATIONS = "configurations"  # kept there by earlier versions
 _LIBRARY = re.compile(r"\w+_[0-9a-f]{24}\.s?o")  # or what is compiled for several of them
 _OTHERS = re.compile(r"\w+_[0-9a-f]{24}\.sha256|[0-9a-f]{24}\.lock|[0-9a-f]{40}\.json")
 
@@ -128,11 +127,10 @@ def thin(folder: CacheFolder, newest: Path) -> None:
 
 def clear(folder: CacheFolder) -> None:
     """Remove every file of the cache, known by its name; other files in the folder stay."""
-    for place in (folder.inside, folder.inside / CONFIGURATIONS):
-        clean(place)
-        for entry in os.scandir(place) if place.is_dir() else ():
-            if _LIBRARY.fullmatch(entry.name) or _OTHERS.fullmatch(entry.name):
-                Path(entry.path).unlink(missing_ok=True)
+    clean(folder.inside)
+    for entry in os.scandir(folder.inside):
+        if _LIBRARY.fullmatch(entry.name) or _OTHERS.fullmatch(entry.name):
+            Path(entry.path).unlink(missing_ok=True)
 
 
 def unusable(folder: Path, error: OSError) -> QuadexpError:

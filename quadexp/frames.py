@@ -27,7 +27,6 @@ from quadexp.writer import check_output
 
 if TYPE_CHECKING:
     from quadexp.report.table import Table
-    from quadexp.report.tables import ErrorTable
 
 SHOWN_ROWS, SHOWN_COLUMNS = 6, 12  # of a table in a notebook
 
@@ -156,7 +155,7 @@ class Results(Frame):
 
         return len(self) > 0 and set(ROW_COLUMNS) <= set(self)
 
-    def table(self, metric: str | None = None) -> ErrorTable:
+    def table(self, metric: str | None = None) -> Table:
         """The error table of a metric, "mean_error", "rmse" or "max_error": the command's own unless given."""
         from quadexp.report.tables import error_table
 

@@ -253,7 +253,6 @@ def collect(
     conf: Path | None = None,
     *,
     flights: Sequence[Path] = (),
-    save_flights: Path | None = None,
     sweep: bool = False,
     force: bool = False,
     progress: Progress = quiet,
@@ -273,10 +272,7 @@ def collect(
         worlds = [cell.config for cell in composer.expand(overrides).sound()] if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides)
     path = check_output(out, force=force)
-    if save_flights is not None:
-        check_output(save_flights, force=force, folder=True)
-    options: dict[str, Any] = {"flights": flights, "worlds": worlds, "save_flights": save_flights}
-    return dict(collect_dataset(config, path, **options, force=force, progress=progress))
+    return dict(collect_dataset(config, path, flights=flights, worlds=worlds, force=force, progress=progress))
 
 
 def fit(
@@ -308,7 +304,6 @@ def identify(
     chosen: Callable[[str, str], None] = lambda method, reason: None,
     method: str | None = None,
     vehicle: str | None = None,
-    paper: bool = False,
     settings: Mapping[str, Any],
     figures: bool = True,
     figure: Path | None = None,
@@ -327,7 +322,7 @@ def identify(
 
         return {"method": "delays", **identify_delays(flights, named, conf, figure)}
     if choice.method == "rls":
-        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)
+        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force)
         records = [{"path": path, **estimate.metadata()} for path, estimate in estimates]
         lines = [line for path, estimate in estimates for line in (*estimate.lines(), path)]
         return {"method": "rls", "out": out, "flights": records, "lines": lines}
@@ -422,16 +417,10 @@ def _recorded(config: Mapping[str, Any]) -> list[str]:
     import json
 
     from quadexp.experiment.identity import FORMER_KEYS
-
-    def keys(value: Any, prefix: str) -> list[str]:
-        if isinstance(value, Mapping):
-            return [word for name, one in value.items() for word in keys(one, f"{prefix}.{name}")]
-        return [f"{prefix}={json.dumps(value)}"]
+    from quadexp.report.frame import flat
 
     parts = {group: part for group, part in config.items() if isinstance(part, Mapping)}
-    settings = [
-        word for group, part in parts.items() for key, one in part.items() for word in keys(one, f"{group}.{key}")
-    ]
+    settings = [f"{key}={json.dumps(value)}" for key, value in flat(parts).items()]
     unset = [f"{group}.{key}=" for group in parts for key in ("name", "kind")]
     unset += [f"plant.{key}=" for keys in FORMER_KEYS.values() for key in keys]
     chosen = [f"{group}={part['name']}" for group, part in parts.items()]

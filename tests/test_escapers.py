@@ -68,7 +68,7 @@ def test_the_terminal_gets_as_many_lines_as_there_are_texts(texts):
 @fuzzed
 def test_markdown_has_the_cells_and_nothing_else(text):
     assume(not _MARKS.search(as_read(text)))
-    made = Table(["name", text], [[text, "1.2"]], text, notes=[text]).markdown(bullets=True)
+    made = Table(["name", text], [[text, "1.2"]], text, notes=[text]).markdown()
     tokens = MarkdownIt("commonmark").enable(["table", "strikethrough"]).parse(made)
     kinds = [one.type for one in tokens if one.nesting >= 0 and one.type not in ("inline", "tbody_open", "thead_open")]
     cells = ["table_open", "tr_open", "th_open", "th_open", "tr_open", "td_open", "td_open"]

@@ -44,9 +44,11 @@ class _Given(NamedTuple):
     usual: Callable[[], Any]
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Called by typer; value: the words, None where the option is not given."""
+        """Called by typer; value: the words, or what stands for an option that is not given."""
         if value is None:
             return () if param.multiple or param.nargs == -1 else None
+        if value == param.default:
+            return value
         words = value if isinstance(value, (list, tuple)) else [value]
         kind = {str: str, list[str]: str, Path: Path, list[Path]: Path}.get(self.kind)
         if kind is None or (kind is Path and any(os.path.exists(x) and not os.access(x, os.R_OK) for x in words)):

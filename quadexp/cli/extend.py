@@ -7,7 +7,7 @@ import keyword
 import re
 import shlex
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
@@ -89,7 +89,7 @@ TEMPLATES = {
 
 @command
 def new(
-    part: Annotated[str, Ask("vehicle, trajectory, plant, residual or controller.", "PART")],
+    part: Annotated[Literal["vehicle", "trajectory", "plant", "residual", "controller"], Ask("What to begin.", "PART")],
     name: Annotated[str, Ask("Of module, option and test: a Python identifier.", "NAME")],
     to: Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")] = Path("my_parts"),
 ) -> Answer:
@@ -99,8 +99,6 @@ def new(
     quadexp new trajectory spiral --to my_parts
     quadexp new residual flapping
     """
-    if part not in TEMPLATES:
-        raise UsageError(f"new: {part!r} is none of {', '.join(TEMPLATES)}")
     template = TEMPLATES[part]
     texts = _texts(template, name)
     option = name + template.ending

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -25,7 +25,6 @@ def collect(
     overrides: Overrides = (),
     out: Out = Path("data/residuals.parquet"),
     flight: Annotated[tuple[Path, ...], Ask("Use this recorded flight; repeatable.", "PATH", "--flight")] = (),
-    save_flights: Annotated[Path | None, Ask("Write the flights too.", "DIR")] = None,
     sweep: Annotated[bool, Ask("Fly in every combination of the worlds given, one after another.")] = False,
     conf: Conf = None,
     force: Force = False,
@@ -40,9 +39,7 @@ def collect(
     from quadexp import requests
 
     with Progress("seconds of flight") as progress:
-        report = requests.collect(
-            overrides, out, conf, flights=flight, save_flights=save_flights, sweep=sweep, force=force, progress=progress
-        )
+        report = requests.collect(overrides, out, conf, flights=flight, sweep=sweep, force=force, progress=progress)
     return Answer(report, [single_values(report)], [*report["lines"], out])
 
 
@@ -110,19 +107,11 @@ def _fit(
 
 
 # ------------------------------------------------------------------------------------------------------- identification
+Method = Literal["rls", "regression", "delays"]
 CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
-KINDS = "linear,quadratic,blade_element"
-SIGNAL = "Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all."
 CURVE = "Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage."
-VOLTAGE = "Voltage the curve is stated at; 0: the voltage is not used."
 # Options that not every method has.
-OPTIONS = {
-    "rls": ("out", "force", "paper"),
-    "regression": (
-        "out", "force", "drag", "signal", "curve", "voltage", "exponent", "radius", "loss", "figures",
-    ),
-    "delays": ("figure",),
-}  # fmt: skip
+OPTIONS = {"rls": ("out", "force"), "regression": ("out", "force", "curve", "radius", "figures"), "delays": ("figure",)}
 
 
 @command
@@ -130,18 +119,10 @@ def identify(
     context: typer.Context,
     flights: Flights,
     out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("data/estimates"),
-    method: Annotated[
-        str | None, Ask("rls where rotor speeds and geometry are known.", "rls|regression|delays")
-    ] = None,
+    method: Annotated[Method | None, Ask("rls where rotor speeds and geometry are known.")] = None,
     vehicle: Vehicle = None,
-    paper: Annotated[bool, Ask("rls: P_0 = 50 and unit noise, as Lei & Li.")] = False,
-    drag: Annotated[str, Ask(f"Drag models to fit, of {KINDS}.", "MODELS")] = KINDS,
-    signal: Annotated[str | None, Ask(SIGNAL, "COLUMNS")] = None,
-    curve: Annotated[str, Ask(CURVE, "s+s2|s|s2|auto", "--thrust-curve")] = "auto",
-    voltage: Annotated[float | None, Ask(VOLTAGE, "V", "--reference-voltage")] = None,
-    exponent: Annotated[str, Ask("Exponent of the voltage; fit: estimated.", "G|fit", "--voltage-exponent")] = "1",
+    curve: Annotated[Literal["auto", "s", "s2", "s+s2"], Ask(CURVE, flag="--thrust-curve")] = "auto",
     radius: Annotated[float | None, Ask("Rotor radius for the induced velocity.", "M", "--rotor-radius")] = None,
-    loss: Annotated[str, Ask("Loss that is minimised.", "squares|huber")] = "squares",
     figures: Figures = True,
     figure: Annotated[Path | None, Ask("delays: draw the search, as SVG and PNG.")] = None,
     verbose: Annotated[bool, Ask("Print all that was found, as `quadexp show` does.")] = False,
@@ -162,16 +143,9 @@ def identify(
     """
     from quadexp import requests
 
-    if curve not in CURVES:
-        raise UsageError(f"identify --thrust-curve: '{curve}' is none of {', '.join(CURVES)}")
-    settings = {
-        "signal": signal, "reference_voltage": voltage, "voltage_exponent": _exponent(exponent),
-        "powers": CURVES[curve], "radius": radius, "loss": loss,
-        "kinds": tuple(name.strip() for name in drag.split(",") if name.strip()),
-    }  # fmt: skip
     report = requests.identify(
-        flights, out, conf, chosen=partial(_accepted, context), method=method, vehicle=vehicle, paper=paper,
-        settings=settings, figures=figures, figure=figure, force=force,
+        flights, out, conf, chosen=partial(_accepted, context), method=method, vehicle=vehicle, figures=figures,
+        settings={"powers": CURVES[curve], "radius": radius}, figure=figure, force=force,
     )  # fmt: skip
     taken = report["method"]
     record = {key: value for key, value in report.items() if key not in ("lines", "main")}
@@ -207,15 +181,6 @@ def _of_flight(record: Mapping[str, Any]) -> list[dict[str, Any]]:
         }
         for name, value in record["estimates"].items()
     ]  # fmt: skip
-
-
-def _exponent(text: str) -> float | None:
-    if text == "fit":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"identify --voltage-exponent: '{text}' is neither a number nor fit") from None
 
 
 @command

@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, command
 from quadexp.cli.terminal import print_lines
@@ -35,7 +35,7 @@ def import_(
     align: Annotated[bool, Ask("Move gyro and accelerometer by the offsets found.")] = False,
     mounting: Annotated[str | None, Ask("Roll, pitch, yaw of the accelerometer in the body (deg).", "R,P,Y")] = None,
     gyro_mounting: Annotated[str | None, Ask("The same of the gyro.", "R,P,Y")] = None,
-    bad_rows: Annotated[str, Ask(BAD_ROWS, "HOW")] = "refuse",
+    bad_rows: Annotated[Literal["refuse", "drop", "gap"], Ask(BAD_ROWS)] = "refuse",
     keep: Annotated[bool, Ask("Write flights with blocking findings too.")] = False,
     conf: Conf = None,
     force: Force = False,
@@ -91,7 +91,6 @@ def check(
     flights: Annotated[tuple[Path, ...], Ask("Flights of `quadexp import`.", "FLIGHT")],
     vehicle: Vehicle = None,
     figures: Annotated[Path | None, Ask("Draw every flight's streams against each other.", "DIR")] = None,
-    strict: Annotated[bool, Ask("Warnings block as well.")] = False,
     conf: Conf = None,
 ) -> Answer:
     """Check units, frames, signs, clock, sensors and commands of flights, and whether one is there twice.
@@ -100,20 +99,19 @@ def check(
 
     \b
     quadexp check flights/nanobench/*.parquet
-    quadexp check flights/a.parquet --figures figures/check --strict
+    quadexp check flights/a.parquet --figures figures/check
     """
     from quadexp import requests
     from quadexp.report.table import Table
 
     names = ("severity", "name", "where", "measured", "allowed", "advice")
-    stops = {"blocking", "warning"} if strict else {"blocking"}
     checked = requests.check(flights, vehicle, conf)
     drawn = _draw(figures, checked) if figures is not None else {}
     records: list[dict[str, Any]] = []
     lines: list[Any] = []
     blocked = 0
     for flight in checked:
-        stopped = not stops.isdisjoint(flight.severities)
+        stopped = "blocking" in flight.severities
         blocked += stopped
         records.append({
             "path": flight.path, "rows": len(flight.flight), "duration": flight.duration, "vehicle": flight.vehicle,
@@ -125,15 +123,14 @@ def check(
         lines += [Table(names, cells, title, left=frozenset(range(6)))] if cells else [title, "  nothing found"]
         lines += [f"  {drawn[flight.path]}", ""] if flight.path in drawn else [""]
     clean = sum(flight.severities <= {"info"} for flight in checked)
-    warned, stopping = (sum(name in flight.severities for flight in checked) for name in ("warning", "blocking"))
+    warned = sum("warning" in flight.severities for flight in checked)
     count = "1 flight" if len(checked) == 1 else f"{len(checked)} flights"
-    lines.append(f"{count}: {clean} clean, {warned} with warnings, {stopping} blocked")
-    by = " (--strict)" if strict else ""
-    failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"] if blocked else []
+    lines.append(f"{count}: {clean} clean, {warned} with warnings, {blocked} blocked")
+    failed = [f"{blocked} of {len(checked)} flights have findings that block"] if blocked else []
     findings = [(flight.path, finding) for flight in checked for finding in flight.findings]
     cells = [[path, *(getattr(finding, name) for name in names)] for path, finding in findings]
     table = Table(("flight", *names), cells, left=frozenset(range(7)))
-    return Answer({"flights": records, "blocked": blocked, "strict": strict}, [table], lines, failed=failed)
+    return Answer({"flights": records, "blocked": blocked}, [table], lines, failed=failed)
 
 
 def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:

@@ -219,14 +219,13 @@ def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
     sys.stdout.write("\n".join(table.rendered(form) for table in tables))
 
 
-def print_table(table: Any) -> None:
-    """Print a Table or an ErrorTable with its notes; stacked where the terminal is too narrow."""
+def print_table(table: Table) -> None:
+    """Print a table with its notes; stacked where the terminal is too narrow."""
     from rich.console import Console
 
     stream = raw(sys.stdout)  # tables write out control characters themselves
     out = Console(file=stream, width=None if stream.isatty() else 200, highlight=False)
-    rich = table.rich if hasattr(table, "rich") else table.table().rich
-    shown = rich()
+    shown = table.rich()
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
         shown = table.rich(stacked=True)
     out.print(shown)

@@ -24,7 +24,6 @@ from quadexp.log.schema import Flight
 from quadexp.models.blade_element import Identification, identify_flight
 from quadexp.models.checkpoint import save_model
 from quadexp.models.inflow import momentum_of
-from quadexp.models.rls import RLSSettings
 from quadexp.models.samples import QUATERNION, Samples, gather_to_fit, rotor_columns
 from quadexp.models.vehicle_model import (
     HOVER_INFLOW,
@@ -32,7 +31,6 @@ from quadexp.models.vehicle_model import (
     VehicleModel,
     best_level,
     compare_curves,
-    fit_level,
     fit_vehicle_model,
     flight_by_flight,
     selection,
@@ -41,11 +39,9 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output
 
-METHODS = ("rls", "regression", "delays")
 LEAST_IMPROVEMENT = 0.02  # relative, of the held-out error along z: another thrust curve replaces c_1, c_2 from here on
 EXPONENT_IMPROVEMENT = 0.1  # the same, for a fitted voltage exponent to replace 1
 EXPONENTS = (0.5, 1.5)  # plausible voltage exponents of a motor; outside, flights differ in something else
-OTHER_LOSS_SAMPLES = 100_000  # used by the fit with the other loss; more are thinned evenly
 NO_INDUCED = "blade element without induced velocity: its error on held-out flights is smaller than with it"
 
 
@@ -59,11 +55,9 @@ class Choice(NamedTuple):
 def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | None) -> Choice:
     """rls where the flights have rotor speeds and the rotors' geometry is known, else regression.
 
-    vehicle: None: that recorded in the flights. Raises UsageError for an unknown method.
+    vehicle: None: that recorded in the flights.
     """
     if asked is not None:
-        if asked not in METHODS:
-            raise UsageError(f"identify --method: '{asked}' is none of {', '.join(METHODS)}")
         return Choice(asked, "as asked")
     if not paths:
         raise UsageError("identify: no flight given")
@@ -93,13 +87,12 @@ def read_recorded(path: Path) -> Flight:
 
 
 def identify_files(
-    flights: Sequence[Path], out: Path, *, vehicle: str | None = None, conf: Path | None = None, force: bool = False,
-    paper: bool = False,
-) -> list[tuple[Path, Identification]]:  # fmt: skip
+    flights: Sequence[Path], out: Path, *, vehicle: str | None = None, conf: Path | None = None, force: bool = False
+) -> list[tuple[Path, Identification]]:
     """Identify from every flight and write <out>/<its name>.parquet, all or none.
 
     vehicle: name in the configuration (or in the folder `conf`); None: that in the flight's metadata.
-    paper: the paper's P_0 and unit noise instead of scaled ones. Raises UsageError or DataError.
+    Raises UsageError or DataError.
     """
     if not flights:
         raise UsageError("identify: no flight given")
@@ -108,11 +101,10 @@ def identify_files(
     for path in paths:
         check_output(path, force=force)
     named = None if vehicle is None else vehicle_named(vehicle, conf)
-    settings = RLSSettings() if paper else None
     results = []
     for path in flights:
         flight = store.read_flight(path, whole=True)
-        results.append(identify_flight(flight, named or recorded_vehicle(flight, path), settings, name=str(path)))
+        results.append(identify_flight(flight, named or recorded_vehicle(flight, path), name=str(path)))
     for path, result in zip(paths, results, strict=True):
         record = {**result.metadata(), "versions": versions(), "provenance": provenance()}
         store.write_table(path, result.columns(), record, "estimates", force=force)
@@ -140,7 +132,7 @@ def identify_vehicle(
     """
     settings = settings or FitSettings()
     samples = samples or gather_to_fit(flights, settings.signal, names)
-    momentum = momentum_of(vehicle, settings.mass, settings.radius)
+    momentum = momentum_of(vehicle, settings.radius)
     curves = compare_curves(samples, settings) if settings.powers is None else []
     if curves:
         settings = chosen_curve(curves, settings)
@@ -157,8 +149,8 @@ def identify_vehicle(
     report: dict[str, Any] = {
         "kind": "vehicle_model", "vehicle": model.vehicle, "dataset": model.dataset, "signal": samples.kind,
         "thrust": str(model.thrust), "models": {kind: terms.records() for kind, terms in model.models.items()},
-        "other_loss": _other_loss(samples, settings), "flights": flight_by_flight(samples, settings),
-        "curves": curves, "selection": ladder, "best": model.best, "best_row": best, "notes": list(model.notes),
+        "flights": flight_by_flight(samples, settings), "curves": curves, "selection": ladder, "best": model.best,
+        "best_row": best, "notes": list(model.notes),
     }  # fmt: skip
     return VehicleIdentification(model, samples, report)
 
@@ -181,16 +173,9 @@ def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> 
     motors = [row for row in curves if row["voltage"] == "V^g" and row[key] is not None]
     motors = [row for row in motors if EXPONENTS[0] <= row["exponent"] <= EXPONENTS[1]]
     by_exponent = min(motors, key=lambda row: row[key], default=None)
-    explicit = settings.voltage_exponent != 1.0  # set, or to be fitted, by the user
-    if not explicit and by_exponent is not None and by_exponent[key] < (1 - EXPONENT_IMPROVEMENT) * plain[best]:
+    if by_exponent is not None and by_exponent[key] < (1 - EXPONENT_IMPROVEMENT) * plain[best]:
         settings = replace(settings, powers=tuple(by_exponent["powers"]), voltage_exponent=None)
     return settings
-
-
-def _other_loss(samples: Samples, settings: FitSettings) -> dict[str, Any]:
-    """Linear drag with the other loss: where the two differ by more than their errors, outliers matter."""
-    other = replace(settings, loss="huber" if settings.loss == "squares" else "squares")
-    return {"loss": other.loss, "rows": fit_level("linear", samples.thinned(OTHER_LOSS_SAMPLES), other).terms.records()}
 
 
 def identify_flights(

@@ -139,7 +139,7 @@ def _settings(model: VehicleModel, flights: int) -> FitSettings:
     return FitSettings(
         signal=curve.signal, reference_voltage=curve.reference_voltage,
         voltage_exponent=None if curve.voltage_exponent_error and flights > 1 else curve.voltage_exponent,
-        powers=tuple(int(p) for p in curve.powers), loss=curve.loss, kinds=tuple(model.models),
+        powers=tuple(int(p) for p in curve.powers), kinds=tuple(model.models),
         induced=model.blade_element is None or isinstance(model.blade_element.momentum, tuple),
     )  # fmt: skip
 

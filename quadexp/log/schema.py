@@ -149,7 +149,6 @@ STATISTIC_COLUMNS: Columns = {
     "difference": Column(_OWN, "", "mean of contestant - baseline over the pairs"),
     "reduction": Column("%", "", "100 (1 - mean / baseline mean) over the pairs"),
     "effect": Column("1", "", "matched-pairs rank-biserial correlation, positive where smaller than the baseline"),
-    "cohen_d": Column("1", "", "mean over standard deviation of the differences, positive where smaller"),
     "p": Column("1", "", "paired permutation test of the mean difference, two-sided"),
     "conditions": Column("1", "", "over how many conditions"),
     "units": Column("1", "", "seeds that are compared over all conditions"),

@@ -178,15 +178,6 @@ class OutputPosterior(Record, frozen=True):
         if not len(self.alpha) or not np.all(self.lengthscale > 0):
             raise ValueError("inducing points and a lengthscale above 0 are needed")
 
-    @classmethod
-    def mean_only(
-        cls, output: str, features: tuple[str, ...], inducing: np.ndarray, alpha: np.ndarray, lengthscale: np.ndarray,
-        signal_variance: float = 1.0,
-    ) -> OutputPosterior:  # fmt: skip
-        """The posterior mean with these numbers, not fitted."""
-        factor = np.zeros((len(alpha), len(alpha)))
-        return cls(output, features, inducing, alpha, lengthscale, signal_variance, 0.0, factor, 0.0, 0)
-
     def predict(self, features: np.ndarray) -> Prediction:
         """Without the prior mean; features (k, d) in physical units."""
         mean, variance = np.empty(len(features)), np.empty(len(features))

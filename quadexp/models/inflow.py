@@ -21,7 +21,6 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
 from quadexp.models.dataset import evaluate_rows
-from quadexp.models.regression import HUBER, MAD_TO_STD
 from quadexp.models.terms import ITERATIONS, TERMS, Z_TERMS, Inflow, OperatingPoint
 from quadexp.physics.induced_velocity import safe_newton
 from quadexp.physics.vehicle import Vehicle
@@ -40,14 +39,15 @@ class ThrustFit(NamedTuple):
     target: np.ndarray
 
 
-def momentum_of(vehicle: Vehicle | None, mass: float | None, radius: float | None) -> float:
-    """kappa = 2 rho pi r^2 / m (1/m), 0 where radius or mass is unknown; mass (kg), radius (m) override the vehicle."""
-    geometry = vehicle.rotor_geometry if vehicle and vehicle.rotor else None
-    mass = mass or (vehicle.mass if vehicle else None)
+def momentum_of(vehicle: Vehicle | None, radius: float | None) -> float:
+    """kappa = 2 rho pi r^2 / m (1/m), 0 where radius or mass is unknown; radius (m): other than the vehicle's."""
+    if vehicle is None:
+        return 0.0
+    geometry = vehicle.rotor_geometry if vehicle.rotor else None
     if radius is None:
-        return geometry.momentum_factor / mass if geometry and mass else 0.0
+        return geometry.momentum_factor / vehicle.mass if geometry else 0.0
     density = geometry.air_density if geometry else AIR_DENSITY
-    return 2 * density * math.pi * radius**2 / mass if mass else 0.0
+    return 2 * density * math.pi * radius**2 / vehicle.mass
 
 
 @cache
@@ -63,12 +63,10 @@ def _force_function(rotors: int, kappa: float) -> ca.Function:
     return ca.Function("force", [v, a, theta], [ca.densify(ca.cse(solved))])
 
 
-def fit_inflow(
-    velocity: np.ndarray, rotor_acceleration: np.ndarray, target: np.ndarray, kappa: float, loss: str = "squares"
-) -> ThrustFit:
+def fit_inflow(velocity: np.ndarray, rotor_acceleration: np.ndarray, target: np.ndarray, kappa: float) -> ThrustFit:
     """Fit the four z coefficients to target (k,), the specific force along z beyond the thrust curve (m/s^2).
 
-    velocity: (k, 3) m/s. rotor_acceleration: (k, n) m/s^2. kappa: 1/m. loss: "squares" or "huber".
+    velocity: (k, 3) m/s. rotor_acceleration: (k, n) m/s^2. kappa: 1/m.
     Raises DataError where the flights do not show that flow through the rotors costs thrust.
     """
     from scipy.optimize import least_squares
@@ -90,11 +88,6 @@ def fit_inflow(
         "bounds": ([-0.5, LEAST_LOSS, -np.inf, -np.inf], [1.0, np.inf, np.inf, np.inf]),
     }  # fmt: skip
     result = least_squares(lambda theta: evaluate(tuple(theta))[0], START, **options)
-    if loss == "huber":
-        limit = HUBER * MAD_TO_STD * float(np.median(np.abs(result.fun)))
-        result = least_squares(
-            lambda theta: evaluate(tuple(theta))[0], result.x, loss="huber", f_scale=max(limit, 1e-12), **options
-        )
     theta = result.x
     if theta[1] < 2 * LEAST_LOSS:
         raise DataError("blade element along z: the flights do not show that flow through the rotors costs thrust")

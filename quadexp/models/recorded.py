@@ -42,7 +42,6 @@ from quadexp.models.samples import choose_signal, read_rows, rotor_columns
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.physics.vehicle import Vehicle
 
-TARGETS = ("auto", "specific_force", "velocity")
 MEMORY = 10.0  # s, of the tracked scale
 PRIOR = 0.5  # s
 THRUST_SIGNALS = ("u", "thrust_acceleration")  # in units of force or acceleration, usable without a thrust curve
@@ -101,10 +100,8 @@ def recorded_dataset(
     """The rows of many flights in one table, each row with its flight.
 
     names: see quadexp.models.dataset.joined. The metadata also contain the target, and the thrust curve, with which a
-    model can predict other flights. Raises DataError, UsageError as the functions above do.
+    model can predict other flights. Raises DataError as the functions above do.
     """
-    if target not in TARGETS[1:]:
-        raise UsageError(f"collect.target: '{target}' is none of {', '.join(TARGETS)}")
 
     def table_of(flight: Flight, name: str) -> dict[str, np.ndarray]:
         if target == "specific_force":

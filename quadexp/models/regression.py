@@ -43,9 +43,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import DataError
 
-LOSSES = ("huber", "squares")
 HUBER = 1.345  # robust standard deviations
 MAD_TO_STD = 1.4826
 MAX_ITERATIONS = 200  # of reweighting
@@ -102,8 +101,6 @@ def regress(
     see the module; over flights, columns may be as alike as rounding allows.
     Raises DataError for too few rows, and for columns whose coefficients are not determined, naming them.
     """
-    if loss not in LOSSES:
-        raise UsageError(f"loss '{loss}' is none of {', '.join(LOSSES)}")
     n, p = design.shape
     least = p + 2 if over == "flights" else max(p + 2, 2 * (p + LEAST_BLOCKS))
     if n < least:
@@ -139,8 +136,8 @@ def solve(
 ) -> tuple[np.ndarray, float]:
     """Coefficients (p,) of target (n,) on x (n, p), and the residual L beyond which the loss is linear.
 
-    loss: one of LOSSES. start: initial coefficients of the reweighting, None for least squares. tolerance: relative, of
-    the last change.
+    loss: see the module. start: initial coefficients of the reweighting, None for least squares. tolerance: relative,
+    of the last change.
     """
     coefficients = start if start is not None and loss == "huber" else np.linalg.lstsq(x, target, rcond=None)[0]
     limit = float(np.inf)

@@ -253,15 +253,14 @@ class BladeElementRLS:
         """P of the axes, in the order of `axis_theta`: the estimates' covariance where sigma is the true noise."""
         return tuple(self._step.arguments[f"P_{axis}"].copy() for axis in "xyz")
 
-    def standard_error(self, noise: float | None = None) -> np.ndarray:
-        """Standard errors of `raw`, (5,); noise: the readings' true deviation (m/s^2), None for the assumed one."""
+    def standard_error(self) -> np.ndarray:
+        """Standard errors of `raw`, (5,), where the readings have the assumed deviation."""
         P_x, P_y, P_z = self.covariance
         b, c = self.weight, self.settings.lift_weight
         horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
         lift = c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1]
         variance = [horizontal[0, 0], lift, P_x[2, 2], P_y[2, 2], P_z[1, 1]]
-        scale = 1.0 if noise is None else noise / self.settings.noise
-        return scale * np.sqrt(np.maximum(variance, 0.0))
+        return np.sqrt(np.maximum(variance, 0.0))
 
     def _within_bounds(self, theta: np.ndarray) -> np.ndarray:
         if not self.settings.clip:

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.dataset import WIND, name_of
 from quadexp.models.residual import VELOCITY
@@ -101,10 +101,8 @@ def rotor_columns(flight: Flight, kind: str) -> list[str]:
 def choose_signal(flights: Sequence[Flight], asked: str | None = None) -> str:
     """The signal for the thrust: the one asked for, or the first of SIGNALS that every flight has.
 
-    Raises UsageError for an unknown signal, DataError where the flights have none in common.
+    Raises DataError where the flights have none in common.
     """
-    if asked is not None and asked not in SIGNALS:
-        raise UsageError(f"thrust signal '{asked}' is none of {', '.join(SIGNALS)}")
     for kind in [asked] if asked else SIGNALS:
         if all(rotor_columns(flight, kind) for flight in flights):
             return kind

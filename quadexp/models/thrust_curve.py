@@ -140,13 +140,12 @@ class CurveSettings:
     """How a thrust curve is fitted.
 
     reference_voltage: V; 0: the voltage is not used; None: 4 V per cell for motor commands, by the median voltage.
-    voltage_exponent: g, None to fit it. powers: None for those of POWERS. loss: see `regress`.
+    voltage_exponent: g, None to fit it. powers: None for those of POWERS.
     """
 
     reference_voltage: float | None = None
     voltage_exponent: float | None = 1.0
     powers: tuple[int, ...] | None = None
-    loss: str = "squares"
 
     def voltage_for(self, samples: Samples) -> float:
         """The reference voltage, V. Raises DataError where it needs a voltage that the samples lack."""
@@ -181,7 +180,7 @@ def fit_thrust_samples(
     def fit(design: np.ndarray, names: list[str]) -> Regression:
         return regress(
             design, samples.force[:, 2], names, samples.segment, samples.flight,
-            what=f"thrust curve on {kind}", loss=settings.loss, intervals=intervals,
+            what=f"thrust curve on {kind}", intervals=intervals,
         )  # fmt: skip
 
     rotors = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
@@ -209,7 +208,7 @@ def fit_thrust_samples(
         float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
         float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
         regression.condition, float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]),
-        settings.loss, samples.delay,
+        delay=samples.delay,
     )  # fmt: skip
     return curve, regression
 

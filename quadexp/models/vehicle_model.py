@@ -119,21 +119,15 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 class FitSettings(CurveSettings):
     """How a vehicle model is fitted; of the thrust curve, None: chosen from the flights.
 
-    signal: of the rotors. radius: of the rotors, m, for the induced velocity. mass: kg, where no vehicle gives it.
+    signal: of the rotors. radius: of the rotors, m, for the induced velocity.
     kinds: models to fit besides linear. induced: False omits the induced velocity from the blade-element model even if
     the radius is known.
     """
 
     signal: str | None = None
     radius: float | None = None
-    mass: float | None = None
     kinds: tuple[str, ...] = KINDS
     induced: bool = True
-
-    def __post_init__(self) -> None:
-        for kind in self.kinds:
-            if kind not in KINDS:
-                raise UsageError(f"identify: drag '{kind}' is none of {', '.join(KINDS)}")
 
 
 @dataclass(frozen=True)
@@ -177,11 +171,11 @@ def fit_level(
     if level == "blade_element":
         terms = WITHOUT_RADIUS
         if momentum:
-            fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
+            fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum)
             terms, inflow, z = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
     model = fit_terms(
         level, terms, samples.velocity, rotors, target, samples.segment, samples.flight,
-        what=LEVEL_NAMES[level].lstrip("+ "), momentum=inflow, z=z, loss=settings.loss, intervals=intervals,
+        what=LEVEL_NAMES[level].lstrip("+ "), momentum=inflow, z=z, intervals=intervals,
     )  # fmt: skip
     return LevelFit(curve, model)
 
@@ -198,8 +192,8 @@ def fit_vehicle_model(
     """
     settings = settings or FitSettings()
     samples = samples or gather_to_fit(flights, settings.signal, names)
-    record = _vehicle_record(flights, vehicle, settings.mass, samples.names)
-    momentum = momentum_of(vehicle, settings.mass, settings.radius)
+    record = _vehicle_record(flights, vehicle, samples.names)
+    momentum = momentum_of(vehicle, settings.radius)
     linear = fit_level("linear", samples, settings)
     optional: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
     notes = []
@@ -225,18 +219,16 @@ def fit_vehicle_model(
         linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
         best if best is not None and best in kinds else kinds[-1], tuple(notes),
         vehicle=record, dataset=_dataset_record(samples), feature_range=feature_ranges(velocity),
-        settings={"loss": settings.loss, "signal": samples.kind, "momentum": momentum},
+        settings={"loss": linear.curve.loss, "signal": samples.kind, "momentum": momentum},
     )  # fmt: skip
 
 
-def _vehicle_record(
-    flights: Sequence[Flight], vehicle: Vehicle | None, mass: float | None, names: Sequence[str]
-) -> dict[str, Any]:
+def _vehicle_record(flights: Sequence[Flight], vehicle: Vehicle | None, names: Sequence[str]) -> dict[str, Any]:
     """{name, fingerprint, mass}; raises DataError where the records of two flights name different vehicles."""
     flown = {name: dict(flight.metadata.get("vehicle") or {}) for name, flight in zip(names, flights, strict=True)}
     flown = {name: record for name, record in flown.items() if record.get("fingerprint")}
     first = next(iter(flown.values()), {})
-    wanted = vehicle.record if vehicle else {"name": None, "fingerprint": None, "mass": mass} | first | {"mass": mass}
+    wanted = vehicle.record if vehicle else {"name": None, "fingerprint": None} | first | {"mass": None}
     for name, record in flown.items():
         if record["fingerprint"] != wanted["fingerprint"]:
             said = f"flown by vehicle {record.get('name')} ({record['fingerprint']}), not by {wanted['name']}"

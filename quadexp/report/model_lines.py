@@ -32,9 +32,6 @@ QUANTITIES = {
 def identification_lines(model: VehicleModel, report: Row) -> list[str]:
     """The result of an identification. report: as in the checkpoint folder."""
     lines = [_data_line(model), *model_lines(model)]
-    other = {(row["axis"], row["term"]): row["value"] for row in report["other_loss"]["rows"]}
-    drag = ", ".join(f"d_{axis} {other[axis, 'linear']:.4f}" for axis in "xyz")
-    lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")
     if len(report["flights"]) > 1:
         lines.append("each flight alone")
         for flight in report["flights"]:

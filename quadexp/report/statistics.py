@@ -48,7 +48,7 @@ class Statistic:
     """One metric of one contestant in one condition; over all of them where plant and trajectory are "".
 
     mean, low, high, std, baseline_mean, difference*: in `unit`, NaN if not defined. reduction*: percent, positive if
-    the contestant's mean is smaller than the baseline's over the same pairs. effect, cohen_d: of the paired
+    the contestant's mean is smaller than the baseline's over the same pairs. effect: of the paired
     differences, positive if smaller than the baseline.
 
     seeds: cells requested. trials: those that at least one contestant could fly. n: flights in the mean. common:
@@ -109,7 +109,6 @@ class Statistic:
     reduction_low: float = NAN
     reduction_high: float = NAN
     effect: float = NAN
-    cohen_d: float = NAN
     p: float = NAN
     p_holm: float = NAN
     p_least: float = NAN
@@ -259,7 +258,6 @@ def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: fl
         "reduction": _reduction(float(np.mean(values)) / base) if base > 0 else NAN,
         "reduction_low": relative.low,
         "reduction_high": relative.high,
-        "cohen_d": inference.cohen_d(differences),
         **_test(differences, inference.vary(values) or inference.vary(others)),
     }
 

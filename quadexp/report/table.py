@@ -52,14 +52,16 @@ class Table:
             lines.append("  ".join(cells).rstrip())
         return lines + list(map(printable, self.notes))
 
-    def markdown(self, *, bullets: bool = False) -> str:
-        """Markdown. bullets: notes as a list."""
+    def markdown(self) -> str:
+        """Markdown, the notes as a list."""
         rule = ["---" if i in self.left else "---:" for i in range(len(self.columns))]
         table = [[_marked(cell, markdown, "**{}**", "*") for cell in row] for row in (self.columns, *self.rows)]
         lines = [markdown(self.title, begins=True), ""] if self.title else []
         lines += ["| " + " | ".join(row) + " |" for row in (table[0], rule, *table[1:])]
-        notes = ["- " * bullets + markdown(note, begins=True) for note in self.notes]
-        return "\n".join([*lines, *(["", *notes] if notes or bullets else [])]) + "\n"
+        lines += ["", *(f"- {markdown(note, begins=True)}" for note in self.notes)] if self.notes else []
+        return "\n".join(lines) + "\n"
+
+    __str__ = markdown
 
     def latex(self) -> str:
         """A LaTeX tabular with booktabs rules; with `over`, rows of different first cells are set apart."""

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,19 +64,6 @@ def cell_text(s: Statistic) -> str:
     return mean + limits + ("*" if s.significant else "") + (f" ({'; '.join(beside)})" if beside else "")
 
 
-@dataclass(frozen=True)
-class ErrorTable(Table):
-    """Rows: counts of completed flights, then trajectory with what else varies, speed, swept settings, means."""
-
-    def markdown(self, *, bullets: bool = True) -> str:
-        return super().markdown(bullets=bullets)
-
-    def latex(self) -> str:
-        return Table.latex(replace(self, columns=[self.columns[0], "speed (m/s)", *self.columns[2:]]))
-
-    __str__ = markdown
-
-
 def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The column of each result row: the controller with its settings; plant and vehicle if there are several.
 
@@ -108,8 +94,9 @@ def error_table(
     *,
     baseline: str = BASELINE,
     confidence: float = CONFIDENCE,
-) -> ErrorTable:
-    """The error table of one metric from result rows."""
+) -> Table:
+    """The error table of one metric from result rows: counts of completed flights, then a line for each trajectory
+    with what else varies, speed and swept settings, with the means."""
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     statistics = compute_statistics(results, metrics=(metric,), **options)
     best = verdicts(results, metric=metric, confidence=confidence)
@@ -149,7 +136,7 @@ def error_table(
     ]
     heads = ["trajectory", "m/s", *(heading for heading, _ in shown_as.values()), *flown]
     notes = (*notes, *row_notes(results))
-    return ErrorTable(heads, [counts, *lines], title, head=1, over=title, notes=notes, beside=beside)
+    return Table(heads, [counts, *lines], title, head=1, over=title, notes=notes, beside=beside)
 
 
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
@@ -182,7 +169,7 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
 
 
-def comparison_texts(statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
+def comparison_texts(statistics: Statistics, metric: str) -> tuple[Table, dict[str, str]]:
     """The error table of one metric, and name -> content of the text files made of the statistics."""
     table = error_table(statistics.flights, metric, baseline=statistics.baseline, confidence=statistics.confidence)
     files = {"table.md": table.markdown(), "table.tex": table.latex(), "statistics.csv": statistics.csv}

@@ -28,7 +28,7 @@ from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.checked import differing_libraries, flown_by, program_name, programs_text
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistics
-from quadexp.report.tables import ErrorTable
+from quadexp.report.table import Table
 from quadexp.sweeps.engine import (
     CellFailed,
     CellFunction,
@@ -54,7 +54,7 @@ class SweepResult:
     out: Path
     rows: Sequence[Row]
     flown: int
-    table: ErrorTable
+    table: Table
     statistics: Statistics
     files: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)

@@ -19,7 +19,8 @@ from quadexp.log.store import read_table, write_table
 from quadexp.names import NAMED, check_names
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, errors_none, from_columns, to_columns, to_csv, typed
 from quadexp.report.statistics import Statistics, results_statistics
-from quadexp.report.tables import ErrorTable, comparison_texts, write_comparison
+from quadexp.report.table import Table
+from quadexp.report.tables import comparison_texts, write_comparison
 from quadexp.writer import write_text
 
 RESULTS = "results.parquet"
@@ -60,7 +61,7 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
 
 def write_results(
     root: Path, rows: Sequence[Row], record: Mapping[str, Any]
-) -> tuple[Statistics, ErrorTable, dict[str, str], list[str]]:
+) -> tuple[Statistics, Table, dict[str, str], list[str]]:
     """Write the rows and all that is made from them; returns statistics, the error table, name -> path, and a line for
     each file that no longer held what was written.
 

@@ -129,11 +129,9 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
         (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
         (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),
+        (["import", "nothing.csv", "--bad-rows", "often"], "'often' is not one of 'refuse', 'drop', 'gap'"),
         (["export", ".", "--to", "csv"], "is a folder, a flight is needed here"),
-        (
-            ["new", "rotor", "mine", "--to", "parts"],
-            "'rotor' is none of vehicle, trajectory, plant, residual, controller",
-        ),
+        (["new", "rotor", "mine", "--to", "parts"], "'rotor' is not one of 'vehicle', 'trajectory', 'plant'"),
         (["new", "plant", "my-plant", "--to", "parts"], "'my-plant' is no name for a module"),
         (["new", "plant", "../up", "--to", "parts"], "'../up' is no name"),
         (["new", "plant", "class", "--to", "parts"], "'class' is no name"),

@@ -38,6 +38,14 @@ def network(seed: int = 6) -> Network:
     return Network(("v_x", "v_y", "v_z", "w_y", "thrust"), ("a_x", "a_z", "tau_y"), tuple(weights), tuple(biases))
 
 
+def mean_only(
+    output: str, features: tuple[str, ...], points: np.ndarray, alpha: np.ndarray, length: np.ndarray,
+    signal: float = 1.0,
+) -> OutputPosterior:  # fmt: skip
+    """A posterior mean with these numbers, without a variance: points (n, d), alpha (n,), length (d,)."""
+    return OutputPosterior(output, features, points, alpha, length, signal, 0.0, np.zeros((len(alpha),) * 2), 0.0, 0)
+
+
 def interpolating(output: str, features: tuple[str, ...], points: np.ndarray, values: np.ndarray) -> OutputPosterior:
     """The exact GP (Rasmussen & Williams 2006, 2.25, 2.26) through values, (n,), at points, (n, d)."""
     length, signal, noise = np.full(points.shape[1], 4.0), 9.0, 1e-4
@@ -86,7 +94,7 @@ def make_residual(name: str, vehicle: Vehicle) -> Residual:
     if name == "gp_thrust":
         features = {"a_x": ("v_x", "w_y"), "a_z": ("v_z", "thrust"), "tau_y": ("v_x", "u_1", "w_y")}
     outputs = [
-        OutputPosterior.mean_only(
+        mean_only(
             output, names, rng.uniform(-10, 10, (15, len(names))), rng.normal(size=15), rng.uniform(3, 8, len(names))
         )
         for output, names in features.items()

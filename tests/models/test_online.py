@@ -7,13 +7,13 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.backend import BufferedFunction, compiler, realise
-from quadexp.models.gaussian_process import JITTER, OutputPosterior, adapting_process, gaussian_process_residual
+from quadexp.models.gaussian_process import JITTER, adapting_process, gaussian_process_residual
 from quadexp.models.linear_drag import adapting_drag, linear_drag_acceleration, linear_drag_residual
 from quadexp.models.neural import adapting_network, neural_residual
 from quadexp.models.online import Law, from_zero, prior_belief, update_function
 from quadexp.models.sgpr import Hyperparameters, sparse_posterior
 from quadexp.models.terms import adapting_terms
-from tests.models.residuals import make_residual, network
+from tests.models.residuals import make_residual, mean_only, network
 
 POINTS, LENGTH = np.linspace(-12, 12, 9), 4.0  # m/s, of the Gaussian processes
 STILL = np.array([0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
@@ -84,7 +84,7 @@ def designs(adapting, v, u):
 def families(vehicle):
     rng = np.random.default_rng(1)
     outputs = [
-        OutputPosterior.mean_only(f"a_{axis}", (f"v_{axis}",), POINTS[:, None], rng.normal(size=9), np.array([LENGTH]))
+        mean_only(f"a_{axis}", (f"v_{axis}",), POINTS[:, None], rng.normal(size=9), np.array([LENGTH]))
         for axis in "xyz"
     ]
     return {
@@ -364,9 +364,7 @@ def process(points=12):
     for name, (p, features) in P.items():
         where = rng.uniform(-9, 9, (points, len(features)))
         where[:, 1:] = rng.uniform(5, 23, (points, len(features) - 1))
-        outputs.append(
-            OutputPosterior.mean_only(name, features, where, np.zeros(points), p.lengthscale, p.signal_variance)
-        )
+        outputs.append(mean_only(name, features, where, np.zeros(points), p.lengthscale, p.signal_variance))
     return outputs
 
 
@@ -434,8 +432,8 @@ def test_it_follows_a_world_that_changes(vehicle):
 
 def test_it_begins_at_a_checkpoint_or_at_the_prior(vehicle):
     outputs = [
-        OutputPosterior.mean_only("a_x", ("v_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
-        OutputPosterior.mean_only("tau_x", ("w_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
+        mean_only("a_x", ("v_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
+        mean_only("tau_x", ("w_x",), np.linspace(-5, 5, 6)[:, None], np.arange(6.0), np.array([2.0])),
     ]
     adapting = adapting_process(gaussian_process_residual(vehicle, outputs), outputs, 1.0)
     z = np.random.default_rng(0).normal(size=(4, 10))

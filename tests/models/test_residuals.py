@@ -6,10 +6,10 @@ import pytest
 
 from quadexp.compile.backend import realise
 from quadexp.errors import UsageError
-from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.gaussian_process import gaussian_process_residual
 from quadexp.models.residual import no_residual, scaled_residual, symbolic_residual
 from quadexp.world import SimplifiedPlant
-from tests.models.residuals import RESIDUALS, interpolating, make_residual, weighed_outputs
+from tests.models.residuals import RESIDUALS, interpolating, make_residual, mean_only, weighed_outputs
 
 
 def features(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_what_knows_nothing_of_the_air(vehicle):
 
 
 def test_unknown_features_are_refused(vehicle):
-    points = OutputPosterior.mean_only("a_x", ("speed",), np.zeros((3, 1)), np.zeros(3), np.ones(1))
+    points = mean_only("a_x", ("speed",), np.zeros((3, 1)), np.zeros(3), np.ones(1))
     with pytest.raises(UsageError, match="gp feature 'speed': allowed are"):
         gaussian_process_residual(vehicle, [points])
 

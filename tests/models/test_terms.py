@@ -113,7 +113,7 @@ def lumped_coefficients(
 
 
 def inflow_of(lei_li, truth) -> Inflow:
-    kappa = momentum_of(lei_li, None, None)
+    kappa = momentum_of(lei_li, None)
     return Inflow(kappa, truth["z", "inflow"], truth["z", "advance"], truth["z", "thrust"])
 
 
@@ -133,7 +133,7 @@ def test_the_lumped_form_is_the_blade_element_model(lei_li, air, axis):
 def test_coefficients_are_found_through_the_induced_velocity(lei_li, air, rng):
     data, rotors, truth = air
     noisy = data.specific_force + 0.05 * rng.normal(size=data.specific_force.shape)
-    fit = fit_inflow(data.velocity, rotors, noisy[:, 2] - rotors.sum(axis=1), momentum_of(lei_li, None, None))
+    fit = fit_inflow(data.velocity, rotors, noisy[:, 2] - rotors.sum(axis=1), momentum_of(lei_li, None))
     flight = np.zeros(len(rotors), int)
     found = regress(fit.design, fit.target, Z_TERMS, flight, flight, what="z")
     wanted = np.array([truth["z", name] for name in Z_TERMS])
@@ -153,7 +153,7 @@ def test_truth_is_inside_at_the_nominal_rate(lei_li, air, rng):
     flight, inside = np.zeros(len(rotors), int), np.zeros(len(Z_TERMS))
     for _ in range(25):
         target = data.specific_force[:, 2] + 0.05 * rng.normal(size=len(rotors)) - rotors.sum(axis=1)
-        fit = fit_inflow(data.velocity, rotors, target, momentum_of(lei_li, None, None))
+        fit = fit_inflow(data.velocity, rotors, target, momentum_of(lei_li, None))
         found = regress(fit.design, fit.target, Z_TERMS, flight, flight, what="z")
         inside += np.abs(found.coefficients - wanted) < found.half_width()
     assert np.all(inside / 25 >= 0.80)  # 0.95 less three and a half standard deviations of 25 draws

@@ -20,6 +20,7 @@ from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import PlantEffects
 from quadexp.world.blade_element import BladeElementEffects
+from tests.models.residuals import mean_only
 
 
 def few(test):
@@ -130,7 +131,7 @@ def make_blade_effects(rng: np.random.Generator) -> BladeElementEffects:
 def make_gp_outputs(rng: np.random.Generator, points: int = 8) -> list[OutputPosterior]:
     """Smooth random functions of velocity, rate and thrust."""
     return [
-        OutputPosterior.mean_only(
+        mean_only(
             output,
             names,
             rng.uniform(-8, 8, (points, len(names))),

@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.gaussian_process import gaussian_process_residual
 from quadexp.models.rls import AXES, BladeElementRLS, RLSSettings
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients
 from tests.models.batch import batch_least_squares
+from tests.models.residuals import mean_only
 from tests.physics.aerodynamic_point import aerodynamic_point
 from tests.properties.strategies import GP_FEATURES, few, generators, make_blade, make_features, make_thrusts, vehicles
 
@@ -50,7 +51,7 @@ def test_gaussian_process_is_gpytorchs(vehicle, rng):
         lengthscale, variance, noise = rng.uniform(2, 8, len(features)), rng.uniform(0.5, 3), rng.uniform(0.05, 0.5)
         distance = ((x[:, None] - x) / lengthscale) ** 2
         gram = variance * np.exp(-distance.sum(axis=2) / 2) + noise * np.eye(12)
-        outputs.append(OutputPosterior.mean_only(output, features, x, variance * np.linalg.solve(gram, y), lengthscale))
+        outputs.append(mean_only(output, features, x, variance * np.linalg.solve(gram, y), lengthscale))
         models.append((output, features, Exact(x, y, lengthscale, variance, noise).eval()))
     residual = gaussian_process_residual(vehicle, outputs)
     value, slope = (np.array(part.full()) for part in residual.function(z, residual.theta))

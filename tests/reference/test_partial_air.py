@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.gaussian_process import gaussian_process_residual
 from quadexp.models.residual import symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -14,6 +14,7 @@ from quadexp.reference.hover import Hover
 from quadexp.reference.lei_li import Rectangle
 from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.world import PlantEffects, SimplifiedPlant
+from tests.models.residuals import mean_only
 
 H = 1e-4  # s, of the differences in time
 SLOW = pytest.mark.slow
@@ -30,7 +31,7 @@ def drag_process(vehicle):
     kernel = np.exp(-((v - v.T) ** 2) / (2 * 6.0**2))
     for axis in "xyz":
         weights = np.linalg.solve(kernel + 1e-6 * np.eye(len(v)), -(0.3 * v + 0.08 * v * abs(v))[:, 0])
-        outputs.append(OutputPosterior.mean_only(f"a_{axis}", (f"v_{axis}",), v, weights, np.array([6.0])))
+        outputs.append(mean_only(f"a_{axis}", (f"v_{axis}",), v, weights, np.array([6.0])))
     return gaussian_process_residual(vehicle, outputs)
 
 

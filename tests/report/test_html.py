@@ -12,7 +12,7 @@ from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import from_columns
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import Swept, pareto_front
+from quadexp.report.page.panels import Swept
 from quadexp.report.page.sections import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.tables import error_table
@@ -159,11 +159,6 @@ def test_commands_of_sweeps():
 def test_the_same_results_give_the_same_page(results, text, tmp_path):
     again = make_report(results, tmp_path / "report.html", figures=tmp_path / "figures")
     assert again["path"].read_text(encoding="utf-8") == text
-
-
-def test_the_front_is_nobody_beaten_in_both():
-    points = {"a": (1.0, 9.0), "b": (2.0, 3.0), "c": (3.0, 4.0), "d": (4.0, 1.0)}
-    assert pareto_front(points) == ["a", "b", "d"]
 
 
 @pytest.mark.parametrize("controllers", [("gp_mpc",), ("nominal_mpc",), ("perfect_mpc", "linear_drag_mpc")])

@@ -9,7 +9,6 @@ import scipy.stats
 
 from quadexp.report import inference
 from quadexp.report.inference import (
-    cohen_d,
     holm,
     least_p,
     mean_interval,
@@ -127,10 +126,6 @@ class TestEffect:
         n = len(differences)
         plus = scipy.stats.wilcoxon(differences, alternative="greater", method="asymptotic").statistic
         assert rank_biserial(differences) == pytest.approx(1 - 4 * plus / (n * (n + 1)))
-
-    def test_cohen(self):
-        assert cohen_d([-1.0, -2.0, -3.0]) == pytest.approx(2.0)  # mean -2, standard deviation 1
-        assert math.isnan(cohen_d([1.0])) and math.isnan(cohen_d([0.5, 0.5]))
 
 
 class TestHolm:

@@ -143,7 +143,7 @@ class TestIntervals:
         assert table.rows[1][-2].endswith("] (1 lost)")
         latex = table.latex()
         assert rf"\textbf{{{mean}}} {text}$^*$" in latex and r"flown &  & 6 of 7 & 7 of 7 \\" in latex
-        assert r"trajectory & speed (m/s) & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
+        assert r"trajectory & m/s & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
         assert r"- \* differs from nominal_mpc: p < 0.05" in table.markdown()
         assert table.notes[0].startswith(
             "mean over the flights of a line that all completed, of 7 seeds [95 % interval: Student's t]; bold:"

@@ -28,7 +28,6 @@ from quadexp.log.units import mounting_matrix
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 
-MODES = ("refuse", "drop", "gap")
 MOST = 0.2  # share of the rows: beyond, the fault is not one of rows
 ROUNDS = 3  # what is left out may have hidden something
 SHORTEST = 5  # rows of a segment
@@ -40,7 +39,7 @@ HELD = ("motor_command_", "u_", "battery_voltage", "wind_", "segment", "status")
 class Options:
     """How to import. rate: Hz, None for the log's own. crop: whether to cut ground phases. align: whether to move the
     streams by the time offsets found. mounting, gyro_mounting: roll, pitch, yaw of the sensor in the body (deg).
-    bad_rows: what becomes of rows that cannot be (repeated, outliers, filled in by a dead logger), a name of MODES."""
+    bad_rows: refuse, drop or gap, of rows that cannot be (repeated, outliers, filled in by a dead logger)."""
 
     format: str = "auto"
     mapping: Path | None = None
@@ -61,8 +60,6 @@ def checked(options: Options) -> Mapping | None:
         raise UsageError("--log-format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
     if options.rate is not None and not 0.1 <= options.rate <= 10_000:
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
-    if options.bad_rows not in MODES:
-        raise UsageError(f"--bad-rows {options.bad_rows}: no such way; there are {', '.join(MODES)}")
     return mapping
 
 

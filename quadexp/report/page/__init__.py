@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from quadexp import __version__
 from quadexp.names import file_name
 from quadexp.report.document import Section, document
 from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import Swept, pareto_figures, pareto_section, swept_section
+from quadexp.report.page.panels import Swept, swept_section
 from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, records, scoreboard, worst, worst_rows
 from quadexp.report.page.source import Comparison, read_comparison
 from quadexp.report.style import Figure, save_figure
@@ -38,13 +37,13 @@ def make_report(
     if figures is not None:
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
-    swept, pareto = Swept.of(comparison), pareto_figures(comparison)
+    swept = Swept.of(comparison)
     words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
     words += ["--baseline", baseline] if baseline else []
     words += ["--figures", portable(Path(figures))] if figures else []
-    page, left_out = render(comparison, swept, pareto, shlex.join(words))
+    page, left_out = render(comparison, swept, shlex.join(words))
     write_text(out, page, force=force)
-    drawn: dict[str, Figure] = swept.figures() | pareto if figures else {}
+    drawn: dict[str, Figure] = swept.figures() if figures else {}
     paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
     answered, checked = answer(comparison), comparison.checked
     return {
@@ -58,7 +57,7 @@ def make_report(
     }
 
 
-def render(comparison: Comparison, swept: Swept, pareto: Mapping[str, Figure], command: str) -> tuple[str, list[str]]:
+def render(comparison: Comparison, swept: Swept, command: str) -> tuple[str, list[str]]:
     """The page, and what is not on it for its size. command: that makes it again."""
     bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
     short = [
@@ -69,7 +68,6 @@ def render(comparison: Comparison, swept: Swept, pareto: Mapping[str, Figure], c
     sections = [
         replace(whole, blocks=short),
         swept_section(swept),
-        pareto_section(pareto),
         worst(comparison, bad),
         origin(comparison, flights, command, left_out),
     ]

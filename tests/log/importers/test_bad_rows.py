@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from quadexp.errors import UsageError
 from quadexp.log.check import check_flight
 from quadexp.log.check.samples import check_dead
 from quadexp.log.schema import Flight
@@ -138,8 +137,3 @@ def test_pasted_rows_are_found_whatever_column_is_first():
     columns = {"status": np.zeros(len(flight)), **{n: x if n == "t" else x[rows] for n, x in flight.columns.items()}}
     (found,) = [one for one in check_flight(Flight(columns, {})) if one.name == "duplicated_rows"]
     assert found.blocks and found.span == pytest.approx((9.0, 12.0), abs=0.03)
-
-
-def test_an_unknown_way_is_one_line(tmp_path):
-    with pytest.raises(UsageError, match="--bad-rows often: no such way; there are refuse, drop, gap"):
-        imported(tmp_path, imitated(89, "torrente", duration=5), bad_rows="often")
