@@ -346,7 +346,7 @@ def animate(
     end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
     force: Force = False,
 ) -> Answer:
-    """Draw flights over one reference as a moving picture in real time, a GIF.
+    """Draw flights over one reference as a moving picture in real time: GIF, or MP4 by ffmpeg.
 
     \b
     quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif

@@ -6,8 +6,12 @@ every vehicle drawn to scale from above.
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,6 +32,7 @@ from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
 from quadexp.writer import check_output, written
 
+FORMATS = (".gif", ".mp4")
 DPI = 100
 SIZE = (7.2, 3.9)  # inches
 TRAIL = 1.5  # s of path behind a vehicle
@@ -47,13 +52,16 @@ def animate(
     end: float | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Write the flights as a GIF; returns path, frames and duration (s).
+    """Write the flights as an animation; returns path, frames and duration (s).
 
-    rate: frames a second. begin, end: s of the flights that are shown; None: to
+    out: GIF or MP4 by its suffix. rate: frames a second. begin, end: s of the flights that are shown; None: to
     the end. Raises UsageError where the flights do not follow one reference, or nothing is left to show.
     """
-    if out.suffix.lower() != ".gif":
-        raise UsageError(f"--out {out}: must end in .gif")
+    suffix = out.suffix.lower()
+    if suffix not in FORMATS:
+        raise UsageError(f"--out {out}: must end in {', '.join(FORMATS)}")
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        raise UsageError(f"--out {out}: needs ffmpeg on the PATH; without it, give .gif")
     if not 1 <= rate <= 50:
         raise UsageError(f"--rate {rate:g}: must be in [1, 50] frames per second")
     flights = [read_flight(path, whole=True) for path in paths]
@@ -69,7 +77,10 @@ def animate(
     picture = _Picture(_labels(paths, flights), flights, begin, end)
     with written(out, force=force) as file, Progress("frames") as progress:
         frames = _counted(picture, times, progress)
-        _write_gif(frames, picture.frame(times[len(times) // 2]), times, file)
+        if suffix == ".mp4":
+            _write_mp4(frames, rate, file)
+        else:
+            _write_gif(frames, picture.frame(times[len(times) // 2]), times, file)
     return {"path": out, "frames": len(times), "duration": len(times) / rate}
 
 
@@ -86,6 +97,25 @@ def _write_gif(frames: Iterator[Image.Image], typical: Image.Image, times: np.nd
     shown = 10 * np.diff(np.round(100 * (times - times[0]))).astype(int)  # ms, in the file's unit, without drifting
     options = {"save_all": True, "append_images": indexed, "duration": [*shown.tolist(), round(1000 * HOLD)], "loop": 0}
     next(indexed).save(file, "GIF", **options)
+
+
+def _write_mp4(frames: Iterator[Image.Image], rate: float, file: BinaryIO) -> None:
+    first = next(frames)
+    size = f"{first.width}x{first.height}"
+    with tempfile.TemporaryDirectory() as folder:
+        video = Path(folder) / "video.mp4"
+        source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{rate:g}", "-i", "-"]
+        target = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(video)]
+        command = ["ffmpeg", "-loglevel", "error", *source, *target]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
+            assert ffmpeg.stdin is not None
+            for frame in chain([first], frames):
+                ffmpeg.stdin.write(frame.tobytes())
+            ffmpeg.stdin.write(round(HOLD * rate) * frame.tobytes())
+            _, said = ffmpeg.communicate()
+        if ffmpeg.returncode:
+            raise UsageError(f"ffmpeg: {said.decode(errors='replace').strip()}")
+        file.write(video.read_bytes())
 
 
 def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
