@@ -28,6 +28,8 @@ quick: $(STAMP)
 
 # One process more than there are cores: tests of sweeps and clusters wait much of their time.
 TEST_PROCESSES ?= $(shell echo $$(($$(nproc 2>/dev/null || echo 2) + 1)))
+# The processes that tests start read compiled modules, whatever the shell says of writing them.
+test test-fast test-interpreted test-slow: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests examples
 

@@ -1,5 +1,6 @@
 """Fixtures that every test may use."""
 
+import gc
 import os
 import tempfile
 from collections import Counter
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("QUADEXP_OPTIMISE", "-O1")  # compiling is half of the tests' work, each function for a few steps
+os.environ.setdefault("QUADEXP_OPTIMISE", "-Og")  # compiling is half of the tests' work, each function for a few steps
 os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-tests-{os.getuid()}")
 
 from quadexp.compile.compiler import compiler
@@ -19,6 +20,8 @@ from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
 from tests import composing  # noqa: F401 - before any test binds what it replaces
+
+gc.set_threshold(200_000, 20, 100)  # looking for cycles was a tenth of the tests' work
 
 
 def pytest_terminal_summary(terminalreporter) -> None:
@@ -117,6 +120,12 @@ def lei_li(blade) -> Vehicle:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20210131)
+
+
+@pytest.fixture
+def unmeasured(monkeypatch) -> None:
+    """The margins of no loop are computed: of what remedies are around, that takes longer than the flight."""
+    monkeypatch.setattr("quadexp.experiment.evaluate.loop_margins", lambda *_: {"unknown": "not asked for"})
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ from quadexp.cli.terminal import fitted
 from tests.cli.command import run, run_main
 from tests.faults.test_hostile_files import on_a_terminal
 
-ROOT = Path(__file__).resolve().parents[2]
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
 FLOWN = ("plant=ideal", *QUICK)
 

@@ -16,13 +16,13 @@ from quadexp.report.beliefs import BAND, beliefs, beliefs_figure, beliefs_table
 from quadexp.report.metrics import position_error
 from quadexp.report.summary import flight_lines
 
+pytestmark = pytest.mark.usefixtures("unmeasured")
 PATH = ("trajectory=circle", "trajectory.speed=8", "sensor.accelerometer_noise=[0.05,0.05,0.05]", "seed=5")
 
 
 @cache
 def flown(controller, *given):
-    unstable = ["controller.allow_unstable=true"] if "mpc" in controller else []
-    return fly_one(compose([f"controller={controller}", *PATH, *unstable, *given]))
+    return fly_one(compose([f"controller={controller}", *PATH, *given]))
 
 
 @pytest.mark.parametrize(
@@ -147,8 +147,9 @@ def test_a_noise_of_rotor_speeds_that_is_stated_too_high_does_not_run_away():
     assert flight.outcome == "ok" and np.abs(flight.columns["observer_thrust_scale"] - 1 / 1.242).max() < 0.5
 
 
-def test_an_unstable_loop_with_rotor_speeds_is_refused_in_a_line():
+def test_an_unstable_loop_with_rotor_speeds_is_refused_in_a_line(monkeypatch):
     """What was tried to make it stable asks the world again what its sensors state."""
+    monkeypatch.undo()
     words = "world=everything", "sensor=race_dshot", "vehicle=hummingbird", "trajectory.speed=5", "remedies=auto"
     with pytest.raises(UsageError, match="is not stable at hover"):
         fly_one(compose(["controller=perfect_mpc", *words]))

@@ -172,7 +172,8 @@ def test_rates_that_do_not_divide_are_refused(vehicle):
 @pytest.mark.parametrize("bandwidth", [0.0, 15.0])
 def test_a_torque_is_not_taken_away_twice(bandwidth):
     """An observer's torque and INDI's answer to it are the same: refused by name."""
-    given = ["controller=sun_mpc", "vehicle=sun", "plant=sun", "observer=disturbance", "inner=indi"]
+    given = ["controller=sun_mpc", "controller.backend=interpreted", "vehicle=sun", "plant=sun"]
+    given += ["observer=disturbance", "inner=indi"]
     config = compose([*given, f"observer.torque_bandwidth={bandwidth}"])
     vehicle = build_vehicle(config.vehicle)
 

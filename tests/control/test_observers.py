@@ -54,7 +54,7 @@ class Truth:
         for _ in range(20):
             z = rk4_step(slope, z, PERIOD / 20)
         reading = ca.mtimes(_rotation(z).T, slope(z)[7:10] + ca.vertcat(0, 0, vehicle.gravity))
-        self._advance = ca.Function("truth", [x, u], [z, reading])
+        self._advance = ca.Function("truth", [x, u], [z, reading]).expand()
 
     def advance(self, x, u):
         """State (13,) and the accelerometer's reading after a control period."""

@@ -2,11 +2,7 @@
 
 import hashlib
 import json
-import os
-import signal
-import threading
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,14 +14,10 @@ from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.experiment.vehicle_of import own_vehicle
-from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight
-from quadexp.parts.compose import compose, expand
+from quadexp.parts.compose import compose
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.reference.base import Trajectory
-from quadexp.sweeps.sweep import run_sweep
-from tests.processes import processes
 
 INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
 SHORT = ["trajectory=step", "trajectory.duration=1", "trajectory.step_time=0.2", *INTERPRETED]
@@ -40,15 +32,6 @@ def same_flight(a, b):
 
 
 class TestFlight:
-    def test_the_same_configuration_is_the_same_flight(self):
-        same_flight(fly_one(compose(SHORT)), fly_one(compose(SHORT)))
-
-    def test_what_was_flown_before_leaves_no_trace(self):
-        first = fly_one(compose(SHORT))
-        fly_one(compose([*SHORT, "trajectory.target=[3,-2,2]"]))
-        fly_one(compose([*SHORT, "controller=perfect_mpc"]))
-        same_flight(first, fly_one(compose(SHORT)))
-
     def test_controllers_meet_the_same_noise(self):
         draws = [
             generator(compose(["seed=4", f"controller={name}"])).standard_normal(20)
@@ -78,44 +61,6 @@ class TestFlight:
         ) as caught:
             fly_one(compose(["trajectory.speed=30"]))
         assert isinstance(caught.value, UsageError)
-
-
-class TestSweepOfFlights:
-    GRID = [*SHORT, "controller=nominal_mpc,perfect_mpc", "trajectory.duration=0.6,1", "seed=range(2)"]
-
-    def test_the_number_of_workers_and_the_order_change_nothing(self, tmp_path):
-        one = run_sweep(expand(self.GRID), tmp_path / "one", workers=1)
-        two = run_sweep(list(reversed(expand(self.GRID))), tmp_path / "two", workers=2)
-        assert not one.not_flown and len(one.rows) == 8
-        rows = {row["key"]: row for row in two.rows}
-        for row in one.rows:
-            a, b = (read_flight(CellStore(tmp_path / folder).path(row["key"])) for folder in ("one", "two"))
-            same_flight(a, b)
-            measured = {name for name in row if name.startswith("solve_time")}
-            assert {k: v for k, v in row.items() if k not in measured} == {
-                k: v for k, v in rows[row["key"]].items() if k not in measured
-            }
-
-    @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-    def test_workers_killed_under_way_cost_nothing_but_time(self, tmp_path):
-        killed = []
-
-        def kill_a_worker(done, total):
-            if done in (2, 6) and done not in killed:
-                killed.append(done)
-                workers = [pid for pid in children_of_children(os.getpid()) if pid != os.getpid()]
-                threading.Timer(0.02, lambda: [os.kill(pid, signal.SIGKILL) for pid in workers[:1]]).start()
-
-        grid = expand([*SHORT, "seed=range(12)"])
-        result = run_sweep(grid, tmp_path / "r", workers=2, progress=kill_a_worker)
-        assert [row["cause"] for row in result.not_flown] == [] and killed == [2, 6] and len(result.rows) == 12
-        assert not list((tmp_path / "r").rglob("*.tmp"))
-
-
-def children_of_children(pid):
-    """Worker processes: children of the fork server, which is a child of this process."""
-    parents = {child: int(fields[1]) for child, fields in processes()}
-    return [child for child, parent in parents.items() if parents.get(parent) == pid]
 
 
 class TestCollect:

@@ -64,12 +64,12 @@ class TestFlownByAll:
 
     @pytest.fixture(scope="class")
     def model(self, tmp_path_factory):
-        """A Gaussian process of the default features, learned from a minute of flights."""
+        """A Gaussian process of the default features, learned from half a minute of flights."""
         from quadexp.experiment.collect import collect_dataset
         from quadexp.experiment.fit import fit_checkpoint
 
         folder = tmp_path_factory.mktemp("model")
-        config = compose(["collect.duration=60"])
+        config = compose(["collect.duration=30", "gp.inducing=10"])
         collect_dataset(config, folder / "residuals.parquet")
         fit_checkpoint("gp", config, folder / "residuals.parquet", folder / "gp", figures=False)
         return folder / "gp"

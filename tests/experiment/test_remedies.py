@@ -93,6 +93,7 @@ def without_remedies(controller):
     return commands(flown_or_refused(controller, dict.fromkeys(GROUPS, "none")))
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize(("controller", "parts"), combinations(12), ids=lambda one: one if isinstance(one, str) else "")
 def test_a_combination_flies_and_does_something_or_is_refused(controller, parts):
     flight = flown_or_refused(controller, parts)

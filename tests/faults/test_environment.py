@@ -50,16 +50,6 @@ def test_blanks_and_letters_of_other_alphabets(usual, tmp_path):
 
 
 @pytest.mark.slow
-def test_ascii_terminal(usual, tmp_path):
-    surroundings = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
-    done = apart(*FLY, "--out", tmp_path / "a.parquet", environment=surroundings)
-    assert done.returncode == 0, done.stderr
-    out = tmp_path / "r"
-    words = ("evaluate", "--sweep", "--no-figures", *FLY[1:], "seed=0", "--out", out)
-    assert apart(*words, environment=surroundings).returncode == 0
-
-
-@pytest.mark.slow
 def test_decimal_comma(usual, tmp_path):
     """A host program that sets a locale with a decimal comma before the functions are generated and compiled."""
     names = subprocess.run(["locale", "-a"], capture_output=True, text=True).stdout.split()

@@ -5,7 +5,6 @@ import dataclasses
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import session
 from quadexp.parts.settings import declared
@@ -75,12 +74,6 @@ def test_flights_of_years_are_refused(composer, overrides):
         fly_one(composer.compose([*overrides, "controller.backend=interpreted", "plant.backend=interpreted"]))
 
 
-def test_a_path_too_small_to_be_flown(composer, tmp_path):
+def test_a_path_too_small_to_be_flown(composer):
     with pytest.raises(UsageError, match="extent"):
         fly_one(composer.compose(["trajectory=random", "trajectory.extent=1e-300", "controller.backend=interpreted"]))
-
-
-def test_collecting_for_less_than_a_flight(composer, tmp_path):
-    quick = ["collect.duration=1e-9", "plant=ideal", "controller.backend=interpreted", "plant.backend=interpreted"]
-    report = collect_dataset(composer.compose(quick), tmp_path / "r.parquet")
-    assert report["flights"] == 1 and report["rows"] > 0

@@ -59,12 +59,7 @@ def test_edited_flights_lost_ones_and_those_of_another_sweep(results):
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ("results", "r"),
-        ("compare", "r", "r"),
-        ("plot", "r", "--x", "trajectory.speed", "--out", "a.png"),
-        ("report", "r", "--out", "a.html"),
-    ],
+    [("results", "r"), ("compare", "r", "r"), ("plot", "r", "--x", "trajectory.speed", "--out", "a.png")],
     ids=lambda words: words[0],
 )
 def test_every_command_that_shows_them_says_so(results, monkeypatch, words):

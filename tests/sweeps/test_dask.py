@@ -85,7 +85,7 @@ class TestKill:
         return run_sweep(expand([self.GRID]), tmp_path_factory.mktemp("r") / "r", function=cells.quick_cell, workers=2)
 
     def test_workers_and_nannies_killed_under_way(self, tmp_path, undisturbed):
-        cluster = Cluster(tmp_path / "cluster", workers=3)
+        cluster = Cluster(tmp_path / "cluster")
         done = []
 
         def upset(count, total):

@@ -14,26 +14,23 @@ from tests.experiment.same import same_results
 LEARNING = ["vehicle=lei_li", "plant=blade_element", "controller=rls_feedback,rls_mpc"]
 KNOWING = ["controller=nominal_mpc,perfect_mpc"]
 SHORT = ["trajectory=step", "trajectory.duration=0.3", "trajectory.step_time=0.1", "seed=range(3)"]
-COMPILED = pytest.param("compiled", marks=pytest.mark.skipif(compiler() is None, reason="no C compiler"))
+COMPILED = pytest.param((KNOWING, "compiled", 6), marks=pytest.mark.skipif(compiler() is None, reason="no C compiler"))
 
 
-@pytest.fixture(scope="module", params=["interpreted", COMPILED])
+# Noise differs by seed and knowledge by controller; the blade-element plant has no noise.
+@pytest.fixture(scope="module", params=[(LEARNING, "interpreted", 2), COMPILED])
 def flown(request, tmp_path_factory):
     """The cells, and what one worker made of them in the order of the plan."""
-    backend = [f"controller.backend={request.param}", f"plant.backend={request.param}"]
-    cells = expand([*SHORT, *KNOWING, *backend])
-    if request.param == "interpreted":  # compiling takes a while
-        cells = [*cells, *expand([*SHORT, *LEARNING, *backend])]
+    who, backend, errors = request.param
+    cells = expand([*SHORT, *who, f"controller.backend={backend}", f"plant.backend={backend}"])
     alone = run_sweep(cells, tmp_path_factory.mktemp("alone") / "r", engine=LocalEngine(1))
-    assert not alone.not_flown
-    # Noise differs by seed and knowledge by controller; the blade-element plant has no noise.
-    assert len({row["mean_error"] for row in alone.rows}) == (6 if request.param == "compiled" else 6 + 2)
+    assert not alone.not_flown and len({row["mean_error"] for row in alone.rows}) == errors
     return cells, alone
 
 
 def test_workers(flown, tmp_path):
     cells, alone = flown
-    same_results(alone, run_sweep(cells, tmp_path / "r", engine=LocalEngine(3)))
+    same_results(alone, run_sweep(cells, tmp_path / "r", engine=LocalEngine(2)))
 
 
 def test_order_and_this_process(flown, tmp_path):

@@ -15,8 +15,6 @@ from quadexp.sweeps.sweep import SweepInterrupted
 from tests.cli.command import run
 from tests.sweeps.quick import SWEEP, contents, fly
 
-HERE = provenance.sources()
-
 
 def rewrite(folder, key, **changes):
     """Have a cell say that another program has flown it; a value None: it does not say."""

@@ -24,7 +24,6 @@ from tests.sweeps import cells
 from tests.sweeps.quick import start, wait_for
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import contextlib
 import re
 import time
-from pathlib import Path
 
 import pytest
 
@@ -11,14 +10,8 @@ from quadexp.errors import UsageError
 from quadexp.report.live import Live, clock, page
 from quadexp.sweeps.sweep import SweepInterrupted
 from quadexp.sweeps.watch import FILE, Watch
-from tests.report.test_browser import BROWSER, DRIVER, browser  # noqa: F401
 from tests.report.test_tables import row
 
-ROOT = Path(__file__).resolve().parents[2]
-HOVER = (
-    "trajectory=hover", "trajectory.duration=0.3", "plant=ideal", "controller.backend=interpreted",
-    "plant.backend=interpreted",
-)  # fmt: skip
 AGAIN = '<meta http-equiv="refresh"'
 
 

@@ -321,6 +321,7 @@ def test_what_cannot_be_is_refused_in_one_line(given, message):
 OPTIONS = ("low", "high", "mocap_room", "gnss_quad", "race_dshot", "race_serial", "crazyflie")
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_option_flies_with_speeds_of_rotors_and_without(option):
     """Without speeds nothing is told of them, and no telemetry is refused."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-SUBSTEP = 1e-3  # s, over which the lagging thrust is held at its mean
+SUBSTEP = 2e-3  # s, over which the lagging thrust is held at its mean
 
 
 class DelayedPlant:

@@ -55,7 +55,7 @@ def test_first_input_is_near_the_converged_one_along_the_fast_circle(vehicle, re
     for k in range(len(reference)):
         horizon = reference.horizon(k)
         u, _ = controller.command(x, *horizon)
-        if k % 12 == 0:
+        if k % 20 == 0:
             states, inputs = horizon
             if states[0, 3:7] @ x[3:7] < 0:
                 states = states * np.r_[np.ones(3), -np.ones(4), np.ones(6)]
