@@ -19,7 +19,6 @@ wrapped once in a CleanStream (quadexp/cli/terminal.py).
 from __future__ import annotations
 
 import difflib
-import functools
 import html as markup
 import json
 import math
@@ -84,12 +83,7 @@ def _csv_cell(value: Any) -> str:
         return ""
     if isinstance(value, float):
         return repr(value)
-    return _csv_text(str(value))
-
-
-@functools.lru_cache(1024)  # rows have most texts in common
-def _csv_text(text: str) -> str:
-    text = _FORMULA.sub("'", _stored(text))
+    text = _FORMULA.sub("'", _stored(value))
     return '"' + text.replace('"', '""') + '"' if re.search('[",;]', text) else text
 
 

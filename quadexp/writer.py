@@ -79,8 +79,7 @@ def written(
     """
     path = Path(path)
     try:
-        if not path.parent.is_dir():
-            path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         with opened(path.parent, inside) as folder:
             temporary, file = _new_file(folder)
             try:

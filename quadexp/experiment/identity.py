@@ -13,7 +13,7 @@ from typing import Any
 from quadexp.errors import UsageError
 from quadexp.models.base import model_class
 from quadexp.parts.part import TARGET, imported
-from quadexp.parts.schema import WORLD, Config, remedies
+from quadexp.parts.schema import WORLD, Config, remedies, world_parts
 from quadexp.parts.settings import declared
 from quadexp.physics.vehicle import FORMER_NAMES
 
@@ -40,8 +40,7 @@ def flight_record(config: Config) -> dict[str, Any]:
     that do nothing are left out."""
     nodes = {group: getattr(config, group).recorded() for group in FLIGHT_GROUPS}
     nodes["plant"] |= FORMER_KEYS.get(nodes["plant"].get("kind", ""), {})
-    world = {group: getattr(config, group) for group in WORLD if group not in nodes}
-    nodes |= {group: part.recorded() for group, part in world.items() if not part.idle}
+    nodes |= {group: part.recorded() for group, part in world_parts(config).items() if group not in nodes}
     nodes |= {group: part.recorded() for group, part in remedies(config).items()}
     return {**nodes, "model": config.model, "seed": config.seed}
 

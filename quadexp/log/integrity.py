@@ -160,8 +160,7 @@ def _parts(chunk: Any) -> list[Any]:
 
 
 def sealed_parquet(table: Any, **options: Any) -> bytes:
-    """An Arrow table as a Parquet file, with a checksum of every page and the hash of its own bytes. options: of the
-    Parquet writer."""
+    """An Arrow table as a Parquet file with checksums of its pages and its own hash. options: of the writer."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -81,7 +81,8 @@ class Part(Settings):
 
     @functools.cached_property
     def _recorded(self) -> dict[str, Any]:
-        settings = {k: v for k, v in record(self).items() if k not in self.added or v != getattr(type(self), k)}
+        usual = {k for k in self.added if getattr(self, k) == getattr(type(self), k)}
+        settings = {k: v for k, v in record(self).items() if k not in usual}
         return settings | ({"kind": self.former_kind} if self.former_kind else {})
 
     def __reduce__(self) -> Any:
@@ -104,10 +105,7 @@ def _restored(packed: bytes) -> Any:
 class Nothing(Part):
     """The option that does nothing."""
 
-    @property
-    def idle(self) -> bool:
-        """See Part."""
-        return True
+    idle = True
 
 
 def part_class(key: str, target: str) -> type[Part]:

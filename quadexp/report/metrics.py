@@ -71,8 +71,7 @@ SHOWN = {name: (NUMBERS[name].factor, NUMBERS[name].unit) for name in ("rmse", "
 
 def position_error(flight: Flight) -> np.ndarray:
     """Distance to the reference, (k,) (m)."""
-    flown, wanted = both(flight, POSITION)
-    return np.linalg.norm(flown - wanted, axis=1)
+    return np.linalg.norm(np.subtract(*both(flight, POSITION)), axis=1)
 
 
 def both(flight: Flight, part: slice) -> list[np.ndarray]:

@@ -130,20 +130,14 @@ def run_sweep(
         in_order = [rows[key] for key in jobs]
         if all(row["outcome"] == INVALID for row in in_order):
             raise UsageError(in_order[0]["cause"])
+        unflown = [row["key"] for row in in_order if row["outcome"] in ("failed", INVALID)]
         record = {
-            "metric": metric,
-            "baseline": baseline,
-            "confidence": confidence,
+            "metric": metric, "baseline": baseline, "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
             "conditions": sorted({job.condition for job in jobs.values()}),
-            "without_flight": {
-                row["key"]: list(jobs[row["key"]].cell.overrides)
-                for row in in_order
-                if row["outcome"] in ("failed", INVALID)
-            },
-            "flown_by": flown_by(in_order),
-            "provenance": provenance(),
-        }
+            "without_flight": {key: list(jobs[key].cell.overrides) for key in unflown},
+            "flown_by": flown_by(in_order), "provenance": provenance(),
+        }  # fmt: skip
         flown(in_order, record)
         statistics, shown, files, altered = write_results(store.root, in_order, record)
     return SweepResult(store.root, in_order, todo, shown, statistics, files, [*notes, *altered])

@@ -51,6 +51,7 @@ class Sensors(SensorKeys, Effect):
     then the channel's own. Parameters: those of the channels."""
 
     stage = "sensor"
+    added = tuple(key for key in declared(SensorKeys) if key not in ("accelerometer_bias", "accelerometer_noise"))
 
     later: float = 0.0  # s, by which an estimator makes the pose older, and the body rates
     later_rates: float = 0.0
@@ -58,11 +59,8 @@ class Sensors(SensorKeys, Effect):
     # ------------------------------------------------------------------------------------------------ which sensors act
     def sets(self, *quantities: str) -> bool:
         """Whether a key of one of these quantities is not at its default."""
-        return any(
-            getattr(self, name) != about.default
-            for name, about in declared(type(self)).items()
-            if name.startswith(quantities)
-        )
+        usual = ((key, about.default) for key, about in declared(type(self)).items() if key.startswith(quantities))
+        return any(getattr(self, key) != default for key, default in usual)
 
     @cached_property
     def idle(self) -> bool:
@@ -82,13 +80,6 @@ class Sensors(SensorKeys, Effect):
     def loop_delay(self) -> float:
         """The age of the attitude, on which a loop's margins depend most."""
         return self.later + (self.pose_delay + self.pose_jitter / 2 if self.attitude_age == "pose" else 0.0)
-
-    @cached_property
-    def _recorded(self) -> dict[str, Any]:
-        """Without what is exact, so that records of earlier versions are those of today."""
-        always, keys = ("name", "accelerometer_bias", "accelerometer_noise"), declared(type(self))
-        kept = super()._recorded.items()
-        return {name: value for name, value in kept if name in always or getattr(self, name) != keys[name].default}
 
     def among(self, effects: Sequence[Effect]) -> Effect:
         estimators = [effect for effect in effects if effect.stage == "estimator"]
