@@ -45,7 +45,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
 from quadexp.models.blade_element import blade_element_residual
-from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.gaussian_process import gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.compose import compose
@@ -56,6 +56,7 @@ from quadexp.reference.circle import Circle
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.base import Plant
 from quadexp.world.blade_element import BladeElementPlant
+from tests.models.residuals import mean_only
 
 CASES = ("none", "drag", "gp20", "gp100", "blade_element")
 PLAIN = "blade_element"  # acados gets the plain model here: what does knowing the rotors cost?
@@ -107,7 +108,7 @@ def make_residual(case: str, vehicle: Vehicle, *, weighed: bool = False) -> tupl
         return blade_element_residual(vehicle, COEFFICIENTS), {"kind": "none"}
     points, weights = gp_points(int(case.removeprefix("gp")))
     outputs = [
-        OutputPosterior.mean_only(f"a_{axis}", (f"v_{axis}",), points[i][:, None], weights[i], LENGTHSCALE[i : i + 1])
+        mean_only(f"a_{axis}", (f"v_{axis}",), points[i][:, None], weights[i], LENGTHSCALE[i : i + 1])
         for i, axis in enumerate("xyz")
     ]
     numbers = {"kind": "gp", "Z": points.tolist(), "alpha": weights.tolist(), "lengthscale": LENGTHSCALE.tolist()}

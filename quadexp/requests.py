@@ -253,6 +253,7 @@ def collect(
     conf: Path | None = None,
     *,
     flights: Sequence[Path] = (),
+    save_flights: Path | None = None,
     sweep: bool = False,
     force: bool = False,
     progress: Progress = quiet,
@@ -272,7 +273,10 @@ def collect(
         worlds = [cell.config for cell in composer.expand(overrides).sound()] if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides)
     path = check_output(out, force=force)
-    return dict(collect_dataset(config, path, flights=flights, worlds=worlds, force=force, progress=progress))
+    if save_flights is not None:
+        check_output(save_flights, force=force, folder=True)
+    options: dict[str, Any] = {"flights": flights, "worlds": worlds, "save_flights": save_flights}
+    return dict(collect_dataset(config, path, **options, force=force, progress=progress))
 
 
 def fit(
@@ -417,10 +421,16 @@ def _recorded(config: Mapping[str, Any]) -> list[str]:
     import json
 
     from quadexp.experiment.identity import FORMER_KEYS
-    from quadexp.report.frame import flat
+
+    def keys(value: Any, prefix: str) -> list[str]:
+        if isinstance(value, Mapping):
+            return [word for name, one in value.items() for word in keys(one, f"{prefix}.{name}")]
+        return [f"{prefix}={json.dumps(value)}"]
 
     parts = {group: part for group, part in config.items() if isinstance(part, Mapping)}
-    settings = [f"{key}={json.dumps(value)}" for key, value in flat(parts).items()]
+    settings = [
+        word for group, part in parts.items() for key, one in part.items() for word in keys(one, f"{group}.{key}")
+    ]
     unset = [f"{group}.{key}=" for group in parts for key in ("name", "kind")]
     unset += [f"plant.{key}=" for keys in FORMER_KEYS.values() for key in keys]
     chosen = [f"{group}={part['name']}" for group, part in parts.items()]

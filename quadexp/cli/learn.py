@@ -25,6 +25,7 @@ def collect(
     overrides: Overrides = (),
     out: Out = Path("data/residuals.parquet"),
     flight: Annotated[tuple[Path, ...], Ask("Use this recorded flight; repeatable.", "PATH", "--flight")] = (),
+    save_flights: Annotated[Path | None, Ask("Write the flights too.", "DIR")] = None,
     sweep: Annotated[bool, Ask("Fly in every combination of the worlds given, one after another.")] = False,
     conf: Conf = None,
     force: Force = False,
@@ -39,7 +40,9 @@ def collect(
     from quadexp import requests
 
     with Progress("seconds of flight") as progress:
-        report = requests.collect(overrides, out, conf, flights=flight, sweep=sweep, force=force, progress=progress)
+        report = requests.collect(
+            overrides, out, conf, flights=flight, save_flights=save_flights, sweep=sweep, force=force, progress=progress
+        )
     return Answer(report, [single_values(report)], [*report["lines"], out])
 
 

@@ -91,6 +91,7 @@ def check(
     flights: Annotated[tuple[Path, ...], Ask("Flights of `quadexp import`.", "FLIGHT")],
     vehicle: Vehicle = None,
     figures: Annotated[Path | None, Ask("Draw every flight's streams against each other.", "DIR")] = None,
+    strict: Annotated[bool, Ask("Warnings block as well.")] = False,
     conf: Conf = None,
 ) -> Answer:
     """Check units, frames, signs, clock, sensors and commands of flights, and whether one is there twice.
@@ -99,19 +100,20 @@ def check(
 
     \b
     quadexp check flights/nanobench/*.parquet
-    quadexp check flights/a.parquet --figures figures/check
+    quadexp check flights/a.parquet --figures figures/check --strict
     """
     from quadexp import requests
     from quadexp.report.table import Table
 
     names = ("severity", "name", "where", "measured", "allowed", "advice")
+    stops = {"blocking", "warning"} if strict else {"blocking"}
     checked = requests.check(flights, vehicle, conf)
     drawn = _draw(figures, checked) if figures is not None else {}
     records: list[dict[str, Any]] = []
     lines: list[Any] = []
     blocked = 0
     for flight in checked:
-        stopped = "blocking" in flight.severities
+        stopped = not stops.isdisjoint(flight.severities)
         blocked += stopped
         records.append({
             "path": flight.path, "rows": len(flight.flight), "duration": flight.duration, "vehicle": flight.vehicle,
@@ -123,14 +125,15 @@ def check(
         lines += [Table(names, cells, title, left=frozenset(range(6)))] if cells else [title, "  nothing found"]
         lines += [f"  {drawn[flight.path]}", ""] if flight.path in drawn else [""]
     clean = sum(flight.severities <= {"info"} for flight in checked)
-    warned = sum("warning" in flight.severities for flight in checked)
+    warned, stopping = (sum(name in flight.severities for flight in checked) for name in ("warning", "blocking"))
     count = "1 flight" if len(checked) == 1 else f"{len(checked)} flights"
-    lines.append(f"{count}: {clean} clean, {warned} with warnings, {blocked} blocked")
-    failed = [f"{blocked} of {len(checked)} flights have findings that block"] if blocked else []
+    lines.append(f"{count}: {clean} clean, {warned} with warnings, {stopping} blocked")
+    by = " (--strict)" if strict else ""
+    failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"] if blocked else []
     findings = [(flight.path, finding) for flight in checked for finding in flight.findings]
     cells = [[path, *(getattr(finding, name) for name in names)] for path, finding in findings]
     table = Table(("flight", *names), cells, left=frozenset(range(7)))
-    return Answer({"flights": records, "blocked": blocked}, [table], lines, failed=failed)
+    return Answer({"flights": records, "blocked": blocked, "strict": strict}, [table], lines, failed=failed)
 
 
 def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:

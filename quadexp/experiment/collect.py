@@ -27,7 +27,7 @@ from quadexp.experiment.identity import digest, find_model, flight_record
 from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, write_table
+from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residual_dataset
 from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset
@@ -238,17 +238,22 @@ def _simulated_rows(
 
 
 def collect_dataset(
-    config: Config, path: Path, *, flights: Sequence[Path] = (), worlds: Sequence[Config] = (), force: bool = True,
+    config: Config, path: Path, *, flights: Sequence[Path] = (), worlds: Sequence[Config] = (),
+    save_flights: Path | None = None, force: bool = True,
     progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write the residual data set of flight files, or of new flights (worlds: see collect_flights). force: replace
     files that are there.
 
-    Returns the report. Raises UsageError for a repeated flight, which could be held out and fitted.
+    Returns the report. Raises UsageError for a repeated flight, which could be held out and fitted, and for equal names
+    to be saved.
     """
     vehicle, settings = build_vehicle(config.vehicle), config.collect
     if flights:
         refuse_repeated("collect", [file.resolve() for file in flights])
+        if save_flights is not None:
+            said = f"two flights named {{path}} would both be written to {save_flights}"
+            refuse_repeated("collect --save-flights", [Path(file.stem) for file in flights], said)
         flown = [read_flight(file, whole=True) for file in flights]
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
@@ -262,6 +267,9 @@ def collect_dataset(
     dataset, notes = _rows(config, vehicle, flown, names)
     target = dataset.metadata.get("target")
     record |= {key: getattr(settings, key) for key in OF_RECORDED if target}
+    if save_flights is not None:
+        for name, flight in zip(names, flown, strict=True):
+            write_flight(save_flights / f"{Path(name).stem}.parquet", flight, force=force)
     metadata = {**dataset.metadata, **record, "seed": config.seed, "versions": versions(), "provenance": provenance()}
     write_table(path, dataset.columns, metadata, "residuals", force=force)
     if len(worlds) > len(flown):

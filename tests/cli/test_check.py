@@ -48,10 +48,11 @@ def test_a_duplicate_is_said_of_the_second(folder):
     assert [one["name"] for one in copy["findings"] if one["blocks"]] == ["duplicate"]
 
 
-def test_a_warning_does_not_block(folder):
-    code, out, _ = run("check", folder / "dropped.parquet", "--json")
+def test_strict_lets_warnings_block(folder):
+    assert run("check", folder / "dropped.parquet")[0] == 0
+    code, out, _ = run("check", folder / "dropped.parquet", "--strict", "--json")
     record = json.loads(out)
-    assert code == 0 and record["blocked"] == 0
+    assert code == 1 and record["strict"] and record["blocked"] == 1
     (finding,) = [one for one in record["flights"][0]["findings"] if one["severity"] == "warning"]
     assert finding["name"] == "dropped_samples"
     assert {"where", "measured", "allowed", "message", "blocks", "severity"} <= set(finding)

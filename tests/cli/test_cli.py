@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.experiment.collect import collect_flights
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
-from quadexp.parts.compose import compose
 from tests.cli.command import run, run_main
 from tests.log.flights import straight_flight
 
@@ -155,10 +153,8 @@ class TestLearning:
     @pytest.fixture(scope="class")
     def chain(self, tmp_path_factory):
         folder = tmp_path_factory.mktemp("chain")
-        for flight in collect_flights(compose(["collect.duration=24"])):
-            write_flight(folder / "flights" / f"{flight.metadata['name']}.parquet", flight)
         done = [
-            quadexp("collect", "collect.duration=24", "--json", cwd=folder),
+            quadexp("collect", "collect.duration=24", "--save-flights", "flights", "--json", cwd=folder),
             quadexp("fit-drag", "data/residuals.parquet", "--json", cwd=folder),
             quadexp("fit-gp", "data/residuals.parquet", "gp.inducing=8", "gp.max_rows=300", "--no-figures", cwd=folder),
         ]

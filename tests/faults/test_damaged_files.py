@@ -113,10 +113,14 @@ def test_a_flight_that_is_given_twice(tmp_path, rng):
     """Its rows would be fitted while they are held out, and the report would praise the fit."""
     columns = {name: rng.normal(size=9) for name in ("t", *STATE_COLUMNS, *input_columns(4))}
     flight = write_flight(tmp_path / "a.parquet", Flight(columns, {}))
+    (tmp_path / "b").mkdir()
     (tmp_path / "link.parquet").symlink_to(flight)
+    other = write_flight(tmp_path / "b" / "a.parquet", Flight(columns, {}))
     config, out = compose([]), tmp_path / "r.parquet"
     with pytest.raises(UsageError, match="given twice"):
         collect_dataset(config, out, flights=[flight, tmp_path / "link.parquet"])
+    with pytest.raises(UsageError, match="two flights named a"):
+        collect_dataset(config, out, flights=[flight, other], save_flights=tmp_path / "flights")
     assert not out.exists()
 
 
