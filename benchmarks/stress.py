@@ -59,9 +59,7 @@ def stress_residuals(vehicle: Vehicle) -> dict[str, Residual]:
     """One model of the air of every kind, with numbers of the size that fits give."""
     rng = np.random.default_rng(5)
     outputs = [
-        mean_only(
-            f"a_{axis}", (f"v_{axis}",), rng.uniform(-12, 12, (20, 1)), rng.normal(size=20), np.array([4.0])
-        )
+        mean_only(f"a_{axis}", (f"v_{axis}",), rng.uniform(-12, 12, (20, 1)), rng.normal(size=20), np.array([4.0]))
         for axis in "xyz"
     ]
     return {
