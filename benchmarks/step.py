@@ -45,7 +45,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
 from quadexp.models.blade_element import blade_element_residual
-from quadexp.models.gaussian_process import gaussian_process_residual
+from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.compose import compose
@@ -56,7 +56,6 @@ from quadexp.reference.circle import Circle
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.base import Plant
 from quadexp.world.blade_element import BladeElementPlant
-from tests.models.residuals import mean_only
 
 CASES = ("none", "drag", "gp20", "gp100", "blade_element")
 PLAIN = "blade_element"  # acados gets the plain model here: what does knowing the rotors cost?

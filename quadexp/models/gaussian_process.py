@@ -190,6 +190,14 @@ class OutputPosterior(Record, frozen=True):
         return Prediction(mean, np.maximum(variance, 0.0), self.noise_variance)
 
 
+def mean_only(
+    output: str, features: tuple[str, ...], points: np.ndarray, alpha: np.ndarray, length: np.ndarray,
+    signal: float = 1.0,
+) -> OutputPosterior:  # fmt: skip
+    """A posterior mean with these numbers, without a variance: points (n, d), alpha (n,), length (d,)."""
+    return OutputPosterior(output, features, points, alpha, length, signal, 0.0, np.zeros((len(alpha),) * 2), 0.0, 0)
+
+
 class GPModel(Model, frozen=True, tag="gaussian_process"):
     """Gaussian processes of one or more outputs, and linear drag fitted to the same rows.
 

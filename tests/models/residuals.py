@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from quadexp.models.blade_element import blade_element_residual
-from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.neural import Network, neural_residual
 from quadexp.models.residual import Residual, no_residual, sum_residual
@@ -36,14 +36,6 @@ def network(seed: int = 6) -> Network:
     biases = [rng.normal(size=rows) for rows in sizes[1:]]
     weights[-1][2], biases[-1][2] = 0.1 * weights[-1][2], 0.1 * biases[-1][2]  # N m
     return Network(("v_x", "v_y", "v_z", "w_y", "thrust"), ("a_x", "a_z", "tau_y"), tuple(weights), tuple(biases))
-
-
-def mean_only(
-    output: str, features: tuple[str, ...], points: np.ndarray, alpha: np.ndarray, length: np.ndarray,
-    signal: float = 1.0,
-) -> OutputPosterior:  # fmt: skip
-    """A posterior mean with these numbers, without a variance: points (n, d), alpha (n,), length (d,)."""
-    return OutputPosterior(output, features, points, alpha, length, signal, 0.0, np.zeros((len(alpha),) * 2), 0.0, 0)
 
 
 def interpolating(output: str, features: tuple[str, ...], points: np.ndarray, values: np.ndarray) -> OutputPosterior:

@@ -6,10 +6,10 @@ import pytest
 
 from quadexp.compile.backend import realise
 from quadexp.errors import UsageError
-from quadexp.models.gaussian_process import gaussian_process_residual
+from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.residual import no_residual, scaled_residual, symbolic_residual
 from quadexp.world import SimplifiedPlant
-from tests.models.residuals import RESIDUALS, interpolating, make_residual, mean_only, weighed_outputs
+from tests.models.residuals import RESIDUALS, interpolating, make_residual, weighed_outputs
 
 
 def features(rng: np.random.Generator, count: int) -> np.ndarray:

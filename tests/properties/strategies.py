@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quadexp.models.blade_element import blade_element_residual
-from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual
+from quadexp.models.gaussian_process import OutputPosterior, gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.blade_element import static_coefficients
@@ -20,7 +20,6 @@ from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import PlantEffects
 from quadexp.world.blade_element import BladeElementEffects
-from tests.models.residuals import mean_only
 
 
 def few(test):

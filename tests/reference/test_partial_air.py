@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.models.gaussian_process import gaussian_process_residual
+from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.residual import symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -14,7 +14,6 @@ from quadexp.reference.hover import Hover
 from quadexp.reference.lei_li import Rectangle
 from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.world import PlantEffects, SimplifiedPlant
-from tests.models.residuals import mean_only
 
 H = 1e-4  # s, of the differences in time
 SLOW = pytest.mark.slow

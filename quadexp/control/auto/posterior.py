@@ -40,7 +40,7 @@ SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the acceleromet
 TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
 FRESHER = 1.0  # log odds for rates of now
-LEVEL, UNLIKE = 1e4, 1e-3  # variances of where a force begins, and of what readings are off by, in those of a step
+LEVEL, READ = 1e4, 1e-3  # variances of where a force begins, and of what readings are off by, in those of a step
 
 
 class Evidence(NamedTuple):
@@ -337,7 +337,7 @@ def reading_weights(
         M.append((once - before) / period)
         moments.append((once + before) / 2 / period - (twice - twice_before) / period**2)
     readings = np.stack(H, axis=-2)  # (t, l, count, steps)
-    likely = np.linalg.inv(readings @ readings.mT + LEVEL + UNLIKE * np.eye(count))
+    likely = np.linalg.inv(readings @ readings.mT + LEVEL + READ * np.eye(count))
     parts = [
         (np.stack(of, axis=-2) @ readings.mT + level) @ likely  # (t, l, a, count)
         for of, level in ((M, LEVEL), (moments, 0.0))
