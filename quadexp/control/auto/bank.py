@@ -15,9 +15,14 @@ last readings:
     nu = y - W phi            y, phi: what the filter makes of the readings, and of each of the last commands by itself
     sum nu^2 = [1, -W] G [1, -W]',      G = sum z z',      z = [y, phi]
 
-One matrix G of each filter has the sum of squares of every hypothesis, those between the points of a grid included. phi
-moves on by one entry each period, so G also has the products of successive innovations, which say how correlated they
-are. The noise of the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
+One matrix G of each filter has the sum of squares of every hypothesis, those between the points of a grid included, and
+the products of successive innovations, which say how correlated they are. phi of commands moves on by one entry each
+period, so that with p = phi_0 an entry of G is the one before it on its diagonal, a period earlier:
+
+    G_t[p_i+1, p_j+1] = G_t-1[p_i, p_j]
+
+The rows of y and p are summed up in flight, the others follow from them where somebody asks (`products`). The noise of
+the gyro and of the velocity is one of a few (SPINS, SPEEDS): the likeliest counts.
 
 A reading along the thrust may jump within a period in which the vehicle turns. So its phi are two, of the mean of the
 force and of its first moment: R f = R_m (1 + (t - t_m) w x) f, m: of the middle of the period.
@@ -28,7 +33,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from itertools import accumulate
-from itertools import product as pairs
+from itertools import product as combinations
 from typing import Any
 
 import numpy as np
@@ -47,7 +52,9 @@ from quadexp.physics.vehicle import Vehicle
 
 PERIOD = 0.01  # s, about: of the bank, a whole multiple of the control period
 AGE, DEAD_TIME, LAG = 0.06, 0.06, 0.064  # s, the largest hypotheses
-SPINS = tuple(pairs((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0)))  # rad/s of a reading, rad/s^2 of b in a root of a second
+SPINS = tuple(
+    combinations((0.0003, 0.005, 0.05), (0.03, 0.3, 3.0))
+)  # rad/s of a reading, rad/s^2 of b in a root of a second
 SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
 SHEET = 3.0  # factor by which a data sheet may be wrong
@@ -62,9 +69,10 @@ class Layout:
     """Places in a bank's memory, by name. commands: m that are kept. readings: of the accelerometer. columns: of the
     filter of the velocity: y, two phi of each reading along the thrust, phi of each across it and of each axis of beta.
     turning: of that of the attitude: y, phi of each reading, phi of each axis of beta. rows: of a sum over commands: y,
-    the y before, phi of m + 1 commands."""
+    the y before, phi of m + 1 commands. skipped: periods, until sums begin."""
 
     def __init__(self, period: float) -> None:
+        self.skipped = round(SKIPPED / period)
         self.commands = math.ceil((AGE + DEAD_TIME + SETTLED * LAG + period) / period - 1e-9) + 1
         self.readings = int(AGE / period + 1e-9) + 3
         self.columns, self.turning, self.rows = 1 + 3 * self.readings + 3, 1 + self.readings + 3, self.commands + 3
@@ -85,11 +93,11 @@ class Bank:
 
     theta: parameters of the residual, shared. noise: standard deviation of a reading of the accelerometer (m/s^2).
     spans: over which readings of accelerometer and gyroscope are means (s).
-    period: of the bank (s), `every` control periods. memory: see Layout. sums: (filters, rows, rows), those of SPINS
-    and then of the thrust. speed_sums: of SPEEDS. turn_sums: of the attitude, by turning: what gyroscope and attitude
-    are off by (rad/s, rad). weights: (2, m) on the commands, the newest last, of the likeliest
-    thrusts: now, and their mean over a period as old as the told rates. gains: (2,) of the torque, see senses.py.
-    bias: of the accelerometer, (3,) (m/s^2).
+    period: of the bank (s), `every` control periods. memory: see Layout. sums: (filters, 2, rows), of y and p, those of
+    SPINS and then of the thrust. speed_sums: (SPEEDS, columns, 2 columns), of an innovation with itself and with the
+    one before; turn_sums: of the attitude, likewise. turned_by: what gyroscope and attitude are off by (rad/s, rad).
+    weights: (2, m) on the commands, the newest last, of the likeliest thrusts: now, and their mean over a period as old
+    as the told rates. gains: (2,) of the torque, see senses.py. bias: of the accelerometer, (3,) (m/s^2).
     """
 
     def __init__(
@@ -104,12 +112,10 @@ class Bank:
         self._update = BufferedFunction(function, {"theta": theta})
         given = self._update.arguments
         self.memory, self.weights, self.gains, self.bias = (given[k] for k in ("memory", "weights", "gains", "bias"))
-        rows, columns, turn = self.layout.rows, 2 * self.layout.columns, 2 * self.layout.turning
-        self.sums, self.speed_sums = (
-            given["sums"].reshape(-1, rows, rows),
-            given["speed_sums"].reshape(-1, columns, columns),
-        )
-        self.turn_sums = given["turn_sums"].reshape(turn, turn)
+        columns, turn = self.layout.columns, self.layout.turning
+        self.sums, self._first = given["sums"].reshape(-1, 2, self.layout.rows), np.zeros(self.part("lines").shape)
+        self.speed_sums = given["speed_sums"].reshape(-1, columns, 2 * columns)
+        self.turn_sums = given["turn_sums"].reshape(turn, 2 * turn)
         given["noise"][...] = self.noise = noise
         self.turned_by = LEAST_TURN * self.period + turning[0] * self.period, LEAST_ATTITUDE + turning[1]
         given["kept_turn"][...] = 1 - stationary_scalar(self.turned_by[1], self.turned_by[0])
@@ -122,7 +128,7 @@ class Bank:
     @property
     def count(self) -> int:
         """Innovations of an axis in the sums."""
-        return max(int(self.part("count")[0] - SKIPPED / self.period), 0)
+        return max(int(self.part("count")[0]) - self.layout.skipped, 0)
 
     @property
     def turns(self) -> int:
@@ -155,7 +161,7 @@ class Bank:
 
     def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
         """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
-        for array in (self.memory, self.sums, self.speed_sums, self.turn_sums, self.bias):
+        for array in (self.memory, self.sums, self._first, self.speed_sums, self.turn_sums, self.bias):
             array[...] = 0.0
         self.follow(0)
         spin, pushed = spin_of(self.vehicle) @ thrust, thrust.sum() / self.vehicle.mass
@@ -174,8 +180,40 @@ class Bank:
         given, left = self._update.arguments, self._update.results
         due = [copy(given["x"], state), copy(given["f"], told.force), call(self._update, told.read)]
         due += [copy(given[name], left[f"{name}_next"], told.read) for name in SUMMED]
+        due.append(copy(self._first, self.part("lines"), left["begins"]))
         due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
         return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
+
+    def products(self) -> np.ndarray:
+        """G of each of the sums over commands, (filters, rows, rows). Along a diagonal the newest product goes
+        from one entry to the next, and the one before the sums began comes in."""
+        m, fade = self.layout.commands, math.exp(-self.period / FADING)
+        now, first = (np.zeros((m + 2, 2 * len(SPINS) + 2)) for _ in range(2))
+        now[:, :-1], first[:, :-1] = (
+            lines.reshape(2 * len(SPINS) + 1, m + 2).T for lines in (self.part("lines"), self._first)
+        )
+        ends = np.array([1.0, -(fade**self.count)])
+        both = np.stack([now, first]).reshape(2, m + 2, -1, 2).transpose(2, 0, 3, 1)  # (filters, 2, axes, m + 2)
+        gone = (both * ends[:, None, None]).reshape(-1, 4, m + 2).mT @ both.reshape(-1, 4, m + 2)
+        G = np.zeros((len(gone), m + 3, 2 * m + 4))
+        y, p = self.sums[:, 0], self.sums[:, 1]
+        G[:, 0, : m + 3], G[:, 1, 1], G[:, 1, 2] = y, (y[:, 0] - gone[:, 0, 0]) / fade, p[:, 1]
+        G[:, 1, 3 : m + 3] = (y[:, 2:-1] - gone[:, 0, 1:-1]) / fade
+        powers = fade ** np.arange(m + 1)
+        padded = np.zeros((len(gone), m + 1, 2 * m + 2))
+        padded[:, :, : m + 1] = powers[:, None] * gone[:, 1:, 1:]
+        left = np.cumsum(_diagonals(padded), axis=1)
+        left = np.concatenate([np.zeros_like(left[:, :1]), left[:, :-1]], axis=1)
+        _diagonals(G[:, 2:, 2:])[...] = (p[:, None, 2:] - left) / powers[:, None]
+        G = G[:, :, : m + 3]
+        upper = np.triu(G, 1)
+        return upper + upper.mT + G * np.eye(m + 3)
+
+
+def _diagonals(matrices: np.ndarray) -> np.ndarray:
+    """View of entries (i, i + k) of each of (f, n, 2 n), as (f, n, n)."""
+    (each, row, column), n = matrices.strides, matrices.shape[1]
+    return np.lib.stride_tricks.as_strided(matrices, (len(matrices), n, n), (each, row + column, column))
 
 
 def lateral_variance(measured: Any, count: Any, stated: Any, period: float) -> Any:
@@ -212,24 +250,24 @@ def stationary_scalar(noise: float, walk: float) -> float:
 
 
 def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: int) -> ca.Function:
-    """A period of the bank: memory, sums and speed_sums after it.
+    """A period of the bank: memory and sums after it; begins: whether the next innovations are the first in them.
 
-    Inputs: memory, see Layout; sums (rows, rows * (filters)), speed_sums; x (13,), told; f (3,), reading; u (n,), the
-    commands since the last period, added; weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2); kept_turn:
-    what the filter of the attitude leaves of an innovation; theta.
+    Inputs: memory, see Layout; sums (rows, 2 * filters), speed_sums, turn_sums; x (13,), told; f (3,), reading; u (n,),
+    the commands since the last period, added; weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2);
+    kept_turn: what the filter of the attitude leaves of an innovation; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
     m, rows, columns, spins = layout.commands, layout.rows, layout.columns, len(SPINS)
     along, across = ca.DM(np.diag([0.0, 0.0, 1.0])), ca.DM(np.diag([1.0, 1.0, 0.0]))
-    shapes = {"memory": (layout.size, 1), "sums": (rows, rows * (spins + 1))}
-    shapes |= {"speed_sums": (2 * columns, 2 * columns * len(SPEEDS)), "x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
-    shapes |= {"turn_sums": (2 * layout.turning, 2 * layout.turning), "kept_turn": (1, 1)}
+    shapes = {"memory": (layout.size, 1), "sums": (rows, 2 * (spins + 1)), "kept_turn": (1, 1)}
+    shapes |= {"speed_sums": (2 * columns, columns * len(SPEEDS)), "x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
+    shapes |= {"turn_sums": (2 * layout.turning, layout.turning)}
     shapes |= {"weights": (m, 2), "gains": (2, 1), "bias": (3, 1), "noise": (1, 1)}
     shapes |= {"theta": (residual.function.size1_in(1), 1)}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
     kept = {name: a["memory"][place] for name, place in layout.slices.items()}
     x, f, count = a["x"], a["f"], kept["count"] + 1
-    counts = count > SKIPPED / period
+    counts = count > layout.skipped
     w, R = x[RATE], rotation_matrix(x[ATTITUDE])
 
     # what was sent, the newest last: angular accelerations about x and y, and the thrust, over the mass
@@ -264,9 +302,9 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     lines = ca.vertcat(first.T, fresh.T, before[1:-1, :])
     z = ca.vertcat(first.T, before[0, :], lines[1:, :])
     fade, sums = math.exp(-period / FADING), []
-    for i, G in enumerate(ca.horzsplit(a["sums"], rows)):
+    for i, G in enumerate(ca.horzsplit(a["sums"], 2)):
         part = z[:, 2 * i : 2 * i + 2] if i < spins else z[:, -1]
-        sums.append(fade * G + counts * ca.mtimes(part, part.T))
+        sums.append(fade * G + counts * ca.mtimes(part, part[[0, 2], :].T))
 
     # velocity: y, phi of each reading along the thrust, of its moment, of each across, and of each axis of beta
     forces = ca.horzcat(f, ca.reshape(kept["forces"], 3, layout.readings)[:, :-1])  # the newest first
@@ -280,13 +318,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     )
     speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
     lateral = lateral_variance(kept["noise"], kept["count"], a["noise"], period)
-    for state, before, G, noise in zip(
-        speed,
-        ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns),
-        ca.horzsplit(a["speed_sums"], 2 * columns),
-        SPEEDS,
-        strict=True,
-    ):
+    befores = ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns)
+    for state, before, noise, G in zip(speed, befores, SPEEDS, ca.horzsplit(a["speed_sums"], columns), strict=True):
         ratio = lateral * (period / noise) ** 2
         P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
         predicted = state + period * drive
@@ -294,8 +327,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         into = ca.horzcat(nu[:, 0], -nu[:, 1:])
         speed_next.append(predicted + P / (P + 1) * into)
         nus.append(ca.mtimes(R[:, :2].T, nu))
-        z = ca.horzcat(nus[-1], before)
-        speed_sums.append(G + counts * ca.mtimes(z.T, z))
+        speed_sums.append(G + counts * ca.mtimes(ca.horzcat(nus[-1], before).T, nus[-1]))
 
     # attitude: the same, in body axes, of the rotation in a period
     rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, layout.readings)[:, :-1])
@@ -306,8 +338,6 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     last = begun * ca.reshape(kept["turn"], 3, layout.turning)
     turn = ca.horzcat(rotated, period * rates, period * ca.DM.eye(3))
     turn += a["kept_turn"] * ca.mtimes(rotation_matrix(product(back, x[ATTITUDE])).T, last)
-    z = ca.horzcat(turn, last)
-    turn_sums = a["turn_sums"] + begun * ca.mtimes(z.T, z)
 
     senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
     now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
@@ -315,5 +345,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     now |= {"speed_before": ca.vec(ca.horzcat(*nus))}
     now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
-    results = [memory, ca.horzcat(*sums), ca.horzcat(*speed_sums), turn_sums]
-    return ca.Function("bank", [*a.values()], results, [*a], [f"{name}_next" for name in SUMMED])
+    results = {"memory_next": memory, "sums_next": ca.horzcat(*sums), "begins": count == layout.skipped}
+    results |= {"speed_sums_next": ca.horzcat(*speed_sums)}
+    results["turn_sums_next"] = a["turn_sums"] + begun * ca.mtimes(ca.horzcat(turn, last).T, turn)
+    return ca.Function("bank", [*a.values()], [*results.values()], [*a], [*results])

@@ -78,6 +78,7 @@ class Posterior:
 
     def evidence(self) -> Evidence:
         """Of the bank's sums as they are; there must be some."""
+        self._sums = self._bank.products()
         grids, steps = list(self._grids), np.array(STEPS)
         late = slow = 0.0
         for closer in range(CLOSER):
@@ -118,10 +119,9 @@ class Posterior:
 
     def _joint(self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool) -> np.ndarray:
         """Log posterior, but for a constant; choose: also the likeliest noise, and whether rates are of now."""
-        bank = self._bank
         faded = self._faded
         W = self._of_commands(totals, lags)
-        G = bank.sums[-1]
+        G = self._sums[-1]
         by, square = _moments(G, W)
         prior = (G[0, 0] - 2 * by + square).min() / faded / SCALE**2
         scales = (by + prior) / (square + prior)
@@ -132,7 +132,7 @@ class Posterior:
         if choose:
             few = np.unique(np.round((ages[:, None] + totals)[::2, ::2], 9))
             W = self._of_commands(few, lags[::3], mean=True)
-            least = [G[0, 0] - np.max(by**2 / square) for G in bank.sums[:-1] for by, square in [_moments(G, W)]]
+            least = [G[0, 0] - np.max(by**2 / square) for G in self._sums[:-1] for by, square in [_moments(G, W)]]
             self._spin = int(np.argmin(least))
         by_velocity, share = self._velocity(ages, totals, lags, choose=choose)
         by_attitude = self._attitude(ages)[:, None, None]
@@ -161,7 +161,7 @@ class Posterior:
 
     def _gyro(self, sums: np.ndarray, lags: np.ndarray, scales: np.ndarray) -> np.ndarray:
         """Log likelihood, (a, t, l), of the totals with the age of the rates in them, (a, t), under scales (t, l)."""
-        G, n = self._bank.sums[self._spin], 2 * self._faded
+        G, n = self._sums[self._spin], 2 * self._faded
         times, places = np.unique(np.round(sums, 9), return_inverse=True)
         W, places = self._of_commands(times, lags, mean=True), places.reshape(sums.shape)
         by, square = (moment[places] for moment in _moments(G, W))
