@@ -34,7 +34,6 @@ import math
 from functools import cache
 from itertools import accumulate
 from itertools import product as combinations
-from typing import Any
 
 import numpy as np
 
@@ -80,7 +79,7 @@ class Layout:
         sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
         sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
         sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
-        sizes |= {"rates": 3 * self.readings, "turn": 3 * self.turning}
+        sizes |= {"lateral": 1, "rates": 3 * self.readings, "turn": 3 * self.turning}
         sizes |= sense_sizes()
         ends = [*accumulate(sizes.values())]
         self.size = ends[-1]
@@ -151,8 +150,7 @@ class Bank:
     @property
     def lateral_noise(self) -> float:
         """Standard deviation of readings across the thrust, see lateral_variance (m/s^2)."""
-        count = self.part("count")[0]
-        return math.sqrt(float(lateral_variance(self.part("noise"), count, self.noise, self.period)))
+        return math.sqrt(self.part("lateral")[0])
 
     @property
     def pose_noise(self) -> np.ndarray:
@@ -171,7 +169,7 @@ class Bank:
         self.part("forces")[...] = np.tile([0.0, 0.0, pushed], self.layout.readings)
         self.part("spin")[: 2 * len(SPINS)] = np.tile(x[RATE][:2], len(SPINS))
         self.part("torque")[:2] = x[RATE][:2]
-        self.part("walk_variance")[...] = 9.0
+        self.part("walk_variance")[...], self.part("lateral")[...] = 9.0, self.noise**2
         self.part("speed").reshape(len(SPEEDS), self.layout.columns, 3)[:, 0] = x[VELOCITY]
         self._sent[...] = self.every * thrust
 
@@ -216,7 +214,7 @@ def _diagonals(matrices: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(matrices, (len(matrices), n, n), (each, row + column, column))
 
 
-def lateral_variance(measured: Any, count: Any, stated: Any, period: float) -> Any:
+def lateral_variance(measured: ca.MX, count: ca.MX, stated: ca.MX, period: float) -> ca.MX:
     """Of readings across the thrust: as measured, within what a data sheet may be wrong by; as stated (a deviation)
     until then. An innovation of a filter with another gain would answer to noise that the commands answer to as well,
     which looks like another age."""
@@ -317,10 +315,9 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         ca.vertcat(0, 0, -vehicle.gravity), turned @ along @ forces, moment, turned @ across @ forces, turned
     )
     speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
-    lateral = lateral_variance(kept["noise"], kept["count"], a["noise"], period)
     befores = ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns)
     for state, before, noise, G in zip(speed, befores, SPEEDS, ca.horzsplit(a["speed_sums"], columns), strict=True):
-        ratio = lateral * (period / noise) ** 2
+        ratio = kept["lateral"] * (period / noise) ** 2
         P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
         predicted = state + period * drive
         nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
@@ -343,6 +340,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
     now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
     now |= {"speed_before": ca.vec(ca.horzcat(*nus))}
+    now["lateral"] = lateral_variance(senses["noise"], count, a["noise"], period)
     now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
     results = {"memory_next": memory, "sums_next": ca.horzcat(*sums), "begins": count == layout.skipped}

@@ -16,7 +16,7 @@ that it counts by the share of what an age changes that is not noise.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from quadexp.control.delivered import INSTANT, NO_LAG
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
 FINER, CLOSER, BESIDE = 8.0, 6, 8  # by which a grid closes in at most, how often it moves, its steps to either side
+FEW = 5, 3  # of totals and lags, one of so many tells how noisy the velocity is
 ALIKE = 0.5  # logarithm of a ratio of steps that are not worth another grid
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
 TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
@@ -181,22 +182,26 @@ class Posterior:
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
         given = bank.period, readings, bank.layout.commands
         along = reading_weights(*given, ages.tobytes(), totals.tobytes(), lags.tobytes(), bank.spans[0])
-        across = np.stack([_of_readings(age - bank.spans[0] / 2, bank.period, readings) for age in ages])[:, None, None]
-        W = np.concatenate([along, np.broadcast_to(across, (*along.shape[:-1], readings))], axis=-1)
-        n = 2 * bank.count
-        noise = bank.period * bank.lateral_noise
-        found: dict[int, tuple[Any, ...]] = {}
-        for i in range(len(SPEEDS)) if choose else [self._speed]:
-            gain = stationary_scalar(SPEEDS[i], noise)
-            found[i] = gain, *_of_ages(bank.speed_sums[i], W, across, n, noise, SPEEDS[i], gain, BIAS)
-        self._speed = min(found, key=lambda i: float(found[i][1].min()))
-        gain, squares, even, bias, known = found[self._speed]
+        across = _of_readings(ages - bank.spans[0] / 2, bank.period, readings)[:, None, None]
+        a = np.empty((*along.shape[:-1], 1 + 3 * readings))
+        a[..., 0], a[..., 1 : 1 + 2 * readings], a[..., 1 + 2 * readings :] = 1.0, -along, -across
+        n, noise = 2 * bank.count, bank.period * bank.lateral_noise
+        gains = [stationary_scalar(speed, noise) for speed in SPEEDS]
+
+        def of(i: int, a: np.ndarray) -> tuple[np.ndarray, ...]:
+            return _of_ages(bank.speed_sums[i], a, across, n, noise, SPEEDS[i], gains[i], BIAS)
+
+        if choose:
+            few = a[:, :: FEW[0], :: FEW[1]]
+            self._speed = min(range(len(SPEEDS)), key=lambda i: float(of(i, few)[0].min()))
+        gain, (squares, even, bias, known) = gains[self._speed], of(self._speed, a)
         likelihood = -n / 2 * np.log(squares / even / n + 1e-16)
         k = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
-        G, whole = bank.speed_sums[self._speed], np.concatenate([[1], -W[k], bias[k]])
-        worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
+        G, whole = bank.speed_sums[self._speed], np.concatenate([a[k], bias[k]])
+        worth = _worth(whole @ G[:, columns:] @ whole / max(whole @ G[:, :columns] @ whole, 1e-30))
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
-        apart = _of_readings(TYPICAL, bank.period, readings) - _of_readings(0.0, bank.period, readings)
+        ends = _of_readings(np.array([0.0, TYPICAL]), bank.period, readings)
+        apart = ends[1] - ends[0]
         both = np.concatenate([apart, np.zeros(readings), apart])
         moved = both @ G[1 : 1 + len(both), 1 : 1 + len(both)] @ both
         by_noise = 1.5 * n * _of_noise(apart, noise, 1 - gain)
@@ -207,13 +212,14 @@ class Posterior:
         """Log likelihood of ages (a,) of the attitude against the rates."""
         bank, columns = self._bank, self._bank.layout.turning
         since = bank.spans[1] / 2  # a rate of so long ago
-        W = np.stack([_of_readings(age - since, bank.period, bank.layout.readings) for age in ages])
+        W = _of_readings(ages - since, bank.period, bank.layout.readings)
+        a = np.concatenate([np.ones((len(ages), 1)), -W], axis=1)
         n, G, (reading, told) = 3 * bank.turns, bank.turn_sums, bank.turned_by
         gain = stationary_scalar(told, reading)
-        squares, even, bias, _ = _of_ages(G, W, W, n, reading, told, gain, TURN_BIAS)
+        squares, even, bias, _ = _of_ages(G, a, W, n, reading, told, gain, TURN_BIAS)
         k = int((squares / even).argmin())
-        whole = np.concatenate([[1], -W[k], bias[k]])
-        worth = _worth(whole @ G[:columns, columns:] @ whole / max(whole @ G[:columns, :columns] @ whole, 1e-30))
+        whole = np.concatenate([a[k], bias[k]])
+        worth = _worth(whole @ G[:, columns:] @ whole / max(whole @ G[:, :columns] @ whole, 1e-30))
         likelihood: np.ndarray = -worth * n / 2 * np.log(squares / even / n + LEAST_ATTITUDE**2)
         return likelihood
 
@@ -266,25 +272,25 @@ def _worth(rho: float) -> float:
 def _moments(G: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """W G_phi,y and W G_phi,phi W' of a sum G, for weights (.., m): of k W they leave G_yy - 2 k first + k^2 second."""
     slots = slice(2, 2 + W.shape[-1])
-    return W @ G[0, slots], ((W @ G[slots, slots]) * W).sum(-1)
+    return W @ G[0, slots], np.vecdot(W @ G[slots, slots], W)
 
 
 def _of_ages(
-    G: np.ndarray, W: np.ndarray, noisy: np.ndarray, n: int, reading: float, told: float, gain: float, likely: float
+    G: np.ndarray, a: np.ndarray, noisy: np.ndarray, n: int, reading: float, told: float, gain: float, likely: float
 ) -> tuple[np.ndarray, ...]:
-    """Of each age, by weights (.., k) on readings: sum of squared innovations, what noise makes of it, in that of the
-    first age, bias of the sensor (.., 3), and its covariance in units of an innovation's variance.
+    """Of each age, by weights a (.., 1 + k) on y and phi: sum of squared innovations, what noise makes of it, in that
+    of the first age, bias of the sensor (.., 3), and its covariance in units of an innovation's variance.
 
     G: of a bank, of n innovations. noisy: weights of readings whose noise is seen. reading, told: deviations, see
     _of_noise. gain: of the filter. likely: of the bias, beforehand.
     """
     noise = 2 * told**2 / (2 - gain) + _of_noise(noisy, reading, 1 - gain)
-    plain, turned = slice(0, 1 + W.shape[-1]), slice(1 + W.shape[-1], 4 + W.shape[-1])
-    a = np.concatenate([np.ones((*W.shape[:-1], 1)), -W], axis=-1)
-    by_a, against = ((a @ G[plain, plain]) * a).sum(-1), a @ G[plain, turned]
-    known = np.linalg.inv(G[turned, turned] + by_a.min() / n / likely**2 * np.eye(3))
+    k = a.shape[-1]
+    by = a @ G[:k, : k + 3]
+    by_a, against = np.vecdot(by[..., :k], a), by[..., k:]
+    known = np.linalg.inv(G[k:, k : k + 3] + by_a.min() / n / likely**2 * np.eye(3))
     bias = -against @ known
-    return np.maximum(by_a + (against * bias).sum(-1), 0), noise / noise.flat[0], bias, known
+    return np.maximum(by_a + np.vecdot(against, bias), 0), noise / noise.flat[0], bias, known
 
 
 def _of_noise(W: np.ndarray, reading: float, stays: float) -> np.ndarray:
@@ -294,16 +300,17 @@ def _of_noise(W: np.ndarray, reading: float, stays: float) -> np.ndarray:
     i periods before: of an average over readings less stays in one innovation, but as much in many.
     """
     apart = np.abs(np.subtract.outer(range(W.shape[-1]), range(W.shape[-1])))
-    variance: np.ndarray = reading**2 * ((W @ stays**apart) * W).sum(-1) / (1 - stays**2)
+    variance: np.ndarray = reading**2 * np.vecdot(W @ stays**apart, W) / (1 - stays**2)
     return variance
 
 
-def _of_readings(age: float, period: float, count: int) -> np.ndarray:
-    """Weights on readings, the newest first, of their mean over a period that ended `age` ago, linear between them; a
-    little beyond the newest, too."""
-    weights, k = np.zeros(count), int(age / period + 1e-9)
-    r = age / period - k
-    weights[k : k + 3] = (1 - r) ** 2 / 2, 0.5 + r - r * r, r * r / 2
+def _of_readings(ages: np.ndarray, period: float, count: int) -> np.ndarray:
+    """Weights (a, count) on readings, the newest first, of their mean over a period that ended an age (a,) ago, linear
+    between them; a little beyond the newest, too."""
+    weights, k, each = np.zeros((len(ages), count)), (ages / period + 1e-9).astype(int), np.arange(len(ages))
+    r = ages / period - k
+    for i, weight in enumerate(((1 - r) ** 2 / 2, 0.5 + r - r * r, r * r / 2)):
+        weights[each, k + i] = weight
     return weights
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -162,6 +163,7 @@ class MPCSettings(Settings):
         return np.full(vehicle.n_rotors, self.input_weight / vehicle.thrust_max**2)
 
 
+@cache
 def _geometric_sums(terms: int, total: float) -> np.ndarray:
     """Partial sums, (terms,), of the series 1 + g + g^2 + .. whose sum is total; g >= 1 is found by bisection."""
     low, high, sums = 1.0, max(total, 1.0), np.arange(1.0, terms + 1)
