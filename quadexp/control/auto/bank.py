@@ -182,19 +182,19 @@ class Bank:
         due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
         return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
 
-    def products(self) -> np.ndarray:
-        """G of each of the sums over commands, (filters, rows, rows). Along a diagonal the newest product goes
-        from one entry to the next, and the one before the sums began comes in."""
+    def products(self, filters: list[int]) -> np.ndarray:
+        """G of these sums over commands, (filters, rows, rows); -1: of the thrust. Along a diagonal, from one entry to
+        the next, the newest product goes and the one before the sums began comes in."""
         m, fade = self.layout.commands, math.exp(-self.period / FADING)
         now, first = (np.zeros((m + 2, 2 * len(SPINS) + 2)) for _ in range(2))
         now[:, :-1], first[:, :-1] = (
             lines.reshape(2 * len(SPINS) + 1, m + 2).T for lines in (self.part("lines"), self._first)
         )
         ends = np.array([1.0, -(fade**self.count)])
-        both = np.stack([now, first]).reshape(2, m + 2, -1, 2).transpose(2, 0, 3, 1)  # (filters, 2, axes, m + 2)
+        both = np.stack([now, first]).reshape(2, m + 2, -1, 2).transpose(2, 0, 3, 1)[filters]  # (.., 2, axes, m + 2)
         gone = (both * ends[:, None, None]).reshape(-1, 4, m + 2).mT @ both.reshape(-1, 4, m + 2)
         G = np.zeros((len(gone), m + 3, 2 * m + 4))
-        y, p = self.sums[:, 0], self.sums[:, 1]
+        y, p = self.sums[filters].transpose(1, 0, 2)
         G[:, 0, : m + 3], G[:, 1, 1], G[:, 1, 2] = y, (y[:, 0] - gone[:, 0, 0]) / fade, p[:, 1]
         G[:, 1, 3 : m + 3] = (y[:, 2:-1] - gone[:, 0, 1:-1]) / fade
         powers = fade ** np.arange(m + 1)

@@ -27,6 +27,7 @@ from quadexp.control.auto.bank import (
     LAG,
     LEAST_ATTITUDE,
     SPEEDS,
+    SPINS,
     Bank,
     stationary_scalar,
 )  # fmt: skip
@@ -34,8 +35,10 @@ from quadexp.control.delivered import INSTANT, NO_LAG
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
-FINER, CLOSER, BESIDE = 8.0, 6, 8  # by which a grid closes in at most, how often it moves, its steps to either side
+FINER, CLOSER, BESIDE = 8.0, 6, 4  # by which a grid closes in at most, how often it moves, its steps to either side
+WHOLE = 1.5  # how many times as many innovations, until the whole grid is looked at again
 FEW = 5, 3  # of totals and lags, one of so many tells how noisy the velocity is
+STEP = 0.8  # of a grid, in deviations
 ALIKE = 0.5  # logarithm of a ratio of steps that are not worth another grid
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
 TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
@@ -74,37 +77,48 @@ class Posterior:
     def reset(self) -> None:
         """Nothing is known."""
         self.best: tuple[float, ...] = (0.0, TYPICAL, 0.0)
+        self._steps, self._late, self._slow, self._again = np.array(STEPS), 0.0, 0.0, 0.0
         self._fresh, self._spin, self._speed = False, 0, 0
         self._scale, self._bias = (1.0, SCALE), (np.zeros(3), np.full(3, BIAS))
 
     def evidence(self) -> Evidence:
         """Of the bank's sums as they are; there must be some."""
-        self._sums = self._bank.products()
-        grids, steps = list(self._grids), np.array(STEPS)
-        late = slow = 0.0
-        for closer in range(CLOSER):
-            J = self._joint(*grids, choose=not closer)
-            p = np.exp(J - J.max())
-            p /= p.sum()
-            if not closer:
-                late, slow = float(J.max() - J[0].max()), float(J.max() - J[:, 0].max())
-            at = np.unravel_index(int(J.argmax()), J.shape)
-            self.best = tuple(float(grid[i]) for grid, i in zip(grids, at, strict=True))
-            shares = p.sum((1, 2)), p.sum((0, 2)), p.sum((0, 1))
-            mean = np.array([share @ grid for share, grid in zip(shares, grids, strict=True)])
-            about = [(grid - centre) ** 2 for grid, centre in zip(grids, mean, strict=True)]
-            spread = np.sqrt([share @ square for share, square in zip(shares, about, strict=True)])
-            finer = np.clip(spread / 2, np.array(STEPS) / FINER, STEPS)
-            finer[:2] = finer[:2].max()  # so that sums of age and total coincide
-            axes = zip(self.best, grids, self._grids, strict=True)
-            ends = any(best in (grid[0], grid[-1]) and 0 < best < whole[-1] for best, grid, whole in axes)
-            if closer and not ends and (np.abs(np.log(finer / steps)) < ALIKE).all():
+        whole = self._bank.count >= self._again
+        filters = [*range(len(SPINS)), -1] if whole else [self._spin, -1]
+        self._sums = dict(zip(filters, self._bank.products(filters), strict=True))
+        if whole:
+            self._again = WHOLE * self._bank.count
+            J = self._joint(*self._grids, choose=True)
+            self._late, self._slow = float(J.max() - J[0].max()), float(J.max() - J[:, 0].max())
+            self._steps = self._close_in(self._grids, J, np.array(STEPS))[2]
+        for _ in range(CLOSER):
+            steps = self._steps
+            about = zip(self.best, steps, STEPS, self._grids, strict=True)
+            grids = [_near(best, step, whole) if step < most else whole for best, step, most, whole in about]
+            mean, spread, self._steps, inside = self._close_in(grids, self._joint(*grids, choose=False), steps)
+            if inside and (np.abs(np.log(self._steps / steps)) < ALIKE).all():
                 break
-            steps = finer
-            about_best = zip(self.best, steps, STEPS, self._grids, strict=True)
-            grids = [_near(best, step, whole) if step < most else whole for best, step, most, whole in about_best]
         deviation = np.hypot(spread, steps / 2)
-        return Evidence(mean, deviation, late, slow, self._fresh, self._scale, self._bias, self._spin)
+        return Evidence(mean, deviation, self._late, self._slow, self._fresh, self._scale, self._bias, self._spin)
+
+    def _close_in(
+        self, grids: list[np.ndarray], J: np.ndarray, steps: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+        """Mean and deviation (s) of a log posterior on grids, the steps of grids about its best point, and whether
+        that is inside of these."""
+        p = np.exp(J - J.max())
+        p /= p.sum()
+        at = np.unravel_index(int(J.argmax()), J.shape)
+        self.best = tuple(float(grid[i]) for grid, i in zip(grids, at, strict=True))
+        shares = p.sum((1, 2)), p.sum((0, 2)), p.sum((0, 1))
+        mean = np.array([share @ grid for share, grid in zip(shares, grids, strict=True)])
+        about = [(grid - centre) ** 2 for grid, centre in zip(grids, mean, strict=True)]
+        spread = np.sqrt([share @ square for share, square in zip(shares, about, strict=True)])
+        finer = np.clip(STEP * spread, np.maximum(np.array(STEPS) / FINER, steps / BESIDE), STEPS)
+        finer[:2] = finer[:2].max()  # so that sums of age and total coincide
+        axes = zip(self.best, grids, self._grids, strict=True)
+        inside = not any(best in (grid[0], grid[-1]) and 0 < best < whole[-1] for best, grid, whole in axes)
+        return mean, spread, finer, inside
 
     def early(self) -> tuple[float, float]:
         """The likeliest age by attitude and rates alone (s), and its log odds against 0."""
@@ -133,8 +147,12 @@ class Posterior:
         if choose:
             few = np.unique(np.round((ages[:, None] + totals)[::2, ::2], 9))
             W = self._of_commands(few, lags[::3], mean=True)
-            least = [G[0, 0] - np.max(by**2 / square) for G in self._sums[:-1] for by, square in [_moments(G, W)]]
-            self._spin = int(np.argmin(least))
+            left = [
+                self._sums[i][0, 0] - np.max(by**2 / square)
+                for i in range(len(SPINS))
+                for by, square in [_moments(self._sums[i], W)]
+            ]
+            self._spin = int(np.argmin(left))
         by_velocity, share = self._velocity(ages, totals, lags, choose=choose)
         by_attitude = self._attitude(ages)[:, None, None]
         rest = by_velocity - worth * faded / 2 * np.log(thrust / faded + 1e-12)
