@@ -2,9 +2,9 @@
 
     python -m benchmarks.remedies [--rounds 20] [--json]
 
-Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle,
-in wind and with the delays that it knows; a round is one pass of each over its own record, so that a slow moment of
-the machine meets all. Of every step of a record the least over the rounds is taken, which other work on the machine
+Each contestant is the whole step of a controller in a loop of the user's own (ControlLoop.step: one call into C), on
+what it was told in a flight on the circle, in wind and with the delays that it knows; a round is one pass of each over
+its own record, so that a slow moment of the machine meets all. Of every step of a record the least over the rounds is taken, which other work on the machine
 does not touch; printed are the medians and means over the steps, and their ratios to the first row, in one run. The
 two differ where a few steps cost more: every tenth of remedies=auto decides, in Python.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.machine import cores, machine, pin
 from benchmarks.step import make_residual
 from quadexp.control.auto.around_mpc import AutoMPC
-from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.base import Controller, Measurement
 from quadexp.control.delay.prediction import Prediction
 from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.mpc.controller import PredictiveController
@@ -34,7 +34,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.observers.disturbance import DisturbanceObserver
 from quadexp.control.observers.wind import WindObserver
 from quadexp.experiment.build import build_vehicle, build_world
-from quadexp.experiment.rollout import SampledReference
+from quadexp.loop import ControlLoop
 from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.parts.sensor_sheet import SensorSheet
@@ -43,7 +43,7 @@ from quadexp.reference.circle import Circle
 
 CASE = "gp20"
 STEPS = 200  # of a round
-Log = list[tuple[Measurement, Window]]
+Log = list[Measurement]
 
 
 def contestants(vehicle: Vehicle) -> dict[str, Controller]:
@@ -90,36 +90,37 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
     }
 
 
-def flown(vehicle: Vehicle, controller: Controller) -> Log:
-    """What a controller is asked on the circle in a gusty wind."""
+def flown(loop: ControlLoop) -> Log:
+    """What a controller is told on the circle in a gusty wind."""
+    controller, world = loop.controller, loop.plant
+    x, reading, rng = loop.start, None, np.random.default_rng(0)
+    noise = world.begin(x, loop.period, float(loop.times[-1]) + 1.0, rng)
+    log: Log = []
+    for k in range(STEPS + 100):
+        log.append(Measurement(float(loop.times[k]), world.measured.copy(), reading, None))
+        x, reading = world.advance(x, loop.step(log[-1]), controller.control_period, noise)
+    return log
+
+
+def in_wind(vehicle: Vehicle, controller: Controller) -> ControlLoop:
+    """A loop on the circle; its plant has the delays that the controller knows."""
     late, age = controller.node_times[0], getattr(controller, "delay", 0.0)
     link = [f"link.latency={late}", "link=latency"] if late else []
     if age:
         gyro = "fresh" if isinstance(controller, Strapdown) else "late"
         link += ["estimator=late", f"estimator.delay={age}", f"estimator.gyro={gyro}"]
-    world = build_world(compose(["world=only_wind", *link]), vehicle)
-    reference, rng = SampledReference(Circle(speed=8.0), controller), np.random.default_rng(0)
-    x, reading = reference.along()[0][0], None
-    noise = world.begin(x, controller.control_period, float(reference.t[-1]) + 1.0, rng)
-    controller.reset(x, reference.window(0))
-    log: Log = []
-    for k in range(STEPS + 100):
-        asked = Measurement(float(reference.t[k]), world.measured.copy(), reading, None), reference.window(k)
-        log.append(asked)
-        thrust, _ = controller.step(*asked)
-        x, reading = world.advance(x, thrust, controller.control_period, noise)
-    return log
+    return ControlLoop(controller, Circle(speed=8.0), build_world(compose(["world=only_wind", *link]), vehicle))
 
 
-def steps(controller: Controller, log: Log) -> np.ndarray:
+def steps(loop: ControlLoop, log: Log) -> np.ndarray:
     """Seconds of every step."""
     seconds = []
-    controller.reset(log[0][0].state, log[0][1])
+    loop.reset(log[0].state)
     gc.collect()
     gc.disable()
-    for asked in log:
+    for told in log:
         began = time.perf_counter()
-        controller.step(*asked)
+        loop.step(told)
         seconds.append(time.perf_counter() - began)
     gc.enable()
     return np.array(seconds[100:])
@@ -130,8 +131,8 @@ def measure(rounds: int) -> dict[str, tuple[float, float]]:
     vehicle = build_vehicle(compose([]).vehicle)
     works: dict[str, Callable[[], np.ndarray]] = {}
     for name, controller in contestants(vehicle).items():
-        log = flown(vehicle, controller)
-        works[name] = partial(steps, controller, log)
+        loop = in_wind(vehicle, controller)
+        works[name] = partial(steps, loop, flown(loop))
     every = cores()
     pin(0, {min(every)})
     seconds: dict[str, list[np.ndarray]] = {name: [] for name in works}

@@ -217,5 +217,9 @@ def _operation(o: Operation, kept: np.ndarray | None) -> ctypes.Structure:
     places = addresses({"to": o.to, "source": o.source, "other": o.other, "when": o.when, "kept": kept})
     if function is not None:
         places["function"] = ctypes.addressof(function.for_c)  # type: ignore[arg-type]  # `goes_in_c` saw to it
-    factor = len(o.source) if o.kind == "window" and o.source is not None else o.factor
-    return OPERATION(kind=KINDS.index(o.kind), every=o.every, count=count, factor=factor, **places)
+    shape = {"count": count, "factor": o.factor}
+    if o.kind == "window" and o.source is not None:
+        shape["factor"] = len(o.source)
+    elif o.kind == "gather" and o.source is not None:
+        shape["factor"], shape["columns"] = o.source.shape[1:]
+    return OPERATION(kind=KINDS.index(o.kind), every=o.every, **shape, **places)

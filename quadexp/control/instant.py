@@ -26,7 +26,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import N_STATE
 
 KINDS = (
-    "call", "copy", "move", "window", "square", "divide", "mix", "add", "finite", "below", "near", "plan", "python",
+    "call", "copy", "move", "window", "square", "divide", "mix", "add", "gather", "finite", "near", "plan", "python",
 )  # fmt: skip
 YES = np.ones(1)
 
@@ -43,8 +43,8 @@ class Operation(NamedTuple):
     divide  to = source / other[0]
     mix     to = factor source + (1 - factor) other
     add     to = source + other
+    gather  to (b, r, 2 r) = to + sum over the rows s of source, (b, k, 2 r), of s[:r]' s
     finite  left to Python where a number of source is not
-    below   the same, and `act`, where source[0] > factor
     near    left to Python where positions at the beginning of source and other are further apart than factor
     plan    the MPC's step on its own arrays; in Python `act`
     python  `act`, left to Python
@@ -71,6 +71,10 @@ def copy(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> 
 
 def move(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
     return Operation("move", to, source, when=when)
+
+
+def gather(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
+    return Operation("gather", to, source, when=when)
 
 
 def python(act: Callable[[], Any], when: np.ndarray | None = None) -> Operation:
@@ -157,8 +161,9 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
             to[...] = factor * source + (1 - factor) * other
         elif kind == "add":
             np.add(source, other, out=to)
-        elif kind == "below" and source[0] > factor:
-            act()
+        elif kind == "gather":
+            for row in np.moveaxis(source, 1, 0):
+                to += row[:, : to.shape[1], None] * row[:, None]
 
 
 class Running:

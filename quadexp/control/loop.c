@@ -12,7 +12,7 @@
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
 /* KINDS of instant.py */
-enum { CALL, COPY, MOVE, WINDOW, SQUARE, DIVIDE, MIX, ADD, FINITE, BELOW, NEAR, PLAN, PYTHON };
+enum { CALL, COPY, MOVE, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
 typedef long long integer;
@@ -31,8 +31,8 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
 } function;
 
 typedef struct { /* see instant.py; kept: of a MOVE, what was there before; count: of a WINDOW, length of to's rows,
-   factor: how many, where source says which */
-    integer kind, every, count;
+   factor: how many, where source says which; columns, factor: of a GATHER, of a block of source, its rows */
+    integer kind, every, count, columns;
     real factor;
     real *to, *kept, *other;
     const real *source, *when;
@@ -162,6 +162,17 @@ static void look_ahead(const reference *r, integer at, const operation *o, integ
     }
 }
 
+/* Every number is summed up in the order of the rows. */
+static void gather(real *restrict to, const real *restrict source, integer count, integer rows, integer columns) {
+    for (integer i = 0; i < count / columns; i++, to += columns) {
+        const real *row = source + i / (columns / 2) * rows * columns;
+        for (integer k = 0; k < rows; k++, row += columns) {
+            const real factor = row[i % (columns / 2)];
+            for (integer j = 0; j < columns; j++) to[j] += factor * row[j];
+        }
+    }
+}
+
 static int operate(const loop *l, const operation *o, const reference *r, integer at) {
     const integer n = o->count;
     switch (o->kind) {
@@ -175,8 +186,8 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
     case MIX:
         for (integer i = 0; i < n; i++) o->to[i] = o->factor * o->source[i] + (1 - o->factor) * o->other[i];
         return 1;
+    case GATHER: gather(o->to, o->source, n, (integer)o->factor, o->columns); return 1;
     case FINITE: return ordinary(o->source, n, HUGE_NUMBER);
-    case BELOW: return o->source[0] <= o->factor;
     case NEAR: return distance(o->source, o->other) <= o->factor;
     case PLAN: return plan(l->plan);
     default: return 0;

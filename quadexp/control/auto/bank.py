@@ -42,7 +42,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.auto.senses import UNSURE, WARM, sense_sizes, sensed
 from quadexp.control.built import built
 from quadexp.control.delivered import SETTLED
-from quadexp.control.instant import Operation, Told, call, copy
+from quadexp.control.instant import Operation, Told, call, copy, gather
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import product, rotation_matrix
@@ -58,7 +58,7 @@ SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
 SHEET = 3.0  # factor by which a data sheet may be wrong
 LEAST_TURN, LEAST_ATTITUDE = 3e-4, 1e-5  # rad/s of a reading of the gyroscope, rad of a told attitude
-SUMMED = "memory", "sums", "speed_sums", "turn_sums"
+REMEMBERED = "memory", "sums"
 STILL = AGE + 0.02  # s, for which told attitudes may be those from before the flight
 SKIPPED = 0.3  # s, until the filters are stationary
 FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves with the battery
@@ -92,11 +92,12 @@ class Bank:
 
     theta: parameters of the residual, shared. noise: standard deviation of a reading of the accelerometer (m/s^2).
     spans: over which readings of accelerometer and gyroscope are means (s).
-    period: of the bank (s), `every` control periods. memory: see Layout. sums: (filters, 2, rows), of y and p, those of
-    SPINS and then of the thrust. speed_sums: (SPEEDS, columns, 2 columns), of an innovation with itself and with the
-    one before; turn_sums: of the attitude, likewise. turned_by: what gyroscope and attitude are off by (rad/s, rad).
-    weights: (2, m) on the commands, the newest last, of the likeliest thrusts: now, and their mean over a period as old
-    as the told rates. gains: (2,) of the torque, see senses.py. bias: of the accelerometer, (3,) (m/s^2).
+    period: of the bank (s), `every` control periods. memory: see Layout. sums: (2, rows, channels), of y and p;
+    channels: two axes of each of SPINS, and the thrust. speed_sums: (SPEEDS, columns, 2 columns), of an innovation with
+    itself and with the one before; turn_sums: of the attitude, likewise. turned_by: what gyroscope and attitude are off
+    by (rad/s, rad). weights: (2, m) on the commands, the newest last, of the likeliest thrusts: now, and their mean
+    over a period as old as the told rates. gains: (2,) of the torque, see senses.py. bias: of the accelerometer, (3,)
+    (m/s^2).
     """
 
     def __init__(
@@ -112,9 +113,9 @@ class Bank:
         given = self._update.arguments
         self.memory, self.weights, self.gains, self.bias = (given[k] for k in ("memory", "weights", "gains", "bias"))
         columns, turn = self.layout.columns, self.layout.turning
-        self.sums, self._first = given["sums"].reshape(-1, 2, self.layout.rows), np.zeros(self.part("lines").shape)
-        self.speed_sums = given["speed_sums"].reshape(-1, columns, 2 * columns)
-        self.turn_sums = given["turn_sums"].reshape(turn, 2 * turn)
+        self.sums = given["sums"].reshape(2, self.layout.rows, -1)
+        self._first = np.zeros(self.part("lines").shape)
+        self.speed_sums, self.turn_sums = np.zeros((len(SPEEDS), columns, 2 * columns)), np.zeros((turn, 2 * turn))
         given["noise"][...] = self.noise = noise
         self.turned_by = LEAST_TURN * self.period + turning[0] * self.period, LEAST_ATTITUDE + turning[1]
         given["kept_turn"][...] = 1 - stationary_scalar(self.turned_by[1], self.turned_by[0])
@@ -177,24 +178,26 @@ class Bank:
         """Takes in what is told, the state that is found there, (13,), and then the command, (n,) (N)."""
         given, left = self._update.arguments, self._update.results
         due = [copy(given["x"], state), copy(given["f"], told.force), call(self._update, told.read)]
-        due += [copy(given[name], left[f"{name}_next"], told.read) for name in SUMMED]
+        due += [copy(given[name], left[f"{name}_next"], told.read) for name in REMEMBERED]
         due.append(copy(self._first, self.part("lines"), left["begins"]))
+        due.append(gather(self.speed_sums, left["speed_z"].reshape(len(SPEEDS), 2, -1), told.read))
+        due.append(gather(self.turn_sums[None], left["turn_z"][None], told.read))
         due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
         return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
 
-    def products(self, filters: list[int]) -> np.ndarray:
-        """G of these sums over commands, (filters, rows, rows); -1: of the thrust. Along a diagonal, from one entry to
-        the next, the newest product goes and the one before the sums began comes in."""
+    def products(self, spins: list[int]) -> np.ndarray:
+        """G of each of these of SPINS, and of the thrust, (.., rows, rows). Along a diagonal, from one entry to the
+        next, the newest product goes and the one before the sums began comes in."""
         m, fade = self.layout.commands, math.exp(-self.period / FADING)
-        now, first = (np.zeros((m + 2, 2 * len(SPINS) + 2)) for _ in range(2))
-        now[:, :-1], first[:, :-1] = (
-            lines.reshape(2 * len(SPINS) + 1, m + 2).T for lines in (self.part("lines"), self._first)
-        )
-        ends = np.array([1.0, -(fade**self.count)])
-        both = np.stack([now, first]).reshape(2, m + 2, -1, 2).transpose(2, 0, 3, 1)[filters]  # (.., 2, axes, m + 2)
-        gone = (both * ends[:, None, None]).reshape(-1, 4, m + 2).mT @ both.reshape(-1, 4, m + 2)
+        channels = [*(2 * i + axis for i in spins for axis in (0, 1)), 2 * len(SPINS)]
+
+        def both_axes(of: np.ndarray) -> np.ndarray:
+            return np.concatenate([of[:-1].reshape(-1, 2, *of.shape[1:]).sum(1), of[-1:]])
+
+        now, first = (lines.reshape(m + 2, -1)[:, channels].T for lines in (self.part("lines"), self._first))
+        gone = both_axes(now[:, :, None] * now[:, None] - fade**self.count * first[:, :, None] * first[:, None])
+        y, p = map(both_axes, self.sums[:, :, channels].transpose(0, 2, 1))
         G = np.zeros((len(gone), m + 3, 2 * m + 4))
-        y, p = self.sums[filters].transpose(1, 0, 2)
         G[:, 0, : m + 3], G[:, 1, 1], G[:, 1, 2] = y, (y[:, 0] - gone[:, 0, 0]) / fade, p[:, 1]
         G[:, 1, 3 : m + 3] = (y[:, 2:-1] - gone[:, 0, 1:-1]) / fade
         powers = fade ** np.arange(m + 1)
@@ -248,18 +251,18 @@ def stationary_scalar(noise: float, walk: float) -> float:
 
 
 def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: int) -> ca.Function:
-    """A period of the bank: memory and sums after it; begins: whether the next innovations are the first in them.
+    """A period of the bank: memory and sums after it; begins: whether the next innovations are the first in them;
+    speed_z and turn_z: what is summed up for velocity and attitude, an innovation and the one before.
 
-    Inputs: memory, see Layout; sums (rows, 2 * filters), speed_sums, turn_sums; x (13,), told; f (3,), reading; u (n,),
+    Inputs: memory, see Layout; sums (channels, 2 * rows); x (13,), told; f (3,), reading; u (n,),
     the commands since the last period, added; weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2);
     kept_turn: what the filter of the attitude leaves of an innovation; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
     m, rows, columns, spins = layout.commands, layout.rows, layout.columns, len(SPINS)
     along, across = ca.DM(np.diag([0.0, 0.0, 1.0])), ca.DM(np.diag([1.0, 1.0, 0.0]))
-    shapes = {"memory": (layout.size, 1), "sums": (rows, 2 * (spins + 1)), "kept_turn": (1, 1)}
-    shapes |= {"speed_sums": (2 * columns, columns * len(SPEEDS)), "x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
-    shapes |= {"turn_sums": (2 * layout.turning, layout.turning)}
+    shapes = {"memory": (layout.size, 1), "sums": (2 * spins + 1, 2 * rows), "kept_turn": (1, 1)}
+    shapes |= {"x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
     shapes |= {"weights": (m, 2), "gains": (2, 1), "bias": (3, 1), "noise": (1, 1)}
     shapes |= {"theta": (residual.function.size1_in(1), 1)}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
@@ -295,14 +298,12 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     gain = stationary_scalar(THRUST[0], THRUST[1] * math.sqrt(period))
     lines = ca.vertcat(lifted, more * sent[2, -1]) - kept["push"]
     push = kept["push"] + gain * lines
-    first, fresh = ca.vertcat(nu_y, lines[0]), ca.vertcat(-nu_phi, lines[1])
-    before = ca.reshape(kept["lines"], rows - 1, 2 * spins + 1)  # y, phi of m + 1, the newest first
-    lines = ca.vertcat(first.T, fresh.T, before[1:-1, :])
-    z = ca.vertcat(first.T, before[0, :], lines[1:, :])
-    fade, sums = math.exp(-period / FADING), []
-    for i, G in enumerate(ca.horzsplit(a["sums"], 2)):
-        part = z[:, 2 * i : 2 * i + 2] if i < spins else z[:, -1]
-        sums.append(fade * G + counts * ca.mtimes(part, part[[0, 2], :].T))
+    y_now, p = ca.vertcat(nu_y, lines[0]), ca.vertcat(-nu_phi, lines[1])
+    before = ca.reshape(kept["lines"], 2 * spins + 1, rows - 1)  # y, phi of m + 1, the newest first
+    lines = ca.horzcat(y_now, p, before[:, 1:-1])
+    z = ca.horzcat(y_now, before[:, 0], lines[:, 1:])
+    newest = ca.horzcat(*(ca.repmat(of, 1, rows) * z for of in (y_now, p)))
+    sums = math.exp(-period / FADING) * a["sums"] + counts * newest
 
     # velocity: y, phi of each reading along the thrust, of its moment, of each across, and of each axis of beta
     forces = ca.horzcat(f, ca.reshape(kept["forces"], 3, layout.readings)[:, :-1])  # the newest first
@@ -314,9 +315,9 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     drive = ca.horzcat(
         ca.vertcat(0, 0, -vehicle.gravity), turned @ along @ forces, moment, turned @ across @ forces, turned
     )
-    speed, speed_next, nus, speed_sums = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
+    speed, speed_next, nus, pairs = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
     befores = ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns)
-    for state, before, noise, G in zip(speed, befores, SPEEDS, ca.horzsplit(a["speed_sums"], columns), strict=True):
+    for state, before, noise in zip(speed, befores, SPEEDS, strict=True):
         ratio = kept["lateral"] * (period / noise) ** 2
         P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
         predicted = state + period * drive
@@ -324,7 +325,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         into = ca.horzcat(nu[:, 0], -nu[:, 1:])
         speed_next.append(predicted + P / (P + 1) * into)
         nus.append(ca.mtimes(R[:, :2].T, nu))
-        speed_sums.append(G + counts * ca.mtimes(ca.horzcat(nus[-1], before).T, nus[-1]))
+        pairs.append(counts * ca.horzcat(nus[-1], before).T)
 
     # attitude: the same, in body axes, of the rotation in a period
     rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, layout.readings)[:, :-1])
@@ -343,7 +344,6 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     now["lateral"] = lateral_variance(senses["noise"], count, a["noise"], period)
     now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
-    results = {"memory_next": memory, "sums_next": ca.horzcat(*sums), "begins": count == layout.skipped}
-    results |= {"speed_sums_next": ca.horzcat(*speed_sums)}
-    results["turn_sums_next"] = a["turn_sums"] + begun * ca.mtimes(ca.horzcat(turn, last).T, turn)
+    results = {"memory_next": memory, "sums_next": sums, "begins": count == layout.skipped}
+    results |= {"speed_z": ca.horzcat(*pairs), "turn_z": begun * ca.horzcat(turn, last).T}
     return ca.Function("bank", [*a.values()], [*results.values()], [*a], [*results])

@@ -84,8 +84,8 @@ class Posterior:
     def evidence(self) -> Evidence:
         """Of the bank's sums as they are; there must be some."""
         whole = self._bank.count >= self._again
-        filters = [*range(len(SPINS)), -1] if whole else [self._spin, -1]
-        self._sums = dict(zip(filters, self._bank.products(filters), strict=True))
+        spins = [*range(len(SPINS))] if whole else [self._spin]
+        self._sums = dict(zip([*spins, -1], self._bank.products(spins), strict=True))
         if whole:
             self._again = WHOLE * self._bank.count
             J = self._joint(*self._grids, choose=True)

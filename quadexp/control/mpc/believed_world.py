@@ -77,7 +77,8 @@ class BelievedWorld:
             model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
         pending = None if estimator is None else estimator.delays.pending
-        form = {"targets": targets, "parameters": mpc.parameters.size, "delays": pending}
+        solution = mpc.prediction[0]
+        form = {"targets": targets, "parameters": mpc.parameters.size, "width": solution.shape[1], "delays": pending}
         sizes = settings.nodes, settings.samples
         observe = estimator and estimator.update
         function = built(mpc.backend, enter_function, mpc.vehicle, model, observe, *sizes, **form)
@@ -86,12 +87,12 @@ class BelievedWorld:
         into = {"disturbance": mpc.disturbance, "low": step.arguments["u_min"], "high": step.arguments["u_max"]}
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
         into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if self._in_place else {}
-        self._enter = BufferedFunction(function, {"theta": mpc.parameters}, into)
+        self._enter = BufferedFunction(function, {"theta": mpc.parameters, "X": solution}, into)
         self._given, self._left = self._enter.arguments, self._enter.results
         given = self._given
         given["times"][...], given["period"][...] = node_times, settings.control_period
         self._memory, self.numbers = given["memory"], self._left["found"]
-        self._since = (settings.dead_time + settings.node_times)[:, None]
+        given["since"][...] = settings.dead_time + settings.node_times
         self._coefficient = mpc.vehicle.thrust_coefficient
         self._sent = given.get("sent", np.zeros(mpc.vehicle.n_rotors))
         if estimator is not None:
@@ -108,7 +109,7 @@ class BelievedWorld:
     def retime(self, node_times: np.ndarray) -> None:
         """Use other times of the reference, (k,) (s) from the measurement on, from the next step on."""
         settings = self._mpc.settings
-        self._given["times"][...], self._since = node_times, (settings.dead_time + settings.node_times)[:, None]
+        self._given["times"][...], self._given["since"][...] = node_times, settings.dead_time + settings.node_times
 
     def reset(self, begin: np.ndarray | None) -> None:
         """Begin a flight in the world of the model, after the MPC did. begin: first state of the estimator."""
@@ -153,9 +154,8 @@ class BelievedWorld:
             if self._coefficient is not None:
                 measured = Operation("square", given["measured"], told.speed, factor=self._coefficient)
                 operations.append(measured._replace(when=told.turning))
-        change = left["change"]
-        operations += [call(self._enter), Operation("finite", source=change)]
-        operations.append(Operation("below", source=change[3:4], factor=MOVED, act=self._move))
+        operations += [call(self._enter), Operation("finite", source=left["squares"])]
+        operations.append(move(self._mpc.prediction[0], left["X_moved"], left["moved"]))
         operations.append(move(self._memory, left["memory_next"]))
         if self._air_scale is not None:
             operations.append(move(self._air_scale, self.numbers[10:]))
@@ -170,13 +170,7 @@ class BelievedWorld:
     @property
     def finite(self) -> bool:
         """Whether what `before` left is."""
-        return math.isfinite(self._left["change"].item(4))
-
-    def _move(self) -> None:
-        """Bring the last solution into a frame that is the faster by `change` (m/s) from now on."""
-        X, change = self._mpc.prediction[0], self._left["change"][:3]
-        X[:, VELOCITY] -= change
-        X[:, POSITION] -= change * (self._since - self._mpc.settings.control_period)
+        return math.isfinite(self._left["squares"].item())
 
 
 class Layout:
@@ -202,22 +196,25 @@ def enter_function(
     *,
     targets: bool,
     parameters: int,
+    width: int,
     delays: int | None = None,
 ) -> ca.Function:
     """What a BelievedWorld computes before the plan, for N = nodes with s = samples of the reference in each;
     update: of an estimator, which knows of `delays` pending commands.
 
     Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); times (s N + 1,) of the reference from now, period (s);
+    X (width, N + 1), the last solution, and times `since` of its nodes from now (N + 1,) (s);
     memory, see Layout; belief (11,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
     known (2,), whether these two are, seen (13,), the state then, sent (n,), the last command (N), settings, delays
     (see Delays); theta (p,), where the model or the estimator has parameters.
     Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); low, high (n,), limits of delivered
-    thrusts (N); found (11,), the belief; change (5,): of
-    the wind, its size (m/s), and the sum of the squares of x_in, X_in and U_in; memory_next.
+    thrusts (N); found (11,), the belief; X_moved: the last
+    solution in a frame that is the faster by the change of the wind from now on, and `moved`, whether that is large;
+    squares: the sum of those of x_in, X_in and U_in; memory_next.
     """
     n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, update, delays)
     shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
-    shapes |= {"period": (1, 1), "memory": (layout.size, 1)}
+    shapes |= {"period": (1, 1), "memory": (layout.size, 1), "X": (width, nodes + 1), "since": (nodes + 1, 1)}
     if update is None:
         shapes |= {"belief": (N_BELIEF, 1)}
     else:
@@ -258,7 +255,9 @@ def enter_function(
     low, high = (1 + ROUNDING) * vehicle.thrust_min, (1 - ROUNDING) * vehicle.thrust_max
     results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
     squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
-    results |= {"change": ca.vertcat(change, ca.norm_2(change), squares)}
+    moving = ca.vertcat(ca.mtimes(change, (a["since"] - a["period"]).T), ca.DM.zeros(4, nodes + 1))
+    moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
+    results |= {"X_moved": a["X"] - moving, "moved": ca.norm_2(change) > MOVED, "squares": squares}
     results |= {"memory_next": ca.vertcat(*(memory[name] for name in layout.slices))}
     return ca.Function("believed_world", [*a.values()], [*results.values()], [*a], [*results])
 
