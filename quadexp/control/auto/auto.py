@@ -47,7 +47,7 @@ INEXACT = 0.03  # of a delay: messages take unlike times
 # thrusts change, within a fifth of that. Where thrusts stand in a period is off as much, and so an age.
 UNLIKE = 0.07
 BAND = 1.96  # deviations of half a 95 % band
-LATER = 1.1  # how much longer a flight has to be until the evidence is looked at again
+LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
     "grid", "acts_lateral", "acts_vertical", "acts_torque", *DEVIATIONS,

@@ -77,18 +77,18 @@ class Posterior:
     def reset(self) -> None:
         """Nothing is known."""
         self.best: tuple[float, ...] = (0.0, TYPICAL, 0.0)
-        self._steps, self._late, self._slow, self._again = np.array(STEPS), 0.0, 0.0, 0.0
+        self._steps, self._late, self._slow, self._looked = np.array(STEPS), 0.0, 0.0, 0
         self._fresh, self._spin, self._speed = False, 0, 0
         self._scale, self._bias = (1.0, SCALE), (np.zeros(3), np.full(3, BIAS))
 
     def evidence(self) -> Evidence:
         """Of the bank's sums as they are; there must be some."""
-        whole = self._bank.count >= self._again
+        count = self._bank.count
+        whole = count >= WHOLE * self._looked
         spins = [*range(len(SPINS))] if whole else [self._spin]
         self._sums = dict(zip([*spins, -1], self._bank.products(spins), strict=True))
         if whole:
-            self._again = WHOLE * self._bank.count
-            J = self._joint(*self._grids, choose=True)
+            J, self._looked = self._joint(*self._grids, choose=True), count
             self._late, self._slow = float(J.max() - J[0].max()), float(J.max() - J[:, 0].max())
             self._steps = self._close_in(self._grids, J, np.array(STEPS))[2]
         for _ in range(CLOSER):
@@ -98,8 +98,10 @@ class Posterior:
             mean, spread, self._steps, inside = self._close_in(grids, self._joint(*grids, choose=False), steps)
             if inside and (np.abs(np.log(self._steps / steps)) < ALIKE).all():
                 break
-        deviation = np.hypot(spread, steps / 2)
-        return Evidence(mean, deviation, self._late, self._slow, self._fresh, self._scale, self._bias, self._spin)
+        deviation = np.hypot(spread, steps / 3)
+        more = count / self._looked  # evidence since then
+        odds = more * self._late, more * self._slow
+        return Evidence(mean, deviation, *odds, self._fresh, self._scale, self._bias, self._spin)
 
     def _close_in(
         self, grids: list[np.ndarray], J: np.ndarray, steps: np.ndarray
