@@ -40,6 +40,7 @@ from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE, VELOCITY
 
+LAST, AT_LIMIT = 0.3, 0.999  # s, of commands that may be at their limits, and from where on they are
 LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
 INEXACT = 0.03  # of a delay: messages take unlike times
@@ -93,6 +94,7 @@ class Auto(WrappedController):
         unsaid = sheet.gyroscope is not None and sheet.gyroscope.delay is None
         self._unsaid = unsaid and sheet.attitude is not None and bool(sheet.attitude.delay)
         self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
+        self._lately = round(LAST / period)
         self._begins = np.ones(1)  # whether there is no other evidence yet
         self._posterior, self._decision = Posterior(self._bank), Decision()
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
@@ -170,6 +172,10 @@ class Auto(WrappedController):
         bank = self._bank
         self._time += self._decides * bank.period
         senses, before = self._senses(), self._decision.acting
+        softer = self._decision.soften(senses)
+        if softer != before:
+            self._use(softer)
+            before = softer
         if bank.count < self._decides or self._time < self._again:
             self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
             return
@@ -212,7 +218,10 @@ class Auto(WrappedController):
         (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
         pushes = float(away[:2].max()), float(away[2]), torque
         velocity, swing = part("x")[VELOCITY].copy(), float(part("sent")[2::3].std())
-        return Senses(pushes, strength, self._bank.reading_noise, position, attitude, rate, twist, velocity, swing)
+        sent, low, high = self._commands.values[-self._lately :], self.vehicle.thrust_min, self.vehicle.thrust_max
+        limited = float((np.abs(sent - (low + high) / 2) > AT_LIMIT * (high - low) / 2).mean())
+        noise = self._bank.reading_noise
+        return Senses(pushes, strength, noise, position, attitude, rate, twist, velocity, swing, limited)
 
     def _use(self, acting: Acting) -> None:
         """Act on these delays from now on."""

@@ -5,6 +5,8 @@
     stiffness       of the grid and weights (GRIDS), by what may be unknown of the timing,
                         unknown = sd(d + l) + |d + l - what is acted on| + sd(a) / 2
                     one grid at a time towards the stiffer, at once towards the softer
+                    where commands stand at the rotors' limits, as behind a corner, a stiffer one than FIRM would swing
+                    between these
     push            each of lateral, vertical and torque, once it is GATE deviations away from zero
 
 Where the timing of commands is not known to SURELY_TIMED, thrusts are not compared with readings: it would look like a
@@ -35,6 +37,7 @@ GRIDS = (
     (0.0, 1.0, 10.0, np.inf), (0.06, 0.8, 10.0, np.inf), (0.06, 0.8, 100.0, 0.008), (0.04, 0.8, 50.0, 0.005),
     (0.02, 0.6, 200.0, 0.0025),
 )  # fmt: skip
+FIRM, LIMITED = 2, 0.2  # a grid, and from which share of commands at a limit on it is the stiffest
 STIFF_TOTAL = 0.015  # s, largest dead time and lag under the stiffest grid
 
 
@@ -55,7 +58,7 @@ class Senses:
     torque from zero. walk: of the push, (3,) (m/s^2 in a root of a second). reading: deviation of a reading from the
     model, (3,) (m/s^2). position (m), attitude (rad), rate (rad/s): of the told state. twist: walk of the torque
     (rad/s^2 in a root of a second). velocity: that is told, (3,) (m/s). swing: deviation of the last thrusts over
-    the mass (m/s^2)."""
+    the mass (m/s^2). limited: share of the last commands that are at a limit."""
 
     away: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -66,6 +69,7 @@ class Senses:
     twist: float = 0.0
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
     swing: float = 0.0
+    limited: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,12 @@ class Decision:
             self.acting, self._certain = replace(self.acting, age=age, fresh=True), CERTAIN
         return self.acting
 
+    def soften(self, senses: Senses) -> Acting:
+        """What to act on meanwhile, without further evidence."""
+        if senses.limited > LIMITED and self.acting.grid > FIRM:
+            self.acting = replace(self.acting, grid=FIRM)
+        return self.acting
+
     def begin(self, senses: Senses) -> Acting:
         """What to act on where nothing is known of the delays yet."""
         self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
@@ -130,7 +140,7 @@ class Decision:
             grid = max(i for i, (*_, most) in enumerate(GRIDS) if unknown < most)
             grid = min(grid, 3 if dead_time + lag >= STIFF_TOTAL or senses.position > LARGE_NOISE else 4)
             grid = grid if grid > 1 else int(not far)
-        grid = min(grid, before.grid + 1)
+        grid = min(grid, before.grid + 1, FIRM if senses.limited > LIMITED else len(GRIDS))
         (lateral, vertical, torque), shown = (away > GATE for away in senses.away), before.push
         push = lateral or shown[0], (timed and vertical) or shown[1], (timed and torque) or shown[2]
         self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, push)
