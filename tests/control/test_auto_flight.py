@@ -79,7 +79,7 @@ def test_a_scale_of_swinging_thrusts_is_not_answered_as_a_force():
 
 
 def test_behind_a_corner_the_rotors_do_not_swing_between_their_limits():
-    """The stiffest grid brought six rotors of a light vehicle from limit to limit, .78 m off in the mean, .12 without."""
+    """The stiffest grid brought six rotors of a light vehicle from limit to limit, .78 m off in the mean."""
     light = ["vehicle=hexacopter", "truth.mass=0.792", "truth.inertia=[1.283, 1.127, 0.841]", "world=only_latency"]
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=16", "trajectory.speed=7.59"]
     words = ["controller=perfect_mpc", *light, *path, "controller.allow_unstable=true", "seed=570463"]
