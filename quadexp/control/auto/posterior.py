@@ -35,11 +35,11 @@ from quadexp.control.delivered import INSTANT, NO_LAG
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
-FINER, CLOSER, BESIDE = 8.0, 6, 4  # by which a grid closes in at most, how often it moves, its steps to either side
+FINER, CLOSER, BESIDE = 8.0, 6, 5  # by which a grid closes in at most, how often it moves, its steps to either side
 WHOLE = 1.5  # how many times as many innovations, until the whole grid is looked at again
 FEW = 5, 3  # of totals and lags, one of so many tells how noisy the velocity is
-STEP = 0.8  # of a grid, in deviations
-ALIKE = 0.5  # logarithm of a ratio of steps that are not worth another grid
+STEP = 0.7  # of a grid, in deviations
+ALIKE = 0.3  # logarithm of a ratio of steps that are not worth another grid
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
 TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
@@ -98,7 +98,7 @@ class Posterior:
             mean, spread, self._steps, inside = self._close_in(grids, self._joint(*grids, choose=False), steps)
             if inside and (np.abs(np.log(self._steps / steps)) < ALIKE).all():
                 break
-        deviation = np.hypot(spread, steps / 3)
+        deviation = np.hypot(spread, steps / 2)
         more = count / self._looked  # evidence since then
         odds = more * self._late, more * self._slow
         return Evidence(mean, deviation, *odds, self._fresh, self._scale, self._bias, self._spin)
