@@ -98,7 +98,7 @@ class Posterior:
             mean, spread, self._steps, inside = self._close_in(grids, self._joint(*grids, choose=False), steps)
             if inside and (np.abs(np.log(self._steps / steps)) < ALIKE).all():
                 break
-        deviation = np.hypot(spread, steps / 2)
+        deviation = np.hypot(spread, steps / 3)
         more = count / self._looked  # evidence since then
         odds = more * self._late, more * self._slow
         return Evidence(mean, deviation, *odds, self._fresh, self._scale, self._bias, self._spin)
