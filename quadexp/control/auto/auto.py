@@ -40,7 +40,10 @@ from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE, VELOCITY
 
-LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
+BEGINS, DECIDES, SELDOM = 1.0, 0.1, 0.2  # s: the beginning of a flight, and between decisions, in it and after it
+LOOKS = 0.02  # s, between looks before there is a decision
+# s of readings that are few: no decision yet, and a push has to stand out against a noise as far off as a sheet may be
+FEW = 0.2
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
 INEXACT = 0.03  # of a delay: messages take unlike times
 # Of a lag: motors lag unlike up and down, by a third of the mean to either side (RotorS); which of both counts by how
@@ -92,9 +95,11 @@ class Auto(WrappedController):
         self._apart = SHEET / BAND * max(inertial, default=0.0) + self._bank.period - period
         unsaid = sheet.gyroscope is not None and sheet.gyroscope.delay is None
         self._unsaid = unsaid and sheet.attitude is not None and bool(sheet.attitude.delay)
-        self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
+        self._few, self._decides = (round(each / self._bank.period) for each in (FEW, DECIDES))
         self._begins = np.ones(1)  # whether there is no other evidence yet
-        self._posterior, self._decision = Posterior(self._bank), Decision()
+        # What rotor speeds tell is believed from the first reading on: a force waits neither for a push nor for a grid.
+        self._waits = not isinstance(observer, SpeedFollowing)
+        self._posterior, self._decision = Posterior(self._bank), Decision(0.0 if self._waits else BEGINS)
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
         self._rows = np.zeros(len(core.node_times))
@@ -130,7 +135,7 @@ class Auto(WrappedController):
         inside = copying.copy(told)
         inside.force = self._unbiased
         inside.turning = told.turning if self._turns else np.zeros(1)
-        look = python(self._look, self._begins)._replace(every=self._looks * self._bank.every)
+        look = python(self._look, self._begins)._replace(every=max(2, round(LOOKS / self.control_period)))
         decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)
@@ -170,10 +175,11 @@ class Auto(WrappedController):
         bank = self._bank
         self._time += self._decides * bank.period
         senses, before = self._senses(), self._decision.acting
-        if bank.count < self._decides or self._time < self._again:
-            self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
+        if bank.count < self._few or self._time < self._again:
+            self._observe(before, before, senses)
             return
-        self._again, self._begins[0] = self._time * LATER, 0.0
+        waits = DECIDES if self._waits and self._time < BEGINS else SELDOM
+        self._again, self._begins[0] = max(self._time * LATER, self._time + waits - DECIDES / 2), 0.0
         evidence = self._posterior.evidence()
         acting = self._decision.take(evidence, senses, self._time)
         late = 0.0 if evidence.fresh else evidence.mean[0]
@@ -193,10 +199,16 @@ class Auto(WrappedController):
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
 
     def _look(self) -> None:
-        """Act on an age that attitude and rates show before there is other evidence."""
-        before = self._decision.acting
-        if self._bank.turns and self._decision.at_once(*self._posterior.early()) != before:
-            self._use(self._decision.acting)
+        """Act on a push, and on an age that attitude and rates show, before there is other evidence."""
+        acting = before = self._decision.acting
+        senses, few = self._senses(), self._bank.part("count")[0] < self._few
+        if self._waits:
+            acting = self._decision.begin(senses, SHEET if few else 1.0)
+        if self._bank.turns:
+            acting = self._decision.at_once(*self._posterior.early())
+        if acting != before:
+            self._use(acting)
+            self._observe(acting, before, senses)
 
     def _senses(self) -> Senses:
         """What the bank has measured beside the delays."""
