@@ -69,6 +69,23 @@ def flown(vehicle, *, age=0.0, dead_time=0.0, lag=0.0, noise=0.005, correlation=
     return bank
 
 
+def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
+    """At hover: what nothing moves has no likeliest scale, and that made all delays not a number."""
+    rng, bank, told = np.random.default_rng(0), bank_of(vehicle), Told(vehicle.n_rotors)
+    hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    bank.reset(np.eye(13)[3], hover)
+    operations, told.read[0] = bank.after(told, told.state, hover), 1.0
+    for k in range(40):
+        told.state[:] = np.eye(13)[3]
+        told.state[VELOCITY], told.state[RATE] = 1e-3 * rng.normal(size=3), 5e-3 * rng.normal(size=3)
+        told.force[:] = [0.0, 0.0, vehicle.gravity] + 0.05 * rng.normal(size=3)
+        run(operations, k)
+    bank.sums[:, 2:, 2:] = bank.sums[:, :2, 2:] = bank.sums[:, 2:, :2] = 0.0  # exactly
+    with np.errstate(invalid="raise", divide="raise"):
+        found = Posterior(bank).evidence()
+    assert np.isfinite(found.mean).all() and (found.deviation[:2] > 0.01).all() and found.slow < 1
+
+
 def squares_of(G, W):
     """Sum of squared innovations for weights (m,)."""
     z = np.concatenate([[1, 0], -W, [0]])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.control.auto.decide import CERTAIN, GATE, GRIDS, PLAIN, SURE, Acting, Decision, Senses, grids
+from quadexp.control.auto.decide import CERTAIN, GATE, GRIDS, PLAIN, PUSHED, SURE, Acting, Decision, Senses, grids
 from quadexp.control.auto.following import (
     FASTEST,
     STRONGEST,
@@ -80,8 +80,11 @@ def test_grids_fit_any_rate_and_number_of_nodes():
 
 def test_a_push_acts_from_five_deviations_on_and_for_good():
     decision = Decision()
-    assert decision.begin(Senses(away=(GATE - 1, 0, 0))).push == (False,) * 3
-    assert decision.begin(Senses(away=(GATE + 1, 9, 9))).push == (True, False, False)  # thrusts have no time yet
+    assert decision.begin(Senses(away=(GATE - 1, 0, 0)), 1.0).push == (False,) * 3
+    assert decision.begin(Senses(away=(3 * GATE - 1, 0, 0)), 3.0) == Acting()  # of a sheet that may be wrong
+    began = decision.begin(Senses(away=(GATE + 1, 9, 9)), 1.0)
+    assert began.push == (True, False, False)  # thrusts have no time yet
+    assert began.grid == PUSHED
     assert decision.take(evidence(), Senses(away=(0, 9, 9)), 3.0).push == (True, True, True)
     assert decision.take(evidence(sd=0.05), Senses(), 4.0).push == (True, True, True)
 

@@ -187,6 +187,20 @@ def test_rotor_speeds_are_worth_what_their_sheet_says(world, sensor, most):
     assert 1e3 * found.columns["auto_acts_age"][-1] == pytest.approx(late, abs=2.0)
 
 
+def test_poses_that_are_late_are_found_before_the_vehicle_is_far_off():
+    """Largest error of an ellipse at 10 m/s and 20 m/s^2, from its start on: with a look every 0.1 s it was .23 m."""
+    assert position_error(ellipse("sun_late_50", "perfect")).max() < 0.16
+
+
+def test_a_wind_is_answered_from_the_first_readings_on():
+    """Believed after 0.2 s, with an upward part of 11 m/s, and answered on the softest grid, its error was .25 m."""
+    flight = flown("perfect_mpc", "world=only_wind", "wind.velocity=[5,0,0]", "remedies=auto")
+    soon = (flight.t > 0.1) & (flight.t < 0.6)
+    for axis, most in (("x", 1.0), ("z", 2.5)):
+        assert np.abs(flight[f"observer_wind_{axis}"] - flight[f"wind_{axis}"])[soon].max() < most
+    assert position_error(flight).max() < 0.14
+
+
 def test_a_sheet_that_is_wrong_by_a_factor_of_three_is_survived():
     for factor in (1 / 3, 3):
         found = fly_one(

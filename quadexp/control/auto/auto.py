@@ -41,7 +41,10 @@ from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE, VELOCITY
 
 LAST, AT_LIMIT = 0.3, 0.999  # s, of commands that may be at their limits, and from where on they are
-LOOKS, DECIDES = 0.1, 0.2  # s, between looks at attitude and rates as a flight begins, and between decisions
+# s: the beginning of a flight, between looks before there is a decision, and between decisions in it and after it
+BEGINS, LOOKS, SOON, DECIDES = 1.0, 0.02, 0.1, 0.2
+# s of readings that are few: no decision yet, and a push has to stand out against a noise as far off as a sheet may be
+FEW = 0.2
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
 INEXACT = 0.03  # of a delay: messages take unlike times
 # Of a lag: motors lag unlike up and down, by a third of the mean to either side (RotorS); which of both counts by how
@@ -93,10 +96,13 @@ class Auto(WrappedController):
         self._apart = SHEET / BAND * max(inertial, default=0.0) + self._bank.period - period
         unsaid = sheet.gyroscope is not None and sheet.gyroscope.delay is None
         self._unsaid = unsaid and sheet.attitude is not None and bool(sheet.attitude.delay)
-        self._looks, self._decides = (round(each / self._bank.period) for each in (LOOKS, DECIDES))
+        self._few = round(FEW / self._bank.period)
         self._lately = round(LAST / period)
         self._begins = np.ones(1)  # whether there is no other evidence yet
-        self._posterior, self._decision = Posterior(self._bank), Decision()
+        self._soon, self._seldom = np.ones(1), np.ones(1)  # which of the paces of decisions counts
+        # What rotor speeds tell is believed from the first reading on: a force waits neither for a push nor for a grid.
+        self._waits = not isinstance(observer, SpeedFollowing)
+        self._posterior, self._decision = Posterior(self._bank), Decision(0.0 if self._waits else BEGINS)
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
         self._rows = np.zeros(len(core.node_times))
@@ -125,6 +131,7 @@ class Auto(WrappedController):
         self._bank.weights[...] = self._posterior.weights(*self._posterior.best)
         self._beliefs[...], self._minus_bias[...] = NOTHING_KNOWN, 0.0
         self._time, self._again, self._begins[0] = 0.0, 0.0, 1.0
+        self._soon[0], self._seldom[0] = self._waits, not self._waits
         self._observe(Acting(), Acting(), Senses())
 
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], Told, np.ndarray]:
@@ -132,14 +139,17 @@ class Auto(WrappedController):
         inside = copying.copy(told)
         inside.force = self._unbiased
         inside.turning = told.turning if self._turns else np.zeros(1)
-        look = python(self._look, self._begins)._replace(every=self._looks * self._bank.every)
-        decide = python(self._decide, told.read)._replace(every=self._decides * self._bank.every)
+        look = python(self._look, self._begins)._replace(every=max(2, round(LOOKS / self.control_period)))
+        decide = [
+            python(lambda: self._decide(told), when)._replace(every=round(each / self.control_period))
+            for each, when in ((DECIDES, self._seldom), (SOON, self._soon))
+        ]
         predicted, by_model = self._to_now.before(state)
         propagated, by_readings = self._strapdown.before(inside, state)
         now = np.zeros(N_STATE)
         operations = [
             look,
-            decide,
+            *decide,
             Operation("add", self._unbiased, told.force, self._minus_bias),
             *predicted,
             *propagated,
@@ -167,17 +177,21 @@ class Auto(WrappedController):
         """See Controller.log."""
         return {**self.inner.log(), **dict(zip(COLUMNS, self._beliefs.tolist(), strict=True))}
 
-    def _decide(self) -> None:
+    def _decide(self, told: Told) -> None:
         """Look at the evidence so far, and act on it from this instant on."""
         bank = self._bank
-        self._time += self._decides * bank.period
+        if not told.read[0]:
+            return
+        self._time = float(bank.part("count")[0]) * bank.period
+        self._soon[0] = self._waits and self._time < BEGINS
+        self._seldom[0] = not self._soon[0]
         senses, before = self._senses(), self._decision.acting
         softer = self._decision.soften(senses)
         if softer != before:
             self._use(softer)
             before = softer
-        if bank.count < self._decides or self._time < self._again:
-            self._observe(before if bank.count >= self._decides else self._decision.begin(senses), before, senses)
+        if bank.count < self._few or self._time < self._again:
+            self._observe(before, before, senses)
             return
         self._again, self._begins[0] = self._time * LATER, 0.0
         evidence = self._posterior.evidence()
@@ -199,10 +213,16 @@ class Auto(WrappedController):
         self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
 
     def _look(self) -> None:
-        """Act on an age that attitude and rates show before there is other evidence."""
-        before = self._decision.acting
-        if self._bank.turns and self._decision.at_once(*self._posterior.early()) != before:
-            self._use(self._decision.acting)
+        """Act on a push, and on an age that attitude and rates show, before there is other evidence."""
+        acting = before = self._decision.acting
+        senses, few = self._senses(), self._bank.part("count")[0] < self._few
+        if self._waits:
+            acting = self._decision.begin(senses, SHEET if few else 1.0)
+        if self._bank.turns:
+            acting = self._decision.at_once(*self._posterior.early())
+        if acting != before:
+            self._use(acting)
+            self._observe(acting, before, senses)
 
     def _senses(self) -> Senses:
         """What the bank has measured beside the delays."""

@@ -60,7 +60,7 @@ SHEET = 3.0  # factor by which a data sheet may be wrong
 LEAST_TURN, LEAST_ATTITUDE = 3e-4, 1e-5  # rad/s of a reading of the gyroscope, rad of a told attitude
 REMEMBERED = "memory", "sums"
 STILL = AGE + 0.02  # s, for which told attitudes may be those from before the flight
-SKIPPED = 0.3  # s, until the filters are stationary
+SKIPPED = 0.1  # s, until the filters are stationary
 FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves with the battery
 
 

@@ -2,12 +2,14 @@
 
     age             from SURE in log odds on, CERTAIN times in a row, and LEAST_AGE
     dead time, lag  from LIKELY in log odds on; the total is the likeliest one
-    stiffness       of the grid and weights (GRIDS), by what may be unknown of the timing,
+    stiffness       of the grid and weights (GRIDS): PUSHED once a push shows itself, then by what may be unknown of the
+                    timing,
                         unknown = sd(d + l) + |d + l - what is acted on| + sd(a) / 2
                     one grid at a time towards the stiffer, at once towards the softer
                     where commands stand at the rotors' limits, as behind a corner, a stiffer one than FIRM would swing
                     between these
-    push            each of lateral, vertical and torque, once it is GATE deviations away from zero
+    push            each of lateral, vertical and torque, once it is GATE deviations away from zero; the lateral
+                    one from the first reading on
 
 Where the timing of commands is not known to SURELY_TIMED, thrusts are not compared with readings: it would look like a
 force.
@@ -32,11 +34,12 @@ CHANGED = 0.0005, 0.0015, 0.004  # s, of age, total and lag: smaller changes are
 LEAST_LAG = 0.003  # s
 LARGE_NOISE = 0.002  # m, of the told position: then at most the second stiffest grid
 # first node (s), horizon (s), position weight; and up to which unknown time (s). The margins of a nominal MPC at 50 Hz
-# in hover are 67, 48, 35, 29, 13 ms.
+# in hover are 67, 40, 35, 29, 13 ms.
 GRIDS = (
-    (0.0, 1.0, 10.0, np.inf), (0.06, 0.8, 10.0, np.inf), (0.06, 0.8, 100.0, 0.008), (0.04, 0.8, 50.0, 0.005),
+    (0.0, 1.0, 10.0, np.inf), (0.06, 0.8, 40.0, np.inf), (0.06, 0.8, 100.0, 0.008), (0.04, 0.8, 50.0, 0.005),
     (0.02, 0.6, 200.0, 0.0025),
 )  # fmt: skip
+PUSHED = 1  # least grid once there is a push, whose error the softest one would let stand for a second
 FIRM, LIMITED = 2, 0.2  # a grid, and from which share of commands at a limit on it is the stiffest
 STIFF_TOTAL = 0.015  # s, largest dead time and lag under the stiffest grid
 
@@ -92,9 +95,10 @@ class Acting:
 
 
 class Decision:
-    """What is acted on now, and why it may change; `reset` begins a flight."""
+    """What is acted on now, and why it may change; `reset` begins a flight. softly: at most grid 1 until then (s)."""
 
-    def __init__(self) -> None:
+    def __init__(self, softly: float = 0.0) -> None:
+        self._softly = softly
         self.reset()
 
     def reset(self) -> None:
@@ -113,9 +117,10 @@ class Decision:
             self.acting = replace(self.acting, grid=FIRM)
         return self.acting
 
-    def begin(self, senses: Senses) -> Acting:
-        """What to act on where nothing is known of the delays yet."""
-        self.acting = replace(self.acting, push=(senses.away[0] > GATE or self.acting.push[0], False, False))
+    def begin(self, senses: Senses, doubt: float) -> Acting:
+        """What to act on where nothing is known of the delays yet. doubt: factor by which deviations may be larger."""
+        if senses.away[0] > doubt * GATE and not self.acting.push[0]:
+            self.acting = replace(self.acting, push=(True, False, False), grid=PUSHED)
         return self.acting
 
     def take(self, evidence: Evidence, senses: Senses, time: float) -> Acting:
@@ -134,13 +139,10 @@ class Decision:
         unknown = float(sd_total + abs(total - dead_time - lag) + sd_age / 2)
         timed = unknown < SURELY_TIMED
         far = total + 2 * sd_total - dead_time - lag > SOFTEST_LATE and time > 0.8
-        if time < 1.0:
-            grid = int(not far)
-        else:
-            grid = max(i for i, (*_, most) in enumerate(GRIDS) if unknown < most)
-            grid = min(grid, 3 if dead_time + lag >= STIFF_TOTAL or senses.position > LARGE_NOISE else 4)
-            grid = grid if grid > 1 else int(not far)
-        grid = min(grid, before.grid + 1, FIRM if senses.limited > LIMITED else len(GRIDS))
+        grid = max(i for i, (*_, most) in enumerate(GRIDS) if unknown < most)
+        grid = min(grid, 3 if dead_time + lag >= STIFF_TOTAL or senses.position > LARGE_NOISE else 4)
+        grid = min(grid if grid > 1 and time >= self._softly else int(not far), before.grid + 1)
+        grid = min(grid, FIRM if senses.limited > LIMITED else len(GRIDS))
         (lateral, vertical, torque), shown = (away > GATE for away in senses.away), before.push
         push = lateral or shown[0], (timed and vertical) or shown[1], (timed and torque) or shown[2]
         self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, push)

@@ -30,6 +30,7 @@ from quadexp.physics.vehicle import Vehicle
 LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the acceleration
 TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of the torque
 STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the observer's own settings
+UPWARD = 1.0  # m/s, deviation of the wind upward as it begins: over ground a mean wind is level
 UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
 SWING = 10.0  # m/s^2: where thrusts swing by more, a scale of theirs would look like a force that jumps with them
 SLOW = 3.0  # rad/s, of a force then
@@ -72,7 +73,8 @@ class WindFollowing:
         )
         diagonal = N_AIR + (N_AIR + 1) * np.arange(N_AIR)
         if not (lateral and before.push[0]):  # as it begins; the first reading would else be taken for a wind
-            estimate[diagonal[:3]] = config.wind_initial**2
+            level = config.wind_initial
+            estimate[diagonal[:3]] = np.square([level, level, min(level, UPWARD)])
         scaled = vertical and acting.timed
         if not scaled:
             estimate[diagonal[3]] = estimate[self._scale] = 0.0

@@ -44,6 +44,7 @@ SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the acceleromet
 TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
 FRESHER = 1.0  # log odds for rates of now
+LEAST = 1e-300  # of a sum of squares, where commands did not change
 LEVEL, READ = 1e4, 1e-3  # variances of where a force begins, and of what readings are off by, in those of a step
 
 
@@ -292,7 +293,7 @@ def _worth(rho: float) -> float:
 def _moments(G: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """W G_phi,y and W G_phi,phi W' of a sum G, for weights (.., m): of k W they leave G_yy - 2 k first + k^2 second."""
     slots = slice(2, 2 + W.shape[-1])
-    return W @ G[0, slots], np.vecdot(W @ G[slots, slots], W)
+    return W @ G[0, slots], np.maximum(np.vecdot(W @ G[slots, slots], W), LEAST)
 
 
 def _of_ages(
