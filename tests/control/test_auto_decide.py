@@ -105,6 +105,21 @@ def test_the_bandwidth_by_rotor_speeds_follows_from_the_sheet(vehicle):
         assert not speeds_tell(vehicle, other)
 
 
+def test_a_scale_is_known_no_better_than_the_thrusts_and_the_air_it_is_told_by(vehicle):
+    """By rotor speeds .08 off where the filter said .01, and forces 5 to 18 deviations; the more, the more thrusts
+    swing. By the drag of a vehicle of another mass a fifth of the scale's distance from 1."""
+    speeds, state = SpeedFollowing(replace(vehicle, thrust_coefficient=1e-6), SensorSheet(), 0.01), np.zeros(39)
+    state[5:30] = np.diag([0.01, 0.01, 0.04, 1e-4, 1e-4]).ravel()
+    for swing in (0.0, 5.0):
+        speeds.follow(state, Acting(), Acting(), Senses(swing=swing))
+        *_, force, scale = speeds.deviations(state)
+        assert force == pytest.approx(vehicle.mass * np.hypot(0.2, 0.1 * swing))
+        assert scale == pytest.approx(np.hypot(0.01, 0.1))
+    wind, state = WindFollowing(WindObserver(), 0.02, 0.0, 0.3), np.zeros(29)
+    state[3], state[4:20] = 0.25, np.diag([1.0, 1.0, 1.0, 1e-4]).ravel()
+    assert wind.deviations(state)[-1] == pytest.approx(np.hypot(0.01, 0.05))
+
+
 @pytest.mark.parametrize("kind", ["wind", "force"])
 def test_the_observer_believes_nothing_that_has_not_shown_itself(kind):
     """And the less of what has, the noisier its readings are."""

@@ -3,6 +3,14 @@
     late -> now -> observer of the force, told to the law -> in dead time and lag (Sooner) -> law
 
 A law that takes no belief is told of the delays only.
+
+Where the velocity of the path jumps, a law would ask for more than the vehicle has, tilt it beyond the horizontal and
+fall. So what is told goes over to the path behind the jump already before it, with an offset e that makes both ends
+meet and dies out as fast as the vehicle accelerates, a = min(SHARE sqrt((T_max / m)^2 - g^2), STEEPEST g):
+
+    e'' = c,  c' = TURNS (u - c),    u = 2 BACK (-min(BACK / 2, sqrt(2 BRAKES a / |e|)) e - e'),  |u| <= a
+
+with e and e' of the time 1 / TURNS ahead in u, as thrust turns. A path without jumps is told as it is.
 """
 
 from __future__ import annotations
@@ -22,15 +30,20 @@ from quadexp.control.auto.following import following
 from quadexp.control.base import N_BELIEF, Window
 from quadexp.control.built import built
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import Instant, Told, call, copy, instant_of, move
+from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move
 from quadexp.control.wrapped import WrappedController
 from quadexp.models.residual import no_residual
 from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 SPACING = 2  # samples of the reference in a control period
 DERIVATIVES = 5  # of the path: position .. snap
 HELD, FREED = 0.05, 0.5  # s
+SHARE, STEEPEST, BRAKES = 0.9, 2.6, 0.8  # of what the vehicle has, tangent of a tilt, share of a that brakes
+BACK, TURNS = 5.0, 20.0  # 1/s, of an offset from a path that jumped, and of its acceleration
+LOOKS, EARLY = 0.4, 1.0  # s, how far ahead a jump is seen; of |jump| / a, how long before it e begins
+ENDED = 1e-6  # s; m, m/s, m/s^2: an offset that has died out
 
 
 class AutoLaw(Auto):
@@ -46,7 +59,7 @@ class AutoLaw(Auto):
         if observer is not None:
             inner.delivered = self._thrust
         self._spacing = self.control_period / SPACING
-        longest = LARGEST + LARGEST_LAG + core.node_times[-1]
+        longest = LARGEST + LARGEST_LAG + max(LOOKS + 2 * self.control_period, core.node_times[-1])
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
         core.rows = self._rows
         self._use(Acting())
@@ -63,8 +76,9 @@ class AutoLaw(Auto):
         if self._observer is None:  # in the world of the model alone, predicting further would mislead it
             dead_time = lag = 0.0
         self._thrust.tune(dead_time, lag)
-        self._sooner.tune(dead_time, lag)
         first = round((dead_time + lag) / self._spacing)
+        looks = first + round(LOOKS / self._spacing)
+        self._sooner.tune(dead_time, lag, looks, looks * self._spacing)
         self._rows[...] = first + np.round(self._core.node_times / self._spacing)
 
 
@@ -79,13 +93,16 @@ class Sooner(WrappedController):
         residual = no_residual(core.vehicle)
         longest = LARGEST + LARGEST_LAG
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, longest)
-        self._later = BufferedFunction(built(core.backend, later))
+        self._rows = np.zeros(3)  # of the reference
+        self._later = BufferedFunction(built(core.backend, later, core.vehicle, core.control_period))
         self._world = BufferedFunction(built(core.backend, world_of, core.vehicle, core.control_period), into=world)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
         self._world.arguments["share"][0] = 1.0
+        for name in ("offset", "coming", "goes_on"):
+            self._later.arguments[name][...] = 0.0
 
     @property
     def believed_numbers(self) -> np.ndarray:
@@ -98,16 +115,22 @@ class Sooner(WrappedController):
         """See control.base.Belief."""
         self.believed_numbers[:] = np.hstack([*belief])
 
-    def tune(self, dead_time: float, lag: float) -> None:
-        """What commands wait and lag from now on (s)."""
+    def tune(self, dead_time: float, lag: float, row: int, at: float) -> None:
+        """What commands wait and lag from now on (s). row: of the reference, `at` (s), from which a jump is seen."""
         self._ahead.tune(0.0, dead_time + lag, dead_time, lag)
-        self._later.arguments["ahead"][0] = dead_time + lag
+        given = self._later.arguments
+        given["ahead"][0], given["at"][0], given["goes_on"][0] = dead_time + lag, at, 0.0
+        self._rows[...] = row + SPACING * np.arange(3)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         given, left = self._later.arguments, self._later.results
         predicted, then = self._ahead.before(state)
-        operations = [copy(given["path"], told.path), copy(given["yaw"], told.yaw), call(self._later)]
+        states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
+        operations = [Operation("window", states, self._rows, thrusts), copy(given["states"], states)]
+        operations += [copy(given["path"], told.path), copy(given["yaw"], told.yaw), call(self._later)]
+        operations += [move(given[name], left[f"{name}_next"]) for name in ("before", "offset", "coming")]
+        operations.append(move(given["goes_on"], YES))
         inside = copying.copy(told)
         inside.path, inside.yaw = left["path_then"], left["yaw_then"]
         inner = instant_of(self.inner, inside, then)
@@ -123,21 +146,60 @@ class Sooner(WrappedController):
         return inner._replace(operations=[*believing, *predicted, *operations, *inner.operations])
 
 
-def later() -> ca.Function:
-    """path (3, 5): position .. snap, yaw (4,): heading, rate, acceleration, drift; ahead (s) -> both then."""
-    path, yaw, ahead = ca.SX.sym("path", 3, DERIVATIVES), ca.SX.sym("yaw", 4), ca.SX.sym("ahead")
+def later(vehicle: Vehicle, period: float) -> ca.Function:
+    """path (3, 5): position .. snap, yaw (4,): heading, rate, acceleration, drift; ahead (s) -> both then, the path
+    with its offset.
 
-    def then(rows: list[ca.SX]) -> list[ca.SX]:
+    states: of the reference, (3, 13), a period apart, the first at a time `at` from now (s). coming: a jump of the
+    velocity that they showed (m/s), and in which time it is (s), 0 for none, (4,). before: what path then was in the
+    last step, where it `goes_on`, (3, 5). offset: e, e', c, (3, 3), see the module.
+    """
+    path, before = ca.SX.sym("path", 3, DERIVATIVES), ca.SX.sym("before", 3, DERIVATIVES)
+    yaw, ahead, at, goes_on = ca.SX.sym("yaw", 4), ca.SX.sym("ahead"), ca.SX.sym("at"), ca.SX.sym("goes_on")
+    states, coming, offset = ca.SX.sym("states", N_STATE, 3), ca.SX.sym("coming", 4), ca.SX.sym("offset", 3, 3)
+
+    def then(rows: list[ca.SX], ahead: Any) -> list[ca.SX]:
         return [
             sum((ahead**j / math.factorial(j) * row for j, row in enumerate(rows[i:])), ca.SX(0))
             for i in range(len(rows))
         ]
 
-    moved = ca.horzcat(*then(ca.horzsplit(path)))
-    turned = ca.vertcat(*then(ca.vertsplit(yaw[:3])), yaw[3])
-    return ca.Function(
-        "later", [path, yaw, ahead], [moved, turned], ["path", "yaw", "ahead"], ["path_then", "yaw_then"]
-    )
+    pushed = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    most = min(SHARE * math.sqrt(pushed**2 - vehicle.gravity**2), STEEPEST * vehicle.gravity)
+    least = 2 * most * period
+
+    p, v = ca.horzsplit(states[POSITION, :]), ca.horzsplit(states[VELOCITY, :])
+    last, jump = v[1] - v[0], v[2] - v[1] - (v[1] - v[0])
+    shows = (ca.norm_2(jump) > least) * (ca.norm_2(v[2] - v[1]) > ca.norm_2(last)) * (coming[3] <= 0)
+    since = ca.dot(p[2] - p[1] - period * v[1], jump) / ca.fmax(ca.sumsqr(jump), ENDED)
+    jump = ca.if_else(shows, jump, coming[:3])
+    left = ca.if_else(shows, at + 2 * period - since, coming[3] - period)
+    seen = (left > ENDED) * (left - ahead < EARLY * ca.norm_2(jump) / most)
+
+    moved, expected = then(ca.horzsplit(path), ahead), then(ca.horzsplit(before), period)
+    moved[0] += seen * (ahead - left) * jump
+    moved[1] += seen * jump
+    jumps = goes_on * (ca.norm_2(moved[1] - expected[1]) > least)
+    e, e_1, c = then(ca.horzsplit(offset), period)
+    e, e_1 = e - jumps * (moved[0] - expected[0]), e_1 - jumps * (moved[1] - expected[1])
+
+    far, fast, _ = then([e, e_1, c], 1 / TURNS)
+    wanted = -ca.fmin(BACK / 2, ca.sqrt(2 * BRAKES * most / ca.fmax(ca.norm_2(far), ENDED))) * far
+    u = 2 * BACK * (wanted - fast)
+    u *= most / ca.fmax(ca.norm_2(u), most)
+    jerk = TURNS * (u - c)
+    after = ca.horzcat(e, e_1, c + period * jerk)
+    lasts = ca.sumsqr(after) > ENDED**2
+    results = {
+        "path_then": ca.horzcat(*moved) + lasts * ca.horzcat(after, jerk, ca.SX.zeros(3)),
+        "yaw_then": ca.vertcat(*then(ca.vertsplit(yaw[:3]), ahead), yaw[3]),
+        "before_next": ca.horzcat(*moved),
+        "offset_next": lasts * after,
+        "coming_next": ca.vertcat(jump, ca.fmax(left, 0)),
+    }
+    inputs = [path, yaw, ahead, states, at, coming, before, goes_on, offset]
+    names = ["path", "yaw", "ahead", "states", "at", "coming", "before", "goes_on", "offset"]
+    return ca.Function("later", inputs, ca.cse([*results.values()]), names, [*results])
 
 
 def world_of(vehicle: Vehicle, period: float) -> ca.Function:

@@ -6,7 +6,9 @@ a walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a p
 Deviations, for the bands: of a force that walks by q, under a gain K, ((1 - K)^2 q^2 T + K^2 r^2) / (1 - (1 - K)^2) is
 the variance; beside it what readings are off all along by their data sheet, and SCALE of what thrusts swing by. Of a
 wind that of the filter, these offsets as a wind, and an airspeed times the thrust scale's distance from 1: by a wrong
-mass the drag is off as much. Where no such scale is found, thrusts may be off by UNTIMED, which looks like a wind on z.
+mass the drag is off as much, and the scale by OFF of that distance. Where no such scale is found, thrusts may be off by
+UNTIMED, which looks like a wind on z. By rotor speeds a scale is found where thrust changes faster than the force is
+followed, there readings are behind low passes and thrusts lag: it is off by SCALE, and a force by that of the swing.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the
 TWIST = 0.035  # rad/s^2 in a root of a second, for each rad/s of bandwidth of the torque
 STRONG = 0.5  # m/s^2 in a root of a second: a push that is followed with the observer's own settings
 UPWARD = 1.0  # m/s, deviation of the wind upward as it begins: over ground a mean wind is level
+OFF = 0.2  # of the thrust scale's distance from 1
 UNTIMED = 3.0  # m/s^2, noise of the z axis where the time of the thrusts is not known
 SWING = 10.0  # m/s^2: where thrusts swing by more, a scale of theirs would look like a force that jumps with them
 SLOW = 3.0  # rad/s, of a force then
@@ -92,7 +95,8 @@ class WindFollowing:
         known = np.sqrt(np.where(variances > 1e-6, variances, np.nan))
         by_drag = estimate[self._scale] * np.linalg.norm(self._velocity - estimate[self._wind])
         by_thrust = np.array([0.0, 0.0, 0.0 if self._scaled else UNTIMED / self._slope])
-        return np.array([*np.hypot(known[:3], by_thrust + math.hypot(self._offset, by_drag)), np.nan, known[3]])
+        scale = math.hypot(known[3], OFF * estimate[self._scale])
+        return np.array([*np.hypot(known[:3], by_thrust + math.hypot(self._offset, by_drag)), np.nan, scale])
 
 
 class SpeedFollowing:
@@ -114,18 +118,19 @@ class SpeedFollowing:
             scale_walk=0.005,
             air_walk=0.01,
         )
-        self.around, self._mass = config.around, vehicle.mass
+        self.around, self._mass, self._swing = config.around, vehicle.mass, 0.0
         self._settings = disturbance_settings(config, period)
 
     def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
         """See WindFollowing."""
+        self._swing = senses.swing
         return self._settings
 
     def deviations(self, estimate: np.ndarray) -> np.ndarray:
         """See WindFollowing."""
         variances = np.maximum(estimate[N_SCALED : N_SCALED + N_SCALED**2 : N_SCALED + 1], 0.0)
-        force = self._mass * math.sqrt(variances[:3].max())
-        return np.array([np.nan, np.nan, np.nan, force, math.sqrt(variances[3])])
+        force = self._mass * math.hypot(math.sqrt(variances[:3].max()), SCALE * self._swing)
+        return np.array([np.nan, np.nan, np.nan, force, math.hypot(math.sqrt(variances[3]), SCALE)])
 
 
 def speeds_tell(vehicle: Vehicle, sheet: SensorSheet) -> bool:
