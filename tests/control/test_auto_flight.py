@@ -232,8 +232,9 @@ def test_a_path_is_known_later():
     ("given", "said"),
     [
         (["controller=nominal_mpc", "controller.dead_time=0.01"], "finds dead time and lag itself"),
-        (["controller=nominal_mpc", "observer=disturbance"], "stands alone"),
-        (["controller=static_feedback", "vehicle=lei_li"], "stands alone"),
+        (["controller=nominal_mpc", "observer=disturbance"], ".*; set observer=none$"),
+        (["controller=nominal_mpc", "adaptive=l1", "inner=indi"], ".*; set adaptive=none and inner=none$"),
+        (["controller=static_feedback", "vehicle=lei_li"], ".* a law in closed form, which this one is not$"),
     ],
 )
 def test_what_it_cannot_stand_around_is_refused(given, said):
