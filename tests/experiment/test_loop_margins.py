@@ -65,9 +65,10 @@ def test_who_keeps_its_memory_to_itself_says_so(tmp_path):
     )
 
 
+@pytest.mark.parametrize("late", [["link=latency", "link.latency=0.1"], ["estimator.delay=0.1"]])
 @pytest.mark.parametrize("controller", ["nominal_mpc", "geometric"])
-def test_what_is_not_stable_is_refused_and_flown_where_it_is_allowed(controller):
-    world = [f"controller={controller}", "link=latency", "link.latency=0.1"]
+def test_what_is_not_stable_is_refused_and_flown_where_it_is_allowed(controller, late):
+    world = [f"controller={controller}", *late]
     with pytest.raises(InfeasibleError, match=r"late by 100 ms; this loop is not stable at hover") as refused:
         flown(*world)
     assert ("controller.dead_time=0.1" in str(refused.value)) == (controller == "nominal_mpc")
