@@ -23,7 +23,7 @@ from quadexp import requests
 from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
-from quadexp.parts.override import quoted
+from quadexp.parts.override import MOST_CELLS, quoted
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
 from quadexp.progress import Progress
@@ -271,7 +271,7 @@ def overrides(
             texts += _pairs(one, "", lists)
         else:
             raise UsageError(f"{one!r}: settings are text KEY=VALUE, dictionaries or keywords")
-    full = {name if name in TOP else f"{group}.{name}": value for name, value in keywords.items()}
+    full = {name if name.partition(".")[0] in TOP else f"{group}.{name}": value for name, value in keywords.items()}
     return [*texts, *_pairs(full, "", lists)]
 
 
@@ -285,6 +285,8 @@ def _pairs(values: Mapping[str, Any], prefix: str, lists: bool) -> Iterator[str]
         elif lists and isinstance(value, (list, tuple, range)):
             if not value:
                 raise UsageError(f"{key}: an empty list leaves nothing to fly")
+            if len(value) > MOST_CELLS:
+                raise UsageError(f"{key}: {len(value)} values; a sweep has at most {MOST_CELLS} cells")
             yield f"{key}={','.join(_text(key, one) for one in value)}"
         else:
             yield f"{key}={_text(key, value)}"

@@ -214,6 +214,8 @@ def show(
     """
     if out is not None and not beliefs:
         raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
+    if margins and beliefs:
+        raise UsageError("show: --margins and --beliefs: one at a time")
     if margins:
         return _margins([str(path), *overrides], conf)
     if overrides or conf:

@@ -131,10 +131,11 @@ class _Flown:
         if count > MOST_PHASES:
             raise UnknownLoopError(f"its rates are the same again only after {count} instants")
         if read * len(self._plant.inner) > MOST_NUMBERS:
-            raise UnknownLoopError(f"it has {len(self._plant.inner)} numbers at {read} different instants")
+            numbers, over = len(self._plant.inner), f" at each of {read} instants that differ" if read > 1 else ""
+            raise UnknownLoopError(f"the world has {numbers} inner states{over}; at most {MOST_NUMBERS} are linearised")
         memory, known, phases = _Memory(running, operations, count), dict[Any, Phase](), []
         if (numbers := len(memory.values) + len(self._plant.inner)) > MOST_NUMBERS:
-            raise UnknownLoopError(f"it has {numbers} numbers")
+            raise UnknownLoopError(f"it has {numbers} inner states; at most {MOST_NUMBERS} are linearised")
         for _ in range(count):
             k, begun, guess = running.k, memory.values, [one.copy() for one in memory.planned]
             u = self._step()

@@ -22,7 +22,7 @@ from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.former import FORMER_TARGET, refuse_former
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge, nested
-from quadexp.parts.override import GROUPS, Override, OverrideReader
+from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader
 from quadexp.parts.part import TARGET, import_from, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
@@ -84,6 +84,10 @@ class Composer:
         """
         parsed = self._overrides.read(overrides, sweep=True)
         cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
+        if len(cells) > MOST_CELLS:
+            raise UsageError(
+                f"{len(cells)} combinations; a sweep has at most {MOST_CELLS}: split it, each part with its own --out"
+            )
         for _ in refuse_mistakes(cells) if check else ():
             pass
         return cells

@@ -13,7 +13,7 @@ from quadexp.messages import suggestion
 from quadexp.parts.former import refuse_former
 from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.part import import_from
-from quadexp.parts.schema import PARTS, Config
+from quadexp.parts.schema import CHOSEN, PARTS, Config
 from quadexp.parts.settings import REQUIRED, Declared, declared, lists
 
 Record = dict[str, str]
@@ -22,8 +22,9 @@ Record = dict[str, str]
 def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
     """Records that answer a question.
 
-    asked: "" for all groups; GROUP for its options, and the keys that have its name; GROUP=OPTION for the keys of that
-    option; any other word for the options, keys and meanings that contain it. conf: a folder of the user's own.
+    asked: "" for all groups; GROUP for its options, their keys, and the keys that have its name; GROUP=OPTION for the
+    keys of that option; any other word for the options, keys and meanings that contain it. conf: a folder of the user's
+    own.
 
     Raises UsageError where nothing does.
     """
@@ -41,7 +42,9 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
         return _keys(files, group, name)
     keys = _all_keys(files)
     if group in files.groups:  # and what else is called like it
-        return _options(files, group) + [record for record in keys if group in record["key"].partition(".")[2]]
+        its, others = ([one for one in keys if (one["key"].partition(".")[0] == group) == own] for own in (True, False))
+        others = [record for record in others if group in record["key"].partition(".")[2]]
+        return _options(files, group) + its + others
     records = [record for name in files.groups for record in _options(files, name) if asked in record["option"]]
     records += [record for record in keys if asked in record["key"] or asked in record["meaning"]]
     if not records:
@@ -71,10 +74,11 @@ def _keys(files: OptionFiles, group: str, option: str) -> list[Record]:
 
 
 def _all_keys(files: OptionFiles) -> list[Record]:
-    """Every key once, with the value of the first option that has it."""
+    """Every key once, with the value that it has by default, else that of the first option that has it."""
     records: dict[str, Record] = {}
     for group in files.groups:
-        for option in files.options(group) if files.parts(group) else ():
+        options = sorted(files.options(group), key=lambda option: option != CHOSEN.get(group))
+        for option in options if files.parts(group) else ():
             for record in _keys(files, group, option):
                 records.setdefault(record["key"], record)
     return list(records.values())

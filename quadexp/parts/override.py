@@ -7,6 +7,7 @@ same result.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ GROUPS = {*CHOSEN, "experiment"}  # keys that choose an option
 PATHS = {"model", "plant.model", "trajectory.path", "wind.path", "collect.identified"}  # keys that hold a path
 RESERVED = {"hydra", "schema", "sweep"}  # names that mean something to Hydra, or in a file only
 KEPT = 50_000  # overrides that are remembered at most
+MOST_CELLS = 1_000_000  # of a sweep: more take hours and gigabytes before the first is flown
 
 _KEY = re.compile(r"[a-z_]\w*(?:\.\w+)*", re.ASCII)
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}", re.ASCII)
@@ -101,6 +103,8 @@ class OverrideReader:
             raise UsageError(f"{text!r}: cannot be read as KEY=VALUE: {open_or_sign}")
         content = parsed.value()
         values = getattr(content, "list", [content]) if "(" not in value else []
+        if parsed.is_range_sweep():
+            refuse_range(text, content.start, content.stop, content.step)
         if key in PATHS and any(isinstance(item, (int, float)) for item in values):  # 2024_01 is not the number 202401
             parsed = self._parsed(literal) or parsed
         if parsed.is_add() or parsed.is_force_add() or parsed.is_delete():
@@ -130,13 +134,23 @@ class OverrideReader:
             return None
 
 
+def refuse_range(text: str, start: float, stop: float, step: float) -> None:
+    """UsageError for a range that has no end, or no place in memory."""
+    if not step or not math.isfinite(start + stop + step):
+        raise UsageError(f"{text!r}: a range has a finite start and stop, and a step other than 0")
+    if (count := math.ceil((stop - start) / step)) > MOST_CELLS:
+        raise UsageError(f"{text!r}: {count} values; a sweep has at most {MOST_CELLS} cells")
+
+
 def plain_override(text: str) -> Override | None:
     """The override that a plain text gives; None for a text that is not plain."""
     key, _, value = text.partition("=")
     if not _KEY.fullmatch(key):
         return None
     if several := _RANGE.fullmatch(value):
-        return Override(key, None, text, range(int(several[1] or 0), int(several[2])))
+        start, stop = int(several[1] or 0), int(several[2])
+        refuse_range(text, start, stop, 1)
+        return Override(key, None, text, range(start, stop))
     items = _ITEM.findall(value)
     values = [_plain_value(item) for item in items]
     if None in values or not items or ",".join(items) != value:

@@ -22,6 +22,7 @@ BAND = 1.96  # deviations
 MS = 1e3
 LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 2.0, "1": 0.05}  # half of a band from which on a quantity was not identifiable
 FINE = 20  # steps of a period, in which the lag of the thrusts is followed
+ROUNDED = 1e-3  # of half a band, below which a value is none
 LAST = 2.0  # s, over which the scale of the thrust is taken
 QUANTITIES = {  # column: name, unit, factor, column of the deviation
     "auto_age": ("age of the state", "ms", MS, "auto_age_sd"),
@@ -69,7 +70,7 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
     if timing is not None:
         ways = [config.get("actuator", {}).get(f"time_constant_{way}", 0.0) for way in ("up", "down")]
         lag = timing["lag"] - abs(ways[1] - ways[0]) / 2  # of which the slower way is stated
-        true["auto_age"] = np.full(len(flight), timing["age"])
+        true["auto_age"] = np.full(len(flight), _age(flight, timing["age"]))
         true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
     if "delivered_0" in columns:
@@ -84,6 +85,14 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         force = true_force(flight, timing["dead_time"], lag, by_speeds=by_speeds)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
+
+
+def _age(flight: Flight, stated: float) -> float:
+    """Mean age of the attitudes that were told (s): a reading with a rate grows older until the next one comes. stated:
+    that of what is told at every instant."""
+    taken = flight.columns.get("taken_attitude", np.full(len(flight), flight.t[0]))
+    ages = (flight.t - taken)[taken > flight.t[0]]  # until the first arrives the start's holds
+    return float(ages.mean()) if len(ages) else stated
 
 
 def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool = False) -> np.ndarray:
@@ -123,7 +132,9 @@ def beliefs_table(flight: Flight) -> Table:
         value, half, true = (float(x[-1]) for x in (belief.value, BAND * belief.deviation, belief.true))
         said = "" if np.isnan(true) else "in the band" if abs(value - true) <= half else "outside"
         verdict = said if belief.identifiable else "not identifiable on this path"
-        band = "" if np.isnan(half) else f"{value - half:.3g} .. {value + half:.3g}"
+        low = max(value - half, 0.0) if belief.unit == "ms" else value - half  # no time is less than nothing
+        band = "" if np.isnan(half) else f"{low:.3g} .. {value + half:.3g}"
+        value = 0.0 if abs(value) < ROUNDED * half else value
         rows.append((belief.name, belief.unit, _text(value), band, _text(true), verdict))
     return Table(("believed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
 
@@ -136,14 +147,17 @@ def beliefs_figure(flight: Flight) -> Figure:
     panels = np.atleast_1d(figure.subplots(len(quantities), sharex=True))
     for panel, belief in zip(panels, quantities, strict=True):
         t, half = flight.columns["t"], BAND * belief.deviation
-        panel.fill_between(t, belief.value - half, belief.value + half, color=HUES["blue"], alpha=0.2, linewidth=0)
+        least = 0.0 if belief.unit == "ms" else -np.inf  # no time is less than nothing
+        panel.fill_between(
+            t, np.maximum(belief.value - half, least), belief.value + half, color=HUES["blue"], alpha=0.2, linewidth=0
+        )
         panel.plot(t, belief.value, color=HUES["blue"], label="believed, 95 % band")
         if np.isfinite(belief.true).any():
             panel.plot(t, belief.true, color=HUES["vermillion"], linestyle=":", label="true")
         late = np.isfinite(half) & (t > t[-1] / 10)
         if late.any():
             ends = np.concatenate([(belief.value + side * half)[late] for side in (-1, 1)] + [belief.true[late]])
-            panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + 1e-9)
+            panel.set_ylim(max(np.nanmin(ends), least), np.nanmax(ends) + 1e-9)
         unit = "" if belief.unit == "1" else f", {belief.unit}"
         panel.set_title(f"{belief.name}{unit}" + ("" if belief.identifiable else ": not identifiable on this path"))
     panels[0].legend(loc="best", ncols=2)

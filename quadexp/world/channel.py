@@ -30,7 +30,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.world.effect import Clock, Readings, Sizes
-from quadexp.world.streams import NEVER, Drawn, Sampled, Ticking
+from quadexp.world.streams import NEVER, Drawn, Sampled, Ticking, on_the_way
 
 DRIFT = 0.01  # s, for which a drift is held
 ROUNDING = 1e-9  # s, by which a reading may arrive later and count as there
@@ -157,8 +157,8 @@ class Channel:
             time = begins + offset
             arrives, lost = time + delay, numbers[0] >= NEVER if self.rate else ca.MX(0)
             if on_way is not None:
-                uniform = (1 + ca.erf(on_way[-2:] / math.sqrt(2))) / 2
-                arrives, lost = arrives + jitter * uniform[0], ca.logic_or(lost, uniform[1] < drop)
+                share, dropped = on_the_way(on_way[-2:], drop)
+                arrives, lost = arrives + jitter * share, ca.logic_or(lost, dropped)
             reading = self.add(value_at(offset), slow_at(time), noise * numbers[-m:])
             readings.append(ca.vertcat(ca.if_else(lost, NEVER, arrives), time, reading))
         drift, told = drifts[-1][1], readings[-1][1:]

@@ -22,7 +22,7 @@ from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
-from quadexp.world.streams import NEVER, Sampled
+from quadexp.world.streams import NEVER, Sampled, on_the_way
 
 ROUNDING = 1e-11  # s, by which a command may come before or after a step and count as coming with it
 
@@ -59,9 +59,9 @@ class Latency(Effect):
         """The oldest command is no longer kept, the new one is sent."""
         n = at.command.numel()
         base = ca.if_else(at.inner[-1] < NEVER, at.inner[-n - 1 : -1], at.inner[:n])
-        uniform = (1 + ca.erf(at.draws / math.sqrt(2))) / 2
         latency, jitter, drop = ca.vertsplit(at.parameters)
-        arrives = ca.if_else(uniform[1] < drop, NEVER, at.t + latency + jitter * uniform[0])
+        share, lost = on_the_way(at.draws, drop)
+        arrives = ca.if_else(lost, NEVER, at.t + latency + jitter * share)
         return ca.vertcat(base, at.command, arrives, at.inner[n : -n - 1])
 
     def thrusts(self, at: Moment) -> Expression:

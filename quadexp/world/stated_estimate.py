@@ -33,8 +33,8 @@ ROUNDING = 1e-6  # of an integration step, by which a delay may differ from whol
 class StatedEstimate(Effect):
     """The truth with stated noise and delay.
 
-    Inner states: the true states of the last `delay`, the oldest first. parameters: standard
-    deviations of position, velocity, attitude and rate, (4,).
+    Inner states: of each control period that is still to be told, the oldest first, the two true states between which
+    what is told lies. parameters: standard deviations of position, velocity, attitude and rate, (4,).
     """
 
     prefix: ClassVar[str] = "estimator."
@@ -61,17 +61,19 @@ class StatedEstimate(Effect):
         told = any(isinstance(effect, Sensors) and effect.tells_state for effect in effects)
         return replace(self, delay=0.0, follows=True) if told else self
 
-    def _late(self, clock: Clock) -> tuple[int, float]:
-        """Integration steps by which the older of two states is late, and the share of the younger one."""
+    def _late(self, clock: Clock) -> tuple[int, int, float]:
+        """Control periods for which two states are kept, the step of a period at which the older one is, and the share
+        of the younger one, a step later."""
         late = math.ceil(self.delay / clock.step - ROUNDING)
-        return late, late - self.delay / clock.step
+        kept = max(math.ceil(late / clock.steps) - 1, 0)
+        return kept, (kept + 1) * clock.steps - late, late - self.delay / clock.step
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        return Sizes(N_STATE * self._late(clock)[0], parameters=4, drawn=(Sampled(AXES, (clock.period,)),))
+        return Sizes(2 * N_STATE * self._late(clock)[0], parameters=4, drawn=(Sampled(AXES, (clock.period,)),))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
-        return np.tile(start.x, self._late(start.clock)[0]), noise
+        return np.tile(start.x, 2 * self._late(start.clock)[0]), noise
 
     def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
         """Its noise; its age is stated by nobody, but for a gyroscope that is fresh."""
@@ -85,13 +87,14 @@ class StatedEstimate(Effect):
         )
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
-        late, share = self._late(at.clock)
-        kept = ca.horzcat(ca.reshape(at.inner, N_STATE, late), at.states[:, 1:])[:, -late - 1 :]
+        periods, step, share = self._late(at.clock)
+        between = at.states[:, [step, min(step + 1, at.clock.steps)]]
+        kept = ca.horzcat(ca.reshape(at.inner, N_STATE, 2 * periods), between)
         x = kept[:, 0]
         if share > ROUNDING:
             x = (1 - share) * x + share * kept[:, 1]
             x[ATTITUDE] /= ca.norm_2(x[ATTITUDE])
-        rate = kept[:, -1] if self.gyro == "fresh" else x
+        rate = at.states[:, -1] if self.gyro == "fresh" else x
         if self.follows:
             x = rate = told["state"]
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
@@ -101,7 +104,7 @@ class StatedEstimate(Effect):
             x[VELOCITY] + noise[3:6],
             rate[RATE] + noise[9:],
         )
-        return ca.vec(kept[:, 1:]), told | {"state": noisy}
+        return ca.vec(kept[:, 2:]), told | {"state": noisy}
 
     @property
     def idle(self) -> bool:

@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.compile.symbolic import ca
+
 WORDS = 4  # of 32 bits, that name a stream
 TICK = 5e-4  # s
 EARLY = 1e-6  # of a tick, by which a time may come before it and belong to it
@@ -38,6 +40,13 @@ class Silence(np.random.Generator):
 
     def standard_normal(self, size: Any = None, dtype: Any = np.float64, out: Any = None) -> Any:
         return 0.0 if size is None else np.zeros(size, dtype)
+
+
+def on_the_way(numbers: Any, drop: Any) -> tuple[Any, Any]:
+    """The share of a jitter, uniform in [0, 1), and whether something is lost, with the probability `drop`, of two
+    standard normal numbers. Zeros, which are Silence's: half of the jitter, and nothing is lost."""
+    uniform = (1 + ca.erf(numbers / math.sqrt(2))) / 2
+    return uniform[0], ca.logic_and(uniform[1] < drop, numbers[1] != 0)
 
 
 def part_stream(rng: np.random.Generator, part: str) -> np.random.Generator:

@@ -345,3 +345,14 @@ class TestHtml:
         results["controller"] = "<script>alert(1)</script>\x1b[2J"
         shown = results._repr_html_()
         assert "<script>" not in shown and "\x1b" not in shown and "&lt;script&gt;" in shown
+
+
+def test_a_keyword_may_be_a_dotted_key():
+    """As **{"controller.nodes": 7}, and as a dictionary."""
+    flight = qx.simulate(*QUICK, **{"controller.nodes": 7})
+    assert flight.record["config"]["controller"]["nodes"] == 7
+
+
+def test_a_sweep_that_no_memory_holds_is_refused():
+    with pytest.raises(qx.UsageError, match="seed: 1000000000 values; a sweep has at most 1000000 cells"):
+        qx.sweep(*QUICK, seed=range(10**9))

@@ -247,3 +247,16 @@ def test_a_command_that_had_too_little_memory_ends_at_once():
         done = subprocess.run([sys.executable, "-c", code.format(error)], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (1, end), done.stderr
         assert done.stderr.count("\n") == 1 and ("not enough memory" in done.stderr) == (not end)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["a.parquet", "--margins", "--beliefs"], "show: --margins and --beliefs: one at a time"),
+        (["a.parquet", "--out", "a.png"], "--out a.png: only beliefs are drawn: give --beliefs"),
+        (["a.parquet", "seed=1"], "show: settings are for --margins"),
+    ],
+)
+def test_show_answers_one_question_at_a_time(words, said):
+    code, _, error = run("show", *words)
+    assert code == 2 and said in error

@@ -105,6 +105,16 @@ def test_they_run_in_their_order_and_print_what_is_said(page, tmp_path, monkeypa
             assert found, (step.words, line, printed)
 
 
+REFUSED = [(page, step) for page in PAGES for step in steps(page) if step.said and step.said[0].startswith("error: ")]
+
+
+@pytest.mark.parametrize(("page", "step"), REFUSED, ids=[f"{name(page)} {step.words[-1]}" for page, step in REFUSED])
+def test_what_a_page_says_is_refused_is_refused_in_these_words(page, step, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = CliRunner().invoke(app, step.words)
+    assert found.exit_code == 2 and alike(step.said[0], found.stderr.splitlines()[-1])
+
+
 def alike(said: str, printed: str) -> bool:
     """The same words, and numbers within FACTOR of each other; intervals (in brackets) aside."""
     one, other = (" ".join(re.sub(r"\[[\d., ]+\]", "", line).split()) for line in (said, printed))

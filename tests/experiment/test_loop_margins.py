@@ -53,6 +53,13 @@ def test_a_predicted_dead_time_that_is_there_is_no_surprise():
     assert 0.03 < late["delay"] < prompt["delay"]
 
 
+@pytest.mark.parametrize("lost", [["link=latency", "link.latency=0.02", "link.drop"], ["sensor.pose_drop"]])
+def test_losses_are_left_out_of_margins(lost):
+    """With more than half lost, the loop was taken for one that nothing ever reaches: it tolerated everything."""
+    few, many = (flown("controller=nominal_mpc", *lost[:-1], f"{lost[-1]}={drop}")["margins"] for drop in (0.1, 0.6))
+    assert many == few and 0 < many["delay"] < 0.1
+
+
 def test_who_keeps_its_memory_to_itself_says_so(tmp_path):
     margins = {"unknown": "Mine steps in Python"}
     assert margin_line(margins) == "what it tolerates is not known: Mine steps in Python"
@@ -65,9 +72,10 @@ def test_who_keeps_its_memory_to_itself_says_so(tmp_path):
     )
 
 
+@pytest.mark.parametrize("late", [["link=latency", "link.latency=0.1"], ["estimator.delay=0.1"]])
 @pytest.mark.parametrize("controller", ["nominal_mpc", "geometric"])
-def test_what_is_not_stable_is_refused_and_flown_where_it_is_allowed(controller):
-    world = [f"controller={controller}", "link=latency", "link.latency=0.1"]
+def test_what_is_not_stable_is_refused_and_flown_where_it_is_allowed(controller, late):
+    world = [f"controller={controller}", *late]
     with pytest.raises(InfeasibleError, match=r"late by 100 ms; this loop is not stable at hover") as refused:
         flown(*world)
     assert ("controller.dead_time=0.1" in str(refused.value)) == (controller == "nominal_mpc")

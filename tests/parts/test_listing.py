@@ -45,6 +45,18 @@ def test_the_values_are_those_that_fly():
             ), key
 
 
+def test_a_group_has_all_keys_of_its_options_with_the_values_that_fly_by_default():
+    shown, usual = keys_of_group("sensor"), compose().sensor
+    assert {*keys("sensor=perfect"), *keys("sensor=imu_gnss")} <= shown.keys()
+    assert shown["sensor.pose_rate"] == keys("sensor=perfect")["sensor.pose_rate"]
+    assert float(shown["sensor.pose_rate"]["value"]) == usual.pose_rate == 0.0
+    assert "wind.onset" in keys_of_group("wind") and "observer.wind_walk" in keys_of_group("wind")
+
+
+def keys_of_group(group):
+    return {one["key"]: one for one in listed(group) if "key" in one}
+
+
 def test_a_preset_says_what_it_sets():
     assert keys("horizon=precise")["first_node"]["value"] == "0.02"
 

@@ -84,6 +84,26 @@ def test_any_text_is_an_override_or_one_plain_line(seed):
     assert refused < 240
 
 
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["seed=range(1e9)"], "'seed=range(1e9)': 1000000000 values; a sweep has at most 1000000 cells"),
+        (["seed=range(2000000)"], "'seed=range(2000000)': 2000000 values; a sweep has at most 1000000 cells"),
+        (["seed=shuffle(range(3e6))"], "'seed=shuffle(range(3e6))': 3000000 values; a sweep has at most 1000000 cells"),
+        (["trajectory.speed=range(0,9,1e-7)"], "90000000 values; a sweep has at most 1000000 cells"),
+        (["seed=range(1001)", "trajectory.speed=range(1,2,.001)"], "1001000 combinations; a sweep has at most 1000000"),
+        (["seed=range(0,3,0)"], "'seed=range(0,3,0)': a range has a finite start and stop, and a step other than 0"),
+        (["seed=range(0,3,0.0)"], "a range has a finite start and stop, and a step other than 0"),
+        (["seed=range(nan,3)"], "a range has a finite start and stop, and a step other than 0"),
+        (["seed=range(0,inf)"], "a range has a finite start and stop, and a step other than 0"),
+    ],
+)
+def test_a_range_that_no_memory_holds_or_that_has_no_end_is_refused(texts, said):
+    with session() as composer, pytest.raises(UsageError) as error:
+        composer.expand(texts, check=False)
+    assert said in str(error.value)
+
+
 def test_what_is_suggested_exists():
     """Each key that is named for another option composes with that option."""
     with session() as composer:

@@ -274,13 +274,15 @@ class _Proposals:
             self._body_by_gravity()
             return
         log = Windows(self.table.times, self.streams)
-        if not {"p", "v"} & self.streams.keys():  # gravity alone has to explain the accelerometer
+        still = not {"p", "v"} & self.streams.keys()  # gravity alone has to explain the accelerometer
+        if still:
             log = Windows(log.t, {**self.streams, "v": np.zeros((*log.t.shape, 3))})
         few = log.every(max(1, len(log.t) // FEW))
         scored = [(value, one) for one in self._conventions() if (value := _explained(one, few)) is not None]
         scored.sort(key=lambda pair: -pair[0])
         value, best = scored[0]
         mends = [one for one in explain(best.apply(log))[0] if one.blocks]
+        mends = [one for one in mends if not (still and "acceleration" in one.correction)]  # nor what is left of it
         for key in ("world", "body", "attitude"):
             chosen = best.correction.get(key)
             others = [(v, one) for v, one in scored if one.correction.get(key) != chosen]

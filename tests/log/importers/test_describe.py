@@ -109,6 +109,16 @@ def test_names_that_say_body(truth, tmp_path):
     np.testing.assert_allclose(flight.stack(["w_x", "w_y", "w_z"]), truth.w, atol=2e-5)
 
 
+def test_without_a_path_an_accelerometer_is_not_said_to_be_in_the_world(truth, tmp_path):
+    """Of a vehicle with little drag it reads what one that hovers level reads in the world: (0, 0, thrust / mass)."""
+    force = truth.acc * [0.0, 0.0, 1.0] + 0.1 * np.random.default_rng(0).standard_normal(truth.acc.shape)
+    columns = _table(truth, q=truth.q, **logs._named("acc_x|acc_y|acc_z", force))
+    columns |= logs._named("gyro_x|gyro_y|gyro_z", truth.w)
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", columns))
+    assert found.fields["acceleration"].value["columns"] == ["acc_x", "acc_y", "acc_z"]
+    assert "corrections" not in found.fields
+
+
 def test_an_attitude_at_ten_hertz(tmp_path):
     """Smoothing shortens a quaternion that turns fast; it is one all the same."""
     f = logs.truth(60.0, 10.0)
