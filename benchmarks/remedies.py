@@ -4,9 +4,10 @@
 
 Each contestant is the whole step of a controller in a loop of the user's own (ControlLoop.step: one call into C), on
 what it was told in a flight on the circle, in wind and with the delays that it knows; a round is one pass of each over
-its own record, so that a slow moment of the machine meets all. Of every step of a record the least over the rounds is taken, which other work on the machine
-does not touch; printed are the medians and means over the steps, and their ratios to the first row, in one run. The
-two differ where a few steps cost more: every tenth of remedies=auto decides, in Python.
+its own record, so that a slow moment of the machine meets all. Of every step of a record the least over the rounds is
+taken, which other work on the machine does not touch; printed are the medians and means over the steps, and their
+ratios to the first row, in one run. The two differ where a few steps cost more: remedies=auto decides in Python, and
+what a loop in C leaves to Python costs the whole way through it.
 """
 
 from __future__ import annotations

@@ -203,6 +203,7 @@ def test_a_wind_is_answered_from_the_first_readings_on():
 
 
 def test_a_sheet_that_is_wrong_by_a_factor_of_three_is_survived():
+    """Where rotor speeds were noisier than stated, the scale of the thrust ran down to a half: .2 to .7 m."""
     for factor in (1 / 3, 3):
         found = fly_one(
             compose(
@@ -210,7 +211,7 @@ def test_a_sheet_that_is_wrong_by_a_factor_of_three_is_survived():
                  "controller.motor_lead=0", "remedies=auto", "trajectory.speed=10", "trajectory.acceleration=20"]
             )
         )  # fmt: skip
-        assert found.outcome == "ok" and np.sqrt((position_error(found) ** 2).mean()) < 0.3
+        assert found.outcome == "ok" and np.sqrt((position_error(found) ** 2).mean()) < 0.06
 
 
 def test_what_it_believes_is_true_and_shown():

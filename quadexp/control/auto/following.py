@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.control.auto.bank import SHEET
 from quadexp.control.auto.decide import Acting, Senses
 from quadexp.control.auto.posterior import SCALE
 from quadexp.control.mpc.controller import PredictiveController
@@ -119,12 +120,19 @@ class SpeedFollowing:
             air_walk=0.01,
         )
         self.around, self._mass, self._swing = config.around, vehicle.mass, 0.0
-        self._settings = disturbance_settings(config, period)
+        self._config, self._period, self._stated = config, period, max(accelerometer, LEAST_NOISE)
 
     def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
-        """See WindFollowing."""
-        self._swing = senses.swing
-        return self._settings
+        """See WindFollowing. A sheet whose accelerometer is noisier than it says is not believed in the rest."""
+        self._swing, config = senses.swing, self._config
+        doubt = min(max(float(senses.reading[:2].mean()) / self._stated, 1.0), SHEET)
+        config = replace(
+            config,
+            force_bandwidth=config.force_bandwidth / doubt,
+            force_noise=config.force_noise * doubt,
+            thrust_noise=min(config.thrust_noise * doubt, 1.0),
+        )
+        return disturbance_settings(config, self._period)
 
     def deviations(self, estimate: np.ndarray) -> np.ndarray:
         """See WindFollowing."""
