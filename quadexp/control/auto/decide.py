@@ -6,8 +6,8 @@
                     timing,
                         unknown = sd(d + l) + |d + l - what is acted on| + sd(a) / 2
                     one grid at a time towards the stiffer, at once towards the softer
-                    where commands stand at the rotors' limits, as behind a corner, a stiffer one than FIRM would swing
-                    between these
+                    where commands stand at the rotors' limits, as behind a corner, FIRM at most, or they would swing
+                    between these; where they still do after PATIENT decisions, one softer each time
     push            each of lateral, vertical and torque, once it is GATE deviations away from zero; the lateral
                     one from the first reading on
 
@@ -40,7 +40,8 @@ GRIDS = (
     (0.02, 0.6, 200.0, 0.0025),
 )  # fmt: skip
 PUSHED = 1  # least grid once there is a push, whose error the softest one would let stand for a second
-FIRM, LIMITED = 2, 0.2  # a grid, and from which share of commands at a limit on it is the stiffest
+PATIENT = 3  # decisions with commands at their limits: a corner takes fewer
+FIRM, LIMITED = 2, 0.2  # a grid, and from which share of commands at a limit on none is stiffer
 STIFF_TOTAL = 0.015  # s, largest dead time and lag under the stiffest grid
 
 
@@ -103,7 +104,7 @@ class Decision:
 
     def reset(self) -> None:
         """Nothing is acted on."""
-        self.acting, self._certain = Acting(), 0
+        self.acting, self._certain, self._limited = Acting(), 0, 0
 
     def at_once(self, age: float, late: float) -> Acting:
         """What to act on where nothing is known but an age by attitude and rates (s), and its log odds."""
@@ -113,8 +114,10 @@ class Decision:
 
     def soften(self, senses: Senses) -> Acting:
         """What to act on meanwhile, without further evidence."""
-        if senses.limited > LIMITED and self.acting.grid > FIRM:
-            self.acting = replace(self.acting, grid=FIRM)
+        self._limited = self._limited + 1 if senses.limited > LIMITED else 0
+        softer = FIRM if self._limited <= PATIENT else self.acting.grid - 1
+        if self._limited and self.acting.grid > max(softer, 0):
+            self.acting = replace(self.acting, grid=softer)
         return self.acting
 
     def begin(self, senses: Senses, doubt: float) -> Acting:
@@ -141,8 +144,8 @@ class Decision:
         far = total + 2 * sd_total - dead_time - lag > SOFTEST_LATE and time > 0.8
         grid = max(i for i, (*_, most) in enumerate(GRIDS) if unknown < most)
         grid = min(grid, 3 if dead_time + lag >= STIFF_TOTAL or senses.position > LARGE_NOISE else 4)
-        grid = min(grid if grid > 1 and time >= self._softly else int(not far), before.grid + 1)
-        grid = min(grid, FIRM if senses.limited > LIMITED else len(GRIDS))
+        grid = grid if grid > 1 and time >= self._softly else int(not far)
+        grid = min(grid, before.grid + (not self._limited))
         (lateral, vertical, torque), shown = (away > GATE for away in senses.away), before.push
         push = lateral or shown[0], (timed and vertical) or shown[1], (timed and torque) or shown[2]
         self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, push)
