@@ -7,7 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.control.auto.decide import CERTAIN, GATE, GRIDS, PLAIN, PUSHED, SURE, Acting, Decision, Senses, grids
+from quadexp.control.auto.decide import (
+    CERTAIN,
+    FIRM,
+    GATE,
+    GRIDS,
+    PATIENT,
+    PLAIN,
+    PUSHED,
+    SURE,
+    Acting,
+    Decision,
+    Senses,
+    grids,
+)
 from quadexp.control.auto.following import (
     FASTEST,
     STRONGEST,
@@ -87,6 +100,15 @@ def test_a_push_acts_from_five_deviations_on_and_for_good():
     assert began.grid == PUSHED
     assert decision.take(evidence(), Senses(away=(0, 9, 9)), 3.0).push == (True, True, True)
     assert decision.take(evidence(sd=0.05), Senses(), 4.0).push == (True, True, True)
+
+
+def test_commands_at_the_rotors_limits_soften_the_grid():
+    """Behind a corner to FIRM; where they swing on, one by one to the softest."""
+    decision, limited = Decision(), Senses(limited=0.5)
+    decision.acting = Acting(grid=4)
+    assert [decision.soften(limited).grid for _ in range(7)] == [FIRM] * PATIENT + [1, 0, 0, 0]
+    decision.acting = Acting(grid=4)
+    assert decision.soften(Senses()).grid == 4 and decision.soften(limited).grid == FIRM
 
 
 def test_the_bandwidth_by_rotor_speeds_follows_from_the_sheet(vehicle):
