@@ -200,6 +200,8 @@ def test_a_wind_is_answered_from_the_first_readings_on():
     for axis, most in (("x", 1.0), ("z", 2.5)):
         assert np.abs(flight[f"observer_wind_{axis}"] - flight[f"wind_{axis}"])[soon].max() < most
     assert position_error(flight).max() < 0.14
+    undecided = np.isnan(flight["auto_delay_sd"])  # the columns say what acts before there is a decision
+    assert flight["auto_acts_lateral"][undecided].max() == 1 == flight["auto_grid"][undecided].max()
 
 
 def test_a_sheet_that_is_wrong_by_a_factor_of_three_is_survived():

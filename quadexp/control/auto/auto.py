@@ -209,8 +209,7 @@ class Auto(WrappedController):
         apart = math.hypot(self._apart, self._unsaid * age / BAND, UNLIKE * lag)
         known = (age, total, lag, *np.hypot(evidence.deviation, np.hypot(INEXACT * evidence.mean, apart)))
         about = [known[i + j] for i in range(3) for j in (0, 3)]
-        doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
-        self._beliefs[: len(about) + 1 + len(doing)] = *about, evidence.fresh, *doing
+        self._beliefs[: len(about) + 1] = *about, evidence.fresh
 
     def _look(self) -> None:
         """Act on a push, and on an age that attitude and rates show, before there is other evidence."""
@@ -254,6 +253,8 @@ class Auto(WrappedController):
 
     def _observe(self, acting: Acting, before: Acting, senses: Senses) -> None:
         """Gains of the observer: by the noise of what it compares; nothing of what has not shown itself."""
+        doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
+        self._beliefs[KNOWN.index("acts_age") : -len(UNKNOWN)] = doing
         if self._observer is not None:
             inner: Any = self.inner
             inner.settings[...] = self._observer.follow(inner.estimate, acting, before, senses)
