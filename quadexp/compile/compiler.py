@@ -20,7 +20,7 @@ from quadexp.errors import QuadexpError, UsageError
 FLAGS = ("-march=native", "-ffast-math", "-fno-tree-slp-vectorize", "-fno-semantic-interposition", "-fPIC")
 OPTIMISED = os.environ.get("QUADEXP_OPTIMISE", "-O3")  # -O1: compiled in half of the time, steps in twice the time
 GCC_FLAGS = ("-fno-tree-reassoc",)  # CasADi's order of operations is the better one; clang refuses the flag
-STRICT_FLAGS = ("-O3", "-ffp-contract=off", "-fPIC")  # for C of our own whose every operation is meant
+STRICT_FLAGS = ("-O3", "-march=native", "-ffp-contract=off", "-fPIC")  # for C of ours whose every operation is meant
 CPUINFO = Path("/proc/cpuinfo")
 PROCESSOR = {  # lines of it that name a model (x86, Arm) or features (x86; Arm; RISC-V; Power)
     "vendor_id", "cpu family", "model", "CPU implementer", "CPU variant", "CPU part",

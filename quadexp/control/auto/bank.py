@@ -58,7 +58,6 @@ SPEEDS = (0.0001, 0.003, 0.03)  # m/s, of a told velocity
 THRUST = (0.28, 1.0)  # m/s^2 of a reading on z with its model, m/s^2 of b in a root of a second
 SHEET = 3.0  # factor by which a data sheet may be wrong
 LEAST_TURN, LEAST_ATTITUDE = 3e-4, 1e-5  # rad/s of a reading of the gyroscope, rad of a told attitude
-REMEMBERED = "memory", "sums"
 STILL = AGE + 0.02  # s, for which told attitudes may be those from before the flight
 SKIPPED = 0.1  # s, until the filters are stationary
 FADING = 20.0  # s, of the sums over commands: the scale of the thrust moves with the battery
@@ -77,7 +76,7 @@ class Layout:
         self.columns, self.turning, self.rows = 1 + 3 * self.readings + 3, 1 + self.readings + 3, self.commands + 3
         channels, speed = 2 * len(SPINS), 3 * self.columns * len(SPEEDS)
         sizes = {"count": 1, "x": N_STATE, "forces": 3 * self.readings, "sent": 3 * self.commands, "spin": 4 * channels}
-        sizes |= {"push": 2, "lines": (self.rows - 1) * (channels + 1), "speed": speed}
+        sizes |= {"push": 2, "speed": speed}
         sizes |= {"speed_before": 2 * self.columns * len(SPEEDS)}
         sizes |= {"lateral": 1, "rates": 3 * self.readings, "turn": 3 * self.turning}
         sizes |= sense_sizes()
@@ -92,8 +91,9 @@ class Bank:
 
     theta: parameters of the residual, shared. noise: standard deviation of a reading of the accelerometer (m/s^2).
     spans: over which readings of accelerometer and gyroscope are means (s).
-    period: of the bank (s), `every` control periods. memory: see Layout. sums: (2, rows, channels), of y and p;
-    channels: two axes of each of SPINS, and the thrust. speed_sums: (SPEEDS, columns, 2 columns), of an innovation with
+    period: of the bank (s), `every` control periods. memory: see Layout. lines: (rows - 1, channels), y and phi of the
+    commands, the newest first; channels: two axes of each of SPINS, and the thrust. sums: (2, rows, channels), of y and
+    p with the y before and lines. speed_sums: (SPEEDS, columns, 2 columns), of an innovation with
     itself and with the one before; turn_sums: of the attitude, likewise. turned_by: what gyroscope and attitude are off
     by (rad/s, rad). weights: (2, m) on the commands, the newest last, of the likeliest thrusts: now, and their mean
     over a period as old as the told rates. gains: (2,) of the torque, see senses.py. bias: of the accelerometer, (3,)
@@ -113,8 +113,9 @@ class Bank:
         given = self._update.arguments
         self.memory, self.weights, self.gains, self.bias = (given[k] for k in ("memory", "weights", "gains", "bias"))
         columns, turn = self.layout.columns, self.layout.turning
-        self.sums = given["sums"].reshape(2, self.layout.rows, -1)
-        self._first = np.zeros(self.part("lines").shape)
+        self._lines = np.zeros((self.layout.rows, 2 * len(SPINS) + 1))
+        self.lines, self.sums = self._lines[1:], np.zeros((2, *self._lines.shape))
+        self._first = np.zeros(self.lines.shape)
         self.speed_sums, self.turn_sums = np.zeros((len(SPEEDS), columns, 2 * columns)), np.zeros((turn, 2 * turn))
         given["noise"][...] = self.noise = noise
         self.turned_by = LEAST_TURN * self.period + turning[0] * self.period, LEAST_ATTITUDE + turning[1]
@@ -160,7 +161,8 @@ class Bank:
 
     def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
         """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
-        for array in (self.memory, self.sums, self._first, self.speed_sums, self.turn_sums, self.bias):
+        sums = self.sums, self.speed_sums, self.turn_sums
+        for array in (self.memory, self._lines, self._first, *sums, self.bias):
             array[...] = 0.0
         self.follow(0)
         spin, pushed = spin_of(self.vehicle) @ thrust, thrust.sum() / self.vehicle.mass
@@ -171,17 +173,19 @@ class Bank:
         self.part("spin")[: 2 * len(SPINS)] = np.tile(x[RATE][:2], len(SPINS))
         self.part("torque")[:2] = x[RATE][:2]
         self.part("walk_variance")[...], self.part("lateral")[...] = 9.0, self.noise**2
-        self.part("speed").reshape(len(SPEEDS), self.layout.columns, 3)[:, 0] = x[VELOCITY]
+        self.part("speed").reshape(len(SPEEDS), 3, self.layout.columns)[..., 0] = x[VELOCITY]
         self._sent[...] = self.every * thrust
 
     def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
         """Takes in what is told, the state that is found there, (13,), and then the command, (n,) (N)."""
-        given, left = self._update.arguments, self._update.results
-        due = [copy(given["x"], state), copy(given["f"], told.force), call(self._update, told.read)]
-        due += [copy(given[name], left[f"{name}_next"], told.read) for name in REMEMBERED]
-        due.append(copy(self._first, self.part("lines"), left["begins"]))
-        due.append(gather(self.speed_sums, left["speed_z"].reshape(len(SPEEDS), 2, -1), told.read))
-        due.append(gather(self.turn_sums[None], left["turn_z"][None], told.read))
+        given, left, z, read = self._update.arguments, self._update.results, self._lines, told.read
+        due = [copy(given["x"], state), copy(given["f"], told.force), call(self._update, read)]
+        due += [copy(self.memory, left["memory_next"], read), copy(z[3:], z[2:-1], read), copy(z[0], z[1], read)]
+        due += [copy(z[1:3], left["newest"], read), copy(self._first, self.lines, left["begins"])]
+        fading = math.exp(-self.period / FADING)
+        due.append(Operation("fade", self.sums, left["counted"], z, fading, when=read))
+        due.append(gather(self.speed_sums, left["speed_z"].reshape(len(SPEEDS), 2, -1), read))
+        due.append(gather(self.turn_sums[None], left["turn_z"].reshape(1, 3, -1), read))
         due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
         return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
 
@@ -194,9 +198,9 @@ class Bank:
         def both_axes(of: np.ndarray) -> np.ndarray:
             return np.concatenate([of[:-1].reshape(-1, 2, *of.shape[1:]).sum(1), of[-1:]])
 
-        now, first = (lines.reshape(m + 2, -1)[:, channels].T for lines in (self.part("lines"), self._first))
+        now, first = (lines[:, channels].T for lines in (self.lines, self._first))
         gone = both_axes(now[:, :, None] * now[:, None] - fade**self.count * first[:, :, None] * first[:, None])
-        y, p = map(both_axes, self.sums[:, :, channels].transpose(0, 2, 1))
+        y, p = map(both_axes, self.sums[:, [1, 0, *range(2, m + 3)]][:, :, channels].transpose(0, 2, 1))
         G = np.zeros((len(gone), m + 3, 2 * m + 4))
         G[:, 0, : m + 3], G[:, 1, 1], G[:, 1, 2] = y, (y[:, 0] - gone[:, 0, 0]) / fade, p[:, 1]
         G[:, 1, 3 : m + 3] = (y[:, 2:-1] - gone[:, 0, 1:-1]) / fade
@@ -251,24 +255,22 @@ def stationary_scalar(noise: float, walk: float) -> float:
 
 
 def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: int) -> ca.Function:
-    """A period of the bank: memory and sums after it; begins: whether the next innovations are the first in them;
-    speed_z and turn_z: what is summed up for velocity and attitude, an innovation and the one before.
+    """A period of the bank: memory after it; newest: y and p of each channel, counted: the same once they belong in the
+    sums, begins: whether the next do first; speed_z and turn_z: what is summed up for velocity and attitude, an
+    innovation and the one before, axis by axis.
 
-    Inputs: memory, see Layout; sums (channels, 2 * rows); x (13,), told; f (3,), reading; u (n,),
-    the commands since the last period, added; weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2);
-    kept_turn: what the filter of the attitude leaves of an innovation; theta.
+    Inputs: memory, see Layout; x (13,), told; f (3,), reading; u (n,), the commands since the last period, added;
+    weights (m, 2), gains (2,), bias (3,), see Bank; noise (m/s^2); kept_turn: what the filter of the attitude leaves of
+    an innovation; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
-    m, rows, columns, spins = layout.commands, layout.rows, layout.columns, len(SPINS)
-    along, across = ca.DM(np.diag([0.0, 0.0, 1.0])), ca.DM(np.diag([1.0, 1.0, 0.0]))
-    shapes = {"memory": (layout.size, 1), "sums": (2 * spins + 1, 2 * rows), "kept_turn": (1, 1)}
-    shapes |= {"x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
+    m, columns, spins = layout.commands, layout.columns, len(SPINS)
+    shapes = {"memory": (layout.size, 1), "kept_turn": (1, 1), "x": (N_STATE, 1), "f": (3, 1), "u": (n, 1)}
     shapes |= {"weights": (m, 2), "gains": (2, 1), "bias": (3, 1), "noise": (1, 1)}
     shapes |= {"theta": (residual.function.size1_in(1), 1)}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
     kept = {name: a["memory"][place] for name, place in layout.slices.items()}
     x, f, count = a["x"], a["f"], kept["count"] + 1
-    counts = count > layout.skipped
     w, R = x[RATE], rotation_matrix(x[ATTITUDE])
 
     # what was sent, the newest last: angular accelerations about x and y, and the thrust, over the mass
@@ -281,51 +283,46 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     more = 1 + vehicle.mass * ca.sum2(slope[2, 6:]) / n  # what the thrust gives with its effect on the air
     lifted = f[2] - y[2] + (more - 1) * thrust
 
-    # gyro: y and phi of each noise and axis
+    # gyro: y and phi of each noise and axis. Phi is kept as it is subtracted: then both are readings less predictions
     K = np.array([stationary(noise, walk, period) for noise, walk in SPINS])
-    Kw, Kb = (ca.DM(np.repeat(K[:, i], 2)) for i in (0, 1))
+    Kw, Kb = (ca.DM(np.tile(np.repeat(K[:, i], 2), 2)) for i in (0, 1))
     inertia, middle = ca.DM(vehicle.inertia_matrix), (w + kept["x"][RATE]) / 2
     turning = -ca.mtimes(ca.inv(inertia), ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
-    filters = []
-    for state, drive, reading in (
-        (ca.reshape(kept["spin"][: 4 * spins], 2 * spins, 2), turning, w[:2]),
-        (ca.reshape(kept["spin"][4 * spins :], 2 * spins, 2), sent[:2, -1], ca.DM.zeros(2)),
-    ):
-        predicted = state[:, 0] + period * (state[:, 1] + ca.repmat(drive, spins, 1))
-        nu = ca.repmat(reading, spins, 1) - predicted
-        filters.append((nu, ca.horzcat(predicted + Kw * nu, state[:, 1] + Kb * nu)))
-    (nu_y, spin_y), (nu_phi, spin_phi) = filters
+    spin, walked = kept["spin"][: 4 * spins], kept["spin"][4 * spins :]
+    drive = ca.vertcat(*[turning] * spins, *[-sent[:2, -1]] * spins)
+    predicted = spin + period * (walked + drive)
+    nu = ca.vertcat(*[w[:2]] * spins, ca.DM.zeros(2 * spins)) - predicted
+    spin, walked = predicted + Kw * nu, walked + Kb * nu
     gain = stationary_scalar(THRUST[0], THRUST[1] * math.sqrt(period))
-    lines = ca.vertcat(lifted, more * sent[2, -1]) - kept["push"]
-    push = kept["push"] + gain * lines
-    y_now, p = ca.vertcat(nu_y, lines[0]), ca.vertcat(-nu_phi, lines[1])
-    before = ca.reshape(kept["lines"], 2 * spins + 1, rows - 1)  # y, phi of m + 1, the newest first
-    lines = ca.horzcat(y_now, p, before[:, 1:-1])
-    z = ca.horzcat(y_now, before[:, 0], lines[:, 1:])
-    newest = ca.horzcat(*(ca.repmat(of, 1, rows) * z for of in (y_now, p)))
-    sums = math.exp(-period / FADING) * a["sums"] + counts * newest
+    pushed = ca.vertcat(lifted, more * sent[2, -1]) - kept["push"]
+    push = kept["push"] + gain * pushed
+    newest = ca.vertcat(nu[: 2 * spins], pushed[0], nu[2 * spins :], pushed[1])
 
-    # velocity: y, phi of each reading along the thrust, of its moment, of each across, and of each axis of beta
+    # velocity, an axis a column: y, phi of each reading along the thrust, of its moment, of each across, and of each
+    # axis of beta; phi likewise
     forces = ca.horzcat(f, ca.reshape(kept["forces"], 3, layout.readings)[:, :-1])  # the newest first
     q = x[ATTITUDE]
     other = kept["x"][ATTITUDE]
     q = q + other * ca.sign(ca.dot(q, other))
-    turned = rotation_matrix(q / ca.norm_2(q))
-    moment = turned @ ca.skew(period * middle) @ along @ forces
-    drive = ca.horzcat(
-        ca.vertcat(0, 0, -vehicle.gravity), turned @ along @ forces, moment, turned @ across @ forces, turned
-    )
-    speed, speed_next, nus, pairs = ca.horzsplit(ca.reshape(kept["speed"], 3, -1), columns), [], [], []
-    befores = ca.horzsplit(ca.reshape(kept["speed_before"], 2, -1), columns)
+    turned = -period * rotation_matrix(q / ca.norm_2(q))
+    moment = ca.mtimes(turned, ca.cross(period * middle, ca.DM([0, 0, 1])))
+    fx, fy, fz = ca.horzsplit(forces.T)
+    drive = ca.horzcat(*(
+        ca.vertcat(-period * gravity, to_z * fz, moment[i] * fz, to_x * fx + to_y * fy, to_x, to_y, to_z)
+        for i, gravity in enumerate((0.0, 0.0, vehicle.gravity))
+        for to_x, to_y, to_z in [ca.horzsplit(turned[i, :])]
+    ))  # fmt: skip
+    reading = ca.horzcat(*(ca.vertcat(v, ca.DM.zeros(columns - 1)) for v in ca.vertsplit(x[VELOCITY])))
+    speed, speed_next, nus, pairs = ca.horzsplit(ca.reshape(kept["speed"], columns, -1), 3), [], [], []
+    befores = ca.horzsplit(ca.reshape(kept["speed_before"], columns, -1), 2)
     for state, before, noise in zip(speed, befores, SPEEDS, strict=True):
         ratio = kept["lateral"] * (period / noise) ** 2
         P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
-        predicted = state + period * drive
-        nu = ca.horzcat(x[VELOCITY] - predicted[:, 0], predicted[:, 1:])
-        into = ca.horzcat(nu[:, 0], -nu[:, 1:])
-        speed_next.append(predicted + P / (P + 1) * into)
-        nus.append(ca.mtimes(R[:, :2].T, nu))
-        pairs.append(counts * ca.horzcat(nus[-1], before).T)
+        predicted = state + drive
+        nu = reading - predicted
+        speed_next.append(predicted + P / (P + 1) * nu)
+        nus.append(ca.mtimes(nu, R[:, :2]))
+        pairs += [z[:, i] for i in (0, 1) for z in (nus[-1], before)]
 
     # attitude: the same, in body axes, of the rotation in a period
     rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, layout.readings)[:, :-1])
@@ -333,17 +330,20 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     sine = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], other)))[1:]
     rotated = 2 * sine * (1 + ca.sumsqr(sine) / 6)  # the arc of a sine, to third order
     begun = count > STILL / period
-    last = begun * ca.reshape(kept["turn"], 3, layout.turning)
-    turn = ca.horzcat(rotated, period * rates, period * ca.DM.eye(3))
-    turn += a["kept_turn"] * ca.mtimes(rotation_matrix(product(back, x[ATTITUDE])).T, last)
+    last = begun * ca.reshape(kept["turn"], layout.turning, 3)
+    turn = [ca.vertcat(rotated[i], period * rates[i, :].T, period * ca.DM.eye(3)[:, i]) for i in range(3)]
+    turn = ca.horzcat(*turn) + a["kept_turn"] * ca.mtimes(last, rotation_matrix(product(back, x[ATTITUDE])))
 
     senses = sensed(kept, x, f - a["bias"], lifted - more * thrust, y, turning, likely, a["gains"], a["noise"], period)
-    now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push, "lines": ca.vec(lines)}
-    now |= {"spin": ca.vertcat(ca.vec(spin_y), ca.vec(spin_phi)), "speed": ca.vec(ca.horzcat(*speed_next))}
+    now = {"count": count, "x": x, "forces": ca.vec(forces), "sent": ca.vec(sent), "push": push}
+    now |= {"spin": ca.vertcat(spin, walked), "speed": ca.vec(ca.horzcat(*speed_next))}
     now |= {"speed_before": ca.vec(ca.horzcat(*nus))}
     now["lateral"] = lateral_variance(senses["noise"], count, a["noise"], period)
     now |= {"rates": ca.vec(rates), "turn": ca.vec(turn), **senses}
     memory = ca.vertcat(*(now[name] for name in layout.slices))
-    results = {"memory_next": memory, "sums_next": sums, "begins": count == layout.skipped}
-    results |= {"speed_z": ca.horzcat(*pairs), "turn_z": begun * ca.horzcat(turn, last).T}
+    counts = count > layout.skipped
+    results = {"memory_next": memory, "begins": count == layout.skipped}
+    results |= {"newest": ca.reshape(newest, -1, 2), "counted": ca.reshape(counts * newest, -1, 2)}
+    results["speed_z"] = counts * ca.vertcat(*pairs)
+    results["turn_z"] = begun * ca.vertcat(*(z[:, i] for i in range(3) for z in (turn, last)))
     return ca.Function("bank", [*a.values()], [*results.values()], [*a], [*results])
