@@ -227,3 +227,11 @@ def test_attitudes_tell_their_age_against_rates_of_now(vehicle, age):
     found, odds = Posterior(bank).early()
     assert abs(found - age) < 0.003
     assert odds > 8 if age else odds < 1
+
+
+@pytest.mark.parametrize("known", [{"age": 0.01}, {"dead_time": 0.01, "lag": 0.02}, {}])
+def test_the_odds_of_a_delay_are_those_of_the_whole_grid(vehicle, known):
+    """Between two looks at the whole of it, a few ages tell the same."""
+    posterior = Posterior(flown(vehicle, **known))
+    whole, few = posterior.evidence(), posterior.evidence()
+    np.testing.assert_allclose([few.late, few.slow], [whole.late, whole.slow], rtol=0.05, atol=0.2)

@@ -36,7 +36,7 @@ from quadexp.control.delivered import INSTANT, NO_LAG
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
 FINER, CLOSER, BESIDE = 8.0, 6, 5  # by which a grid closes in at most, how often it moves, its steps to either side
-WHOLE = 1.5  # how many times as many innovations, until the whole grid is looked at again
+WHOLE = 1.5  # how many times as many innovations, until the noise is chosen anew, on the whole grid
 FEW = 5, 3  # of totals and lags, one of so many tells how noisy the velocity is
 STEP = 0.7  # of a grid, in deviations
 ALIKE = 0.3  # logarithm of a ratio of steps that are not worth another grid
@@ -78,7 +78,7 @@ class Posterior:
     def reset(self) -> None:
         """Nothing is known."""
         self.best: tuple[float, ...] = (0.0, TYPICAL, 0.0)
-        self._steps, self._late, self._slow, self._looked = np.array(STEPS), 0.0, 0.0, 0
+        self._steps, self._looked = np.array(STEPS), 0
         self._fresh, self._spin, self._speed = False, 0, 0
         self._scale, self._bias = (1.0, SCALE), (np.zeros(3), np.full(3, BIAS))
 
@@ -88,10 +88,13 @@ class Posterior:
         whole = count >= WHOLE * self._looked
         spins = [*range(len(SPINS))] if whole else [self._spin]
         self._sums = dict(zip([*spins, -1], self._bank.products(spins), strict=True))
+        (ages, *delays), (age, total, _) = self._grids, self.best
+        if not whole:  # the alternatives are no delay at all, and an age for the total
+            ages = ages[np.abs(np.subtract.outer(ages, (0.0, age, age + total))).min(1) < STEPS[0]]
+        J = self._joint(ages, *delays, choose=whole)
         if whole:
-            J, self._looked = self._joint(*self._grids, choose=True), count
-            self._late, self._slow = float(J.max() - J[0].max()), float(J.max() - J[:, 0].max())
-            self._steps = self._close_in(self._grids, J, np.array(STEPS))[2]
+            self._looked, self._steps = count, self._close_in(self._grids, J, np.array(STEPS))[2]
+        odds = float(J.max() - J[0].max()), float(J.max() - J[:, 0].max())
         for _ in range(CLOSER):
             steps = self._steps
             about = zip(self.best, steps, STEPS, self._grids, strict=True)
@@ -100,8 +103,6 @@ class Posterior:
             if inside and (np.abs(np.log(self._steps / steps)) < ALIKE).all():
                 break
         deviation = np.hypot(spread, steps / 3)
-        more = count / self._looked  # evidence since then
-        odds = more * self._late, more * self._slow
         return Evidence(mean, deviation, *odds, self._fresh, self._scale, self._bias, self._spin)
 
     def _close_in(
