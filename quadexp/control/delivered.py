@@ -14,7 +14,7 @@ The oldest command that is kept counts as having been sent for ever: S(s_0) = b 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -174,9 +174,12 @@ class SentCommands:
     def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:
         """Weights (s, m) on the commands of the mean thrusts over spans (s, 2) (s): beginning and end, 0 is now, before
         the command of now is sent. A span of no length has the thrust at its time."""
-        function = _weights(len(self.values), self._period)
-        spans = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
-        return np.array(function(spans[:, 0], spans[:, 1], dead_time, lag)).T[:, ::-1].copy()
+        function = _weights(len(self.values), self._period, len(spans))
+        given, found = function.arguments, function.results["weights"]
+        given["spans"][...] = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
+        given["delays"][...] = dead_time, lag
+        function()
+        return found.reshape(len(spans), -1)[:, ::-1].copy()
 
 
 def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: Any) -> Any:
@@ -196,13 +199,9 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
 
 
 @lru_cache(maxsize=32)
-def _weights(count: int, period: float) -> Callable[..., np.ndarray]:
-    """Of many spans at once, (m, k): begin, end (k,), dead time, lag."""
-    begin, end, dead_time, lag = (ca.SX.sym(name) for name in ("begin", "end", "dead_time", "lag"))
-    weights = command_weights(count, period, (begin, end), dead_time, lag)
-    function = ca.Function("weights", [begin, end, dead_time, lag], [weights])
-
-    def each(begins: np.ndarray, ends: np.ndarray, dead: float, tau: float) -> np.ndarray:
-        return np.array(function(begins[None], ends[None], dead, tau))
-
-    return each
+def _weights(count: int, period: float, spans: int) -> BufferedFunction:
+    """Of so many spans at once: spans (2, k), delays: dead time and lag -> weights (m, k)."""
+    span, delays = ca.SX.sym("spans", 2, spans), ca.SX.sym("delays", 2)
+    each = [command_weights(count, period, ca.vertsplit(one), delays[0], delays[1]) for one in ca.horzsplit(span)]
+    function = ca.Function("weights", [span, delays], [ca.horzcat(*each)], ["spans", "delays"], ["weights"])
+    return BufferedFunction(function)

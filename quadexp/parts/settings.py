@@ -120,6 +120,14 @@ class Settings:
 S = TypeVar("S", bound="DataclassInstance")
 
 
+def changed(settings: S, **values: Any) -> S:
+    """The same with other values, which the program itself has computed: they are not checked, which takes longer than
+    what is done with them in flight."""
+    other: S = object.__new__(type(settings))
+    other.__dict__.update(settings.__dict__, **values)
+    return other
+
+
 def declared(node: type) -> dict[str, Declared]:
     """The settings of a class by name, in the order of its fields; a field without a Setting is none."""
     return _declared(node)

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.auto.bank import FADING, SKIPPED, SPINS, THRUST, Bank, spin_of, stationary
-from quadexp.control.auto.posterior import Posterior, command_weights, reading_weights
+from quadexp.control.auto.posterior import Posterior
+from quadexp.control.auto.weights import command_weights, reading_weights
 from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
@@ -152,7 +153,7 @@ def test_readings_that_are_means_over_a_time_are_no_older_for_that(vehicle):
 def test_a_posterior_wider_than_the_steps_of_its_grid_is_not_cut_off(vehicle):
     """Without lag, and where nothing but the rates tells, an age is worth as much as a dead time: all splits alike."""
     posterior = Posterior(flown(vehicle, dead_time=0.01))
-    posterior._velocity = lambda ages, totals, lags, choose: (np.zeros((len(ages), len(totals), len(lags))), 0.0)
+    posterior._velocity = lambda *grids, **about: (0.0, 0.0)
     evidence = posterior.evidence()
     assert evidence.mean[:2].sum() == pytest.approx(0.01, abs=1e-3)
     assert evidence.deviation[0] == pytest.approx(0.01 / np.sqrt(12), rel=0.15)
@@ -182,7 +183,7 @@ def test_the_mean_between_readings_is_that_of_a_force_that_jumps_with_commands(r
 
     readings = [mean(PERIOD * i, span) for i in range(count)]
     each = (np.array([value]).tobytes() for value in (age, wait + lag, lag))
-    W, moment = np.split(reading_weights(PERIOD, count, m, *each, span)[0, 0, 0], 2)
+    W, moment, _ = -reading_weights(PERIOD, count, m, *each, span)[0, 0, 1:].reshape(3, count)
     assert W.sum() == pytest.approx(1, abs=1e-3) and moment.sum() == pytest.approx(0, abs=1e-3)
     assert W @ readings == pytest.approx(mean(age, PERIOD), abs=0.03)
     inside = over(age, PERIOD)

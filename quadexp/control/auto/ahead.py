@@ -56,9 +56,11 @@ class Ahead:
 
     def tune(self, begin: float, end: float, dead_time: float, lag: float) -> None:
         """Another span, from now (s), and what commands wait and lag (s)."""
+        self._moves[0] = end > begin
+        if end <= begin:
+            return
         starts = np.minimum(begin + np.arange(self._parts) * STEP, end)
         ends = np.minimum(starts + STEP, end)
-        self._moves[0] = end > begin
         self._given["dt"][:] = ends - starts
         weights = self._commands.weights(np.stack([starts, ends], axis=1), dead_time, lag)
         self._given["weights"].reshape(weights.shape)[...] = weights

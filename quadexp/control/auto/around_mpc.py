@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy as copying
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.observers.observer import parameters_of
 from quadexp.parts.sensor_sheet import SensorSheet, later_speeds
+from quadexp.parts.settings import changed
 from quadexp.physics.state import N_STATE
 
 SPACING = 4  # samples of the reference in a control period, so that it may be asked for later ones
@@ -81,7 +81,7 @@ class AutoMPC(Auto):
         waits = round(dead_time / self._spacing) * self._spacing
         lags = lag + dead_time - waits
         lags = lags if lags > LEAST_LAG else 0.0
-        settings = replace(self._grids[acting.grid], dead_time=waits, motor_lead=lags)
+        settings = changed(self._grids[acting.grid], dead_time=waits, motor_lead=lags)
         self._ahead.tune(waits, lags, self._world.numbers[9] * self._commands.values)
         self._lead.tune(settings)
         self._core.use(settings, self._ahead, self._lead)

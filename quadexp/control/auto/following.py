@@ -14,7 +14,6 @@ followed, there readings are behind low passes and thrusts lag: it is off by SCA
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from quadexp.control.observers.filters import N_SCALED
 from quadexp.control.observers.observer import air_of, parameters_of
 from quadexp.control.observers.wind import N_AIR, WindObserver, wind_bandwidth, wind_settings
 from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.parts.settings import changed
 from quadexp.physics.vehicle import Vehicle
 
 LIFT = 12.0  # m/s^2, by which an error of the attitude (rad) becomes one of the acceleration
@@ -66,7 +66,7 @@ class WindFollowing:
         noise = (math.hypot(max(config.noise[0], float(senses.reading[:2].max())), tilt),) * 2
         walk = min(1.0, float(senses.walk[:2].max()) / STRONG)
         by_noise = float(senses.walk[2]) / (max(float(senses.reading[2]), 1e-3) * math.sqrt(self._period))
-        config = replace(
+        config = changed(
             config,
             noise=(*noise, max(config.noise[2], UNTIMED)),
             wind_walk=config.wind_walk * walk,
@@ -126,7 +126,7 @@ class SpeedFollowing:
         """See WindFollowing. A sheet whose accelerometer is noisier than it says is not believed in the rest."""
         self._swing, config = senses.swing, self._config
         doubt = min(max(float(senses.reading[:2].mean()) / self._stated, 1.0), SHEET)
-        config = replace(
+        config = changed(
             config,
             force_bandwidth=config.force_bandwidth / doubt,
             force_noise=config.force_noise * doubt,
@@ -162,7 +162,7 @@ class ForceFollowing:
         by_noise = float((senses.walk / np.maximum(senses.reading, 1e-3)).max()) / math.sqrt(self._period)
         most = config.force_bandwidth / (1 + 15 * LIFT * senses.attitude + max(senses.swing - SWING, 0.0) / SWING)
         bandwidth = min(most, max(by_noise, 1e-3))
-        config = replace(
+        config = changed(
             config,
             force_bandwidth=bandwidth if acting.timed else min(bandwidth, SLOW),
             torque_bandwidth=torque_bandwidth(config.torque_bandwidth, acting, senses),

@@ -15,8 +15,7 @@ that it counts by the share of what an age changes that is not noise.
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,13 +30,14 @@ from quadexp.control.auto.bank import (
     Bank,
     stationary_scalar,
 )  # fmt: skip
-from quadexp.control.delivered import INSTANT, NO_LAG
+from quadexp.control.auto.weights import command_weights, mean_weights, possible, reading_weights
+from quadexp.control.delivered import INSTANT
 
 TYPICAL = 0.03  # s, mean of the sum of all delays beforehand
 STEPS = 0.005, 0.005, 0.008  # s, of ages, totals and lags
 FINER, CLOSER, BESIDE = 8.0, 6, 5  # by which a grid closes in at most, how often it moves, its steps to either side
 WHOLE = 1.5  # how many times as many innovations, until the noise is chosen anew, on the whole grid
-FEW = 5, 3  # of totals and lags, one of so many tells how noisy the velocity is
+FEW = 8  # pairs of total and lag, of which one tells how noisy the velocity is
 STEP = 0.7  # of a grid, in deviations
 ALIKE = 0.3  # logarithm of a ratio of steps that are not worth another grid
 SCALE, BIAS = 0.1, 0.2  # deviations of the thrust scale, and of the accelerometer's bias (m/s^2), beforehand
@@ -45,7 +45,6 @@ TURN_BIAS = 0.02  # rad/s, of the gyroscope's bias, likewise
 WORTH = 0.02, 0.5  # least and largest tau: no model is exact
 FRESHER = 1.0  # log odds for rates of now
 LEAST = 1e-300  # of a sum of squares, where commands did not change
-LEVEL, READ = 1e4, 1e-3  # variances of where a force begins, and of what readings are off by, in those of a step
 
 
 class Evidence(NamedTuple):
@@ -88,10 +87,11 @@ class Posterior:
         whole = count >= WHOLE * self._looked
         spins = [*range(len(SPINS))] if whole else [self._spin]
         self._sums = dict(zip([*spins, -1], self._bank.products(spins), strict=True))
-        (ages, *delays), (age, total, _) = self._grids, self.best
+        ages, (age, total, _) = self._grids[0], self.best
+        among = np.full(len(ages), True)
         if not whole:  # the alternatives are no delay at all, and an age for the total
-            ages = ages[np.abs(np.subtract.outer(ages, (0.0, age, age + total))).min(1) < STEPS[0]]
-        J = self._joint(ages, *delays, choose=whole)
+            among = np.abs(np.subtract.outer(ages, (0.0, age, age + total))).min(1) < STEPS[0] - INSTANT
+        J = self._joint(*self._grids, choose=whole, among=among)
         if whole:
             self._looked, self._steps = count, self._close_in(self._grids, J, np.array(STEPS))[2]
         odds = float(J.max() - J[0].max()), float(J.max() - J[:, 0].max())
@@ -99,9 +99,10 @@ class Posterior:
             steps = self._steps
             about = zip(self.best, steps, STEPS, self._grids, strict=True)
             grids = [_near(best, step, whole) if step < most else whole for best, step, most, whole in about]
-            mean, spread, self._steps, inside = self._close_in(grids, self._joint(*grids, choose=False), steps)
-            if inside and (np.abs(np.log(self._steps / steps)) < ALIKE).all():
-                break
+            mean, spread, finer, inside = self._close_in(grids, self._joint(*grids, choose=False), steps)
+            if inside and (np.abs(np.log(finer / steps)) < ALIKE).all():
+                break  # with the same steps again, so that weights are at hand where the best point is the same
+            self._steps = finer
         deviation = np.hypot(spread, steps / 3)
         return Evidence(mean, deviation, *odds, self._fresh, self._scale, self._bias, self._spin)
 
@@ -136,77 +137,80 @@ class Posterior:
         before = self._of_commands(np.array([total + age]), np.array([lag]), mean=True)[0, 0]
         return np.stack([now[::-1], before[::-1]])
 
-    def _joint(self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool) -> np.ndarray:
-        """Log posterior, but for a constant; choose: also the likeliest noise, and whether rates are of now."""
-        faded = self._faded
-        W = self._of_commands(totals, lags)
+    def _joint(
+        self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool, among: Any = slice(None)
+    ) -> np.ndarray:
+        """Log posterior, but for a constant, among the ages; choose: also the likeliest noise, and whether rates are of
+        now. In here, hypotheses are ages (a, 1) and the p pairs of total and lag that leave a dead time."""
+        faded, pairs = self._faded, possible(totals, lags)
+        W = self._of_commands(totals, lags)[pairs]
         G = self._sums[-1]
         by, square = _moments(G, W)
         prior = (G[0, 0] - 2 * by + square).min() / faded / SCALE**2
         scales = (by + prior) / (square + prior)
         thrust = np.maximum(G[0, 0] - 2 * scales * by + scales**2 * square, 0)
-        at = np.unravel_index(int(thrust.argmin()), thrust.shape)
+        at = int(thrust.argmin())
         worth = self._worth(G, scales[at] * W[at])
 
         if choose:
             few = np.unique(np.round((ages[:, None] + totals)[::2, ::2], 9))
             W = self._of_commands(few, lags[::3], mean=True)
             left = [
-                self._sums[i][0, 0] - np.max(by**2 / square)
+                self._sums[i][0, 0] - np.max(by_few**2 / square_few)
                 for i in range(len(SPINS))
-                for by, square in [_moments(self._sums[i], W)]
+                for by_few, square_few in [_moments(self._sums[i], W)]
             ]
             self._spin = int(np.argmin(left))
-        by_velocity, share = self._velocity(ages, totals, lags, choose=choose)
-        by_attitude = self._attitude(ages)[:, None, None]
-        rest = by_velocity - worth * faded / 2 * np.log(thrust / faded + 1e-12)
-        waits, step = totals[:, None] - lags, np.diff(lags).max(initial=INSTANT)
-        likely = np.clip(totals, 0.0, LAG) - np.clip(totals - DEAD_TIME, 0.0, LAG)  # lags of a total, each alike
-        rest = rest - (ages[:, None, None] + totals[:, None]) / TYPICAL - np.log1p(np.floor(likely / step))[:, None]
-        J = np.where((waits < -INSTANT) | (waits > DEAD_TIME + INSTANT), -np.inf, rest)
-        late = fresh = np.full_like(J, -np.inf)
+        by_velocity, share = self._velocity(ages, totals, lags, choose=choose, among=among)
+        ages, total = ages[among, None], totals[pairs[0]]
+        likely = np.clip(total, 0.0, LAG) - np.clip(total - DEAD_TIME, 0.0, LAG)  # lags of a total, each alike
+        by_thrust = worth * faded / 2 * np.log(thrust / faded + 1e-12)
+        by_thrust += np.log1p(np.floor(likely / np.diff(lags).max(initial=INSTANT)))
+        J = late = fresh = by_velocity - by_thrust - (ages + total) / TYPICAL
         if choose or self._fresh:  # then the velocity alone tells the age
-            fresh = J - (1 - share) * by_velocity + by_attitude + self._gyro(totals[None], lags, scales)
+            by_attitude = self._attitude(ages[:, 0]) - self._attitude(np.zeros(1))
+            by_gyro = self._gyro(totals[None], lags, pairs, scales)
+            fresh = J - (1 - share) * by_velocity + by_attitude[:, None] + by_gyro
         if choose or not self._fresh:
-            late = J + self._attitude(np.zeros(1)) + self._gyro(ages[:, None] + totals, lags, scales)
+            late = J + self._gyro(ages + totals, lags, pairs, scales)
         if choose:
             self._fresh = bool(fresh.max() > (late - (1 - share) * by_velocity).max() + FRESHER)
         J = fresh if self._fresh else late
-        at = np.unravel_index(int(J.argmax()), J.shape)[1:]
+        at = int(J.argmax()) % len(total)
         variance = thrust[at] / faded / worth
         self._scale = float(scales[at]), float(np.sqrt(variance / (square[at] + variance / SCALE**2)))
-        return J
+        joint = np.full((len(ages), len(totals), len(lags)), -np.inf)
+        joint[:, *pairs] = J
+        return joint
 
     @property
     def _faded(self) -> float:
         """Periods that are in the sums over commands."""
         return (1 - np.exp(-self._bank.count * self._bank.period / FADING)) * FADING / self._bank.period
 
-    def _gyro(self, sums: np.ndarray, lags: np.ndarray, scales: np.ndarray) -> np.ndarray:
-        """Log likelihood, (a, t, l), of the totals with the age of the rates in them, (a, t), under scales (t, l)."""
+    def _gyro(self, sums: np.ndarray, lags: np.ndarray, pairs: Any, scales: np.ndarray) -> np.ndarray:
+        """Log likelihood, (a, p), of the totals with the age of the rates in them, (a, t), under scales (p,)."""
         G, n = self._sums[self._spin], 2 * self._faded
         times, places = np.unique(np.round(sums, 9), return_inverse=True)
-        W, places = self._of_commands(times, lags, mean=True), places.reshape(sums.shape)
-        by, square = (moment[places] for moment in _moments(G, W))
+        W, at = self._of_commands(times, lags, mean=True), (places.reshape(sums.shape)[:, pairs[0]], pairs[1])
+        by, square = (moment[at] for moment in _moments(G, W))
         prior = (G[0, 0] - 2 * scales * by + scales**2 * square).min() / n / SCALE**2
         scales = (by + prior * scales) / (square + prior)
         squares = np.maximum(G[0, 0] - 2 * scales * by + scales**2 * square, 0)
-        a, t, k = np.unravel_index(int(squares.argmin()), squares.shape)
-        worth = self._worth(G, scales[a, t, k] * W[places[a, t], k])
+        k = int(squares.argmin())
+        worth = self._worth(G, scales.flat[k] * W[at[0].flat[k], at[1][k % len(at[1])]])
         likelihood: np.ndarray = -worth * n / 2 * np.log(squares / n + 1e-14)
         return likelihood
 
     def _velocity(
-        self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool
+        self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool, among: Any
     ) -> tuple[np.ndarray, float]:
-        """Log likelihood, (a, t, l), and what it is worth where nothing else tells the age: the share of what an age
+        """Log likelihood, (a, p), and what it is worth where nothing else tells the age: the share of what an age
         changes that is not noise of the readings. Finds the bias, and with `choose` the likeliest noise."""
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
         given = bank.period, readings, bank.layout.commands
-        along = reading_weights(*given, ages.tobytes(), totals.tobytes(), lags.tobytes(), bank.spans[0])
-        across = _of_readings(ages - bank.spans[0] / 2, bank.period, readings)[:, None, None]
-        a = np.empty((*along.shape[:-1], 1 + 3 * readings))
-        a[..., 0], a[..., 1 : 1 + 2 * readings], a[..., 1 + 2 * readings :] = 1.0, -along, -across
+        a = reading_weights(*given, ages.tobytes(), totals.tobytes(), lags.tobytes(), bank.spans[0])[among]
+        across = a[:, :1, -readings:]
         n, noise = 2 * bank.count, bank.period * bank.lateral_noise
         gains = [stationary_scalar(speed, noise) for speed in SPEEDS]
 
@@ -214,15 +218,14 @@ class Posterior:
             return _of_ages(bank.speed_sums[i], a, across, n, noise, SPEEDS[i], gains[i], BIAS)
 
         if choose:
-            few = a[:, :: FEW[0], :: FEW[1]]
-            self._speed = min(range(len(SPEEDS)), key=lambda i: float(of(i, few)[0].min()))
+            self._speed = min(range(len(SPEEDS)), key=lambda i: float(of(i, a[:, ::FEW])[0].min()))
         gain, (squares, even, bias, known) = gains[self._speed], of(self._speed, a)
         likelihood = -n / 2 * np.log(squares / even / n + 1e-16)
         k = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
         G, whole = bank.speed_sums[self._speed], np.concatenate([a[k], bias[k]])
         worth = _worth(whole @ G[:, columns:] @ whole / max(whole @ G[:, :columns] @ whole, 1e-30))
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
-        ends = _of_readings(np.array([0.0, TYPICAL]), bank.period, readings)
+        ends = mean_weights(np.array([0.0, TYPICAL]), bank.period, readings)
         apart = ends[1] - ends[0]
         both = np.concatenate([apart, np.zeros(readings), apart])
         moved = both @ G[1 : 1 + len(both), 1 : 1 + len(both)] @ both
@@ -234,7 +237,7 @@ class Posterior:
         """Log likelihood of ages (a,) of the attitude against the rates."""
         bank, columns = self._bank, self._bank.layout.turning
         since = bank.spans[1] / 2  # a rate of so long ago
-        W = _of_readings(ages - since, bank.period, bank.layout.readings)
+        W = mean_weights(ages - since, bank.period, bank.layout.readings)
         a = np.concatenate([np.ones((len(ages), 1)), -W], axis=1)
         n, G, (reading, told) = 3 * bank.turns, bank.turn_sums, bank.turned_by
         gain = stationary_scalar(told, reading)
@@ -258,24 +261,6 @@ class Posterior:
         if mean:
             totals, force = totals + turn / 2, bank.period
         return command_weights(bank.period, bank.layout.commands, totals.tobytes(), lags.tobytes(), force)
-
-
-@lru_cache(maxsize=64)
-def command_weights(period: float, count: int, totals: bytes, lags: bytes, span: float) -> np.ndarray:
-    """Weights (t, l, m) on m = count commands, the newest first, as of control.delivered: of the mean thrust over the
-    last span (s). totals, lags: bytes of arrays (t,), (l,) (s); a total is a dead time and the lag."""
-    total, lag = np.frombuffer(totals)[:, None, None], np.frombuffer(lags)[:, None]
-    begin = -max(span, INSTANT)
-    acts = np.maximum(total - lag, 0.0) - period * np.arange(1, count + 1)
-    constant = np.maximum(lag, NO_LAG)
-
-    def response(x: np.ndarray) -> np.ndarray:
-        x = np.maximum(x, 0)
-        return x + constant * np.expm1(-x / constant)
-
-    passed = (response(-acts) - response(begin - acts)) / -begin
-    passed[..., -1] = 1.0
-    return np.diff(passed, axis=-1, prepend=0.0)
 
 
 def _near(best: float, step: float, whole: np.ndarray) -> np.ndarray:
@@ -324,51 +309,3 @@ def _of_noise(W: np.ndarray, reading: float, stays: float) -> np.ndarray:
     apart = np.abs(np.subtract.outer(range(W.shape[-1]), range(W.shape[-1])))
     variance: np.ndarray = reading**2 * np.vecdot(W @ stays**apart, W) / (1 - stays**2)
     return variance
-
-
-def _of_readings(ages: np.ndarray, period: float, count: int) -> np.ndarray:
-    """Weights (a, count) on readings, the newest first, of their mean over a period that ended an age (a,) ago, linear
-    between them; a little beyond the newest, too."""
-    weights, k, each = np.zeros((len(ages), count)), (ages / period + 1e-9).astype(int), np.arange(len(ages))
-    r = ages / period - k
-    for i, weight in enumerate(((1 - r) ** 2 / 2, 0.5 + r - r * r, r * r / 2)):
-        weights[each, k + i] = weight
-    return weights
-
-
-@lru_cache(maxsize=64)
-def reading_weights(
-    period: float, count: int, commands: int, ages: bytes, totals: bytes, lags: bytes, span: float
-) -> np.ndarray:
-    """Weights (a, t, l, 2 count) on readings of the force along the thrust, the newest first, of its mean over a period
-    that ended an age ago, and of its first moment about the middle, over the period.
-
-    Between two readings a force that jumps with each command goes another way than along a straight line, and the mean
-    of a line would be of another time, by half a period at most. So it is what is likeliest of a force whose commands
-    make a step of their own, all alike, in each period, and which follows them after dead time and lag: with steps s,
-    readings H s and the mean M s it is M H' (H H')^-1 of the readings. Each is itself a mean over a span (s).
-    """
-    age, lag = np.frombuffer(ages), np.frombuffer(lags)[:, None]
-    since = period * np.arange(1, commands + 1) - np.maximum(np.frombuffer(totals)[:, None, None] - lag, 0.0)
-    span, constant = max(span, INSTANT), np.maximum(lag, NO_LAG)
-
-    def integrals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the response to a step a time x ago, once and twice, (t, l, steps)."""
-        x = np.maximum(x, 0)
-        settling = -lag * np.expm1(-x / constant)
-        return x - settling, x * x / 2 - lag * (x - settling)
-
-    H, M, moments = [], [], []
-    for end in period * np.arange(count):
-        H.append((integrals(since - end)[0] - integrals(since - end - span)[0]) / span)
-    for end in age:
-        (once, twice), (before, twice_before) = integrals(since - end), integrals(since - end - period)
-        M.append((once - before) / period)
-        moments.append((once + before) / 2 / period - (twice - twice_before) / period**2)
-    readings = np.stack(H, axis=-2)  # (t, l, count, steps)
-    likely = np.linalg.inv(readings @ readings.mT + LEVEL + READ * np.eye(count))
-    parts = [
-        (np.stack(of, axis=-2) @ readings.mT + level) @ likely  # (t, l, a, count)
-        for of, level in ((M, LEVEL), (moments, 0.0))
-    ]
-    return np.ascontiguousarray(np.moveaxis(np.concatenate(parts, axis=-1), -2, 0))

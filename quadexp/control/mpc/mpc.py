@@ -17,6 +17,7 @@ from quadexp.control.mpc.step import Step, step_functions
 from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.models.residual import Residual
+from quadexp.parts.settings import changed
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 
@@ -108,14 +109,15 @@ class ModelPredictiveController:
         fixed = ("nodes", "input_hold", "attitude_error", "rate", "motor_lag")
         if any(getattr(settings, name) != getattr(self.settings, name) for name in fixed):
             raise UsageError(f"settings in flight: {', '.join(fixed)} must remain as they are")
-        before, now = self.settings.node_times, settings.node_times
-        self._X[...] = np.stack([np.interp(now, before, column) for column in self._X.T], axis=1)
-        self._X[:, ATTITUDE] /= np.maximum(np.linalg.norm(self._X[:, ATTITUDE], axis=1), 1e-12)[:, None]
-        held = np.clip(np.searchsorted(before, now[:-1] + 1e-9) - 1, 0, settings.nodes - 1)
-        self._U[...] = self._U[held]
+        former, self.settings, self.prepared = self.settings, settings, False
         self._active_set.reset()
-        self.settings, self.prepared = settings, False
-        self._weigh(settings)
+        if changed(former, dead_time=settings.dead_time, motor_lead=settings.motor_lead) != settings:
+            before, now = former.node_times, settings.node_times
+            self._X[...] = np.stack([np.interp(now, before, column) for column in self._X.T], axis=1)
+            held = np.clip(np.searchsorted(before, now[:-1] + 1e-9) - 1, 0, settings.nodes - 1)
+            self._U[...] = self._U[held]
+            self._weigh(settings)
+        self._X[:, ATTITUDE] /= np.maximum(np.linalg.norm(self._X[:, ATTITUDE], axis=1), 1e-12)[:, None]
 
     @property
     def parameters(self) -> np.ndarray:
