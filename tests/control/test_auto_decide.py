@@ -66,6 +66,17 @@ def test_no_grid_is_softer_than_what_was_asked_for():
         assert settings.position_weight == (200.0, weight, 500.0)
 
 
+def test_a_position_weighs_as_much_beside_the_other_weights_whatever_these_are():
+    """A cost twenty times as large has the same optimum; one other weight that is not larger keeps the position's."""
+    asked = MPCSettings(rate=100.0, nodes=20, attitude_weight=(0.0, 5.0, 5.0, 200.0), velocity_weight=(1.0,) * 3)
+    asked = replace(asked, rate_weight=(1.0,) * 3, input_weight=433.5)
+    for settings, (*_, weight, _) in zip(grids(asked)[1:], GRIDS[1:], strict=True):
+        assert settings.position_weight == pytest.approx((20 * weight,) * 3)
+    assert grids(asked)[0].position_weight == asked.position_weight  # while nothing is known, as asked
+    damped = replace(asked, input_weight=0.03)
+    assert [settings.position_weight[0] for settings in grids(damped)] == [weight for *_, weight, _ in GRIDS]
+
+
 def test_small_changes_of_what_is_known_change_nothing():
     decision = Decision()
     first = decision.take(evidence(total=0.04, lag=0.03, slow=9), Senses(), 3.0)

@@ -33,12 +33,13 @@ SOFTEST_LATE = 0.04  # s, of a total that is not acted on: from there on the sof
 CHANGED = 0.0005, 0.0015, 0.004  # s, of age, total and lag: smaller changes are not worth one
 LEAST_LAG = 0.003  # s
 LARGE_NOISE = 0.002  # m, of the told position: then at most the second stiffest grid
-# first node (s), horizon (s), position weight; and up to which unknown time (s). The margins of a nominal MPC at 50 Hz
-# in hover are 67, 40, 35, 29, 13 ms.
+# first node (s), horizon (s), position weight beside the usual ones; and up to which unknown time (s). The margins of a
+# nominal MPC at 50 Hz in hover are 67, 40, 35, 29, 13 ms; of controller=sun_mpc at 100 Hz 51, 50, 46, 41, 28 ms.
 GRIDS = (
     (0.0, 1.0, 10.0, np.inf), (0.06, 0.8, 40.0, np.inf), (0.06, 0.8, 100.0, 0.008), (0.04, 0.8, 50.0, 0.005),
     (0.02, 0.6, 200.0, 0.0025),
 )  # fmt: skip
+HEAVIEST = 1e3  # of what a position weight is raised by
 PUSHED = 1  # least grid once there is a push, whose error the softest one would let stand for a second
 PATIENT = 3  # decisions with commands at their limits: a corner takes fewer
 FIRM, LIMITED = 2, 0.2  # a grid, and from which share of commands at a limit on none is stiffer
@@ -46,11 +47,19 @@ STIFF_TOTAL = 0.015  # s, largest dead time and lag under the stiffest grid
 
 
 def grids(settings: MPCSettings) -> list[MPCSettings]:
-    """Settings of each of GRIDS, the softest first, for the nodes and control period of an MPC."""
-    of_grids = []
+    """Settings of each of GRIDS, the softest first, for the nodes and control period of an MPC.
+
+    Where all its other weights are k times the usual ones or more, so is that of the position: a cost that is scaled
+    has the same optimum. Not in the softest grid, while nothing is known.
+    """
+    of_grids, usual, k = [], MPCSettings(), HEAVIEST
+    for name in ("attitude_weight", "velocity_weight", "rate_weight", "input_weight"):
+        given, least = (np.atleast_1d(getattr(one, name)) for one in (settings, usual))
+        k = min(k, float((given[least > 0] / least[least > 0]).min()))
     for first, horizon, weight, _ in GRIDS:
         first = max(first, settings.control_period) if first else 0.0
         longer = max(horizon, settings.nodes * max(first, settings.control_period))
+        weight *= max(k, 1.0) if first else 1.0
         x, y, z = (max(weight, asked) for asked in settings.position_weight)
         of_grids.append(replace(settings, first_node=first, horizon=longer, position_weight=(x, y, z)))
     return of_grids
