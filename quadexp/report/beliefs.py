@@ -23,13 +23,14 @@ MS = 1e3
 LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 2.0, "1": 0.05}  # half of a band from which on a quantity was not identifiable
 FINE = 20  # steps of a period, in which the lag of the thrusts is followed
 ROUNDED = 1e-3  # of half a band, below which a value is none
+RECENT = 4.0  # time constants
 LAST = 2.0  # s, over which the scale of the thrust is taken
 QUANTITIES = {  # column: name, unit, factor, column of the deviation
     "auto_age": ("age of the state", "ms", MS, "auto_age_sd"),
     "auto_delay": ("dead time and lag of commands", "ms", MS, "auto_delay_sd"),
     "observer_thrust_scale": ("scale of the thrust", "1", 1.0, "auto_thrust_scale_sd"),
     **{f"observer_wind_{a}": (f"wind, {a}", "m/s", 1.0, f"auto_wind_{a}_sd") for a in "xyz"},
-    **{f"observer_force_{a}": (f"force, {a}", "N", 1.0, "auto_force_sd") for a in "xyz"},
+    **{f"observer_force_{a}": (f"force, {a}", "N", 1.0, f"auto_force_{a}_sd") for a in "xyz"},
 }
 
 
@@ -58,9 +59,22 @@ def beliefs(flight: Flight) -> list[Belief]:
     for column, (name, unit, factor, deviation) in QUANTITIES.items():
         spread = factor * columns.get(deviation, unknown)
         if column in columns and np.isfinite(spread).any():
+            if deviation.startswith("auto_force"):
+                spread = np.hypot(spread, behind(columns["t"], columns[column], columns["auto_force_lag"]))
             value = np.where(np.isfinite(spread), factor * columns[column], np.nan)
             quantities.append(Belief(name, unit, value, spread, factor * true.get(column, unknown)))
     return quantities
+
+
+def behind(t: np.ndarray, value: np.ndarray, lag: np.ndarray) -> np.ndarray:
+    """How far a low pass is behind what moves, (k,): by what it moved itself in its time constant, lag (s), (k,). Half
+    of the square is that of now, half its mean over RECENT time constants: where what moves turns round, the low pass
+    stands still for an instant, and is off all the same."""
+    moved = np.nan_to_num(value - np.interp(t - lag, t, value)) ** 2
+    total = np.concatenate([[0.0], np.cumsum(moved[1:] * np.diff(t))])
+    recent = (total - np.interp(t - RECENT * lag, t, total)) / (RECENT * lag)
+    distance: np.ndarray = np.sqrt((moved + np.maximum(recent, 0.0)) / 2)
+    return distance
 
 
 def truths(flight: Flight) -> dict[str, np.ndarray]:
@@ -69,7 +83,7 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
     true, unknown = {}, np.full(len(flight), np.nan)
     if timing is not None:
         ways = [config.get("actuator", {}).get(f"time_constant_{way}", 0.0) for way in ("up", "down")]
-        lag = timing["lag"] - abs(ways[1] - ways[0]) / 2  # of which the slower way is stated
+        lag = timing["lag"] - max(ways) + lag_of(*ways)  # the slower way is stated
         true["auto_age"] = np.full(len(flight), _age(flight, timing["age"]))
         true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
@@ -81,10 +95,16 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
         true["observer_thrust_scale"] = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
     if timing is not None and flight.metadata["residual"]["name"] == "none" and "thinned" not in flight.metadata:
-        by_speeds = all(np.isfinite(columns.get(f"auto_{of}_sd", unknown)[-1]) for of in ("force", "thrust_scale"))
+        by_speeds = all(np.isfinite(columns.get(f"auto_{of}_sd", unknown)[-1]) for of in ("force_x", "thrust_scale"))
         force = true_force(flight, timing["dead_time"], lag, by_speeds=by_speeds)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
+
+
+def lag_of(up: float, down: float) -> float:
+    """The one lag (s) that goes most like motors with one up and another down (s), of least squares over commands with
+    steps or noise: within 3 % the square of the mean root."""
+    return (math.sqrt(up) + math.sqrt(down)) ** 2 / 4
 
 
 def _age(flight: Flight, stated: float) -> float:

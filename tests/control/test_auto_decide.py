@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from quadexp.control.auto.decide import (
     CERTAIN,
@@ -145,7 +146,7 @@ def test_a_scale_is_known_no_better_than_the_thrusts_and_the_air_it_is_told_by(v
     state[5:30] = np.diag([0.01, 0.01, 0.04, 1e-4, 1e-4]).ravel()
     for swing in (0.0, 5.0):
         speeds.follow(state, Acting(), Acting(), Senses(swing=swing))
-        *_, force, scale = speeds.deviations(state)
+        *_, force, _, scale = speeds.deviations(state)
         assert force == pytest.approx(vehicle.mass * np.hypot(0.2, 0.1 * swing))
         assert scale == pytest.approx(np.hypot(0.01, 0.1))
     wind, state = WindFollowing(WindObserver(), 0.02, 0.0, 0.3), np.zeros(29)
@@ -175,3 +176,14 @@ def test_the_observer_believes_nothing_that_has_not_shown_itself(kind):
     assert noisy[gain] < quiet[gain] and noisy[-3] < quiet[-3]
     deviations = following.deviations(state)
     assert np.isfinite(deviations[0 if wind else 3]) and np.isnan(deviations[3 if wind else 0])
+
+
+def test_what_noise_leaves_of_a_force_that_stands_still_is_its_deviation(rng):
+    """By a low pass of readings, each with the noise that the observer says its own have."""
+    following, state, noise = ForceFollowing(DisturbanceObserver(), 0.01, 2.0, 0.0), np.zeros(13), [0.1, 0.2, 0.4]
+    acting = Acting(timed=True, push=(True, True, True))
+    following.follow(state, acting, Acting(), Senses(walk=np.ones(3), reading=np.array(noise)))
+    *_, x, y, z, lag, _ = following.deviations(state)
+    share = -np.expm1(-0.01 / lag)
+    found = lfilter([share], [1, share - 1], rng.normal(0, noise, (40000, 3)), axis=0).std(0)
+    assert np.array([x, y, z]) == pytest.approx(2.0 * found, rel=0.05)

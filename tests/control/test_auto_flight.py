@@ -99,6 +99,19 @@ def test_bands_of_a_force_contain_it(controller):
     assert all(b.deviation[-1] < 0.25 * np.abs(b.true[settled]).max() for b in forces[:2])
 
 
+def test_the_band_of_a_force_is_wide_while_it_changes():
+    """Of a vehicle heavier than believed, in corners: a force that turns within half a second. Narrow on the sides."""
+    heavy = ["truth.mass=1.26", "controller.allow_unstable=true"]
+    path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=16", "trajectory.speed=6"]
+    flight = fly_one(compose(["controller=dfbc", *path, *PATH[2:], *heavy, "remedies=auto"]))
+    force = next(belief for belief in beliefs(flight) if belief.name == "force, x")
+    settled = flight.t > 2
+    half, moves = BAND * force.deviation[settled], np.abs(np.gradient(force.true, flight.t))[settled]
+    hits, fast = np.abs(force.value - force.true)[settled] <= half, moves > np.quantile(moves, 0.8)
+    assert hits.mean() > 0.8 and hits[fast].mean() > 0.8
+    assert np.median(half[~fast]) < 0.3 * np.median(half[fast])
+
+
 def test_a_force_beside_the_thrusts_of_rotor_speeds_is_within_its_band():
     """Of a vehicle that is heavier than believed, whose scale of the thrust is believed beside the force."""
     heavy = ["vehicle=hummingbird", "truth.mass=1.29", "world=indoor_mocap", "controller.allow_unstable=true"]

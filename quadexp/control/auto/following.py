@@ -3,12 +3,14 @@
 The wind where the model of the air has a drag that tells it, the force otherwise. Bandwidth of a low pass that follows
 a walk q (m/s^2 in a root of a second) from readings of noise r (m/s^2), one a period T: q / (r sqrt(T)).
 
-Deviations, for the bands: of a force that walks by q, under a gain K, ((1 - K)^2 q^2 T + K^2 r^2) / (1 - (1 - K)^2) is
-the variance; beside it what readings are off all along by their data sheet, and SCALE of what thrusts swing by. Of a
-wind that of the filter, these offsets as a wind, and an airspeed times the thrust scale's distance from 1: by a wrong
-mass the drag is off as much, and the scale by OFF of that distance. Where no such scale is found, thrusts may be off by
-UNTIMED, which looks like a wind on z. By rotor speeds a scale is found where thrust changes faster than the force is
-followed, there readings are behind low passes and thrusts lag: it is off by SCALE, and a force by that of the swing.
+Deviations, for the bands: a^ is short of a force a by e, e+ = (1 - K) (e + da) - K n, under a gain K. Noise n of
+variance r makes K r / (2 - K) of its variance. The rest is how far a low pass is behind a force that moves, whatever
+moves it: in steady motion by what a^ itself moved in 1 / bandwidth, which report/beliefs.py adds for each instant.
+Beside it what readings are off all along by their data sheet. Of a wind that of the filter, these offsets as a wind,
+and an airspeed times the thrust scale's distance from 1: by a wrong mass the drag is off as much, and the scale by OFF
+of that distance. Where no such scale is found, thrusts may be off by UNTIMED, which looks like a wind on z. By rotor
+speeds a scale is found where thrust changes faster than the force is followed, there readings are behind low passes and
+thrusts lag: it is off by SCALE, and a force by that of the swing.
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ LEAST_NOISE = 0.02  # m/s^2, of a reading of the accelerometer
 # Where rotor speeds are told: readings of them in a second, the largest bandwidth of the force (rad/s), its walk (m/s^2
 # in a root of a second), and the largest one over the mass (m/s^2)
 LEAST_RATE, FASTEST, STRONGEST, MOST_FORCE = 100.0, 100.0, 1.5, 50.0
-DEVIATIONS = (*(f"wind_{axis}_sd" for axis in "xyz"), "force_sd", "thrust_scale_sd")  # m/s, N, 1
+# m/s, N, s that the force is behind, 1
+DEVIATIONS = (*(f"{of}_{axis}_sd" for of in ("wind", "force") for axis in "xyz"), "force_lag", "thrust_scale_sd")
 UNKNOWN = np.full(len(DEVIATIONS), np.nan)
 
 
@@ -97,7 +100,8 @@ class WindFollowing:
         by_drag = estimate[self._scale] * np.linalg.norm(self._velocity - estimate[self._wind])
         by_thrust = np.array([0.0, 0.0, 0.0 if self._scaled else UNTIMED / self._slope])
         scale = math.hypot(known[3], OFF * estimate[self._scale])
-        return np.array([*np.hypot(known[:3], by_thrust + math.hypot(self._offset, by_drag)), np.nan, scale])
+        wind = np.hypot(known[:3], by_thrust + math.hypot(self._offset, by_drag))
+        return np.array([*wind, *UNKNOWN[:4], scale])
 
 
 class SpeedFollowing:
@@ -120,6 +124,7 @@ class SpeedFollowing:
             air_walk=0.01,
         )
         self.around, self._mass, self._swing = config.around, vehicle.mass, 0.0
+        self._lag = 1 / config.force_bandwidth
         self._config, self._period, self._stated = config, period, max(accelerometer, LEAST_NOISE)
 
     def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
@@ -132,13 +137,15 @@ class SpeedFollowing:
             force_noise=config.force_noise * doubt,
             thrust_noise=min(config.thrust_noise * doubt, 1.0),
         )
+        self._lag = 1 / config.force_bandwidth
         return disturbance_settings(config, self._period)
 
     def deviations(self, estimate: np.ndarray) -> np.ndarray:
         """See WindFollowing."""
         variances = np.maximum(estimate[N_SCALED : N_SCALED + N_SCALED**2 : N_SCALED + 1], 0.0)
         force = self._mass * math.hypot(math.sqrt(variances[:3].max()), SCALE * self._swing)
-        return np.array([np.nan, np.nan, np.nan, force, math.hypot(math.sqrt(variances[3]), SCALE)])
+        scale = math.hypot(math.sqrt(variances[3]), SCALE)
+        return np.array([*UNKNOWN[:3], force, force, force, self._lag, scale])
 
 
 def speeds_tell(vehicle: Vehicle, sheet: SensorSheet) -> bool:
@@ -152,7 +159,7 @@ class ForceFollowing:
 
     def __init__(self, config: DisturbanceObserver, period: float, mass: float, offset: float) -> None:
         self.config, self._period, self._mass, self._offset = config, period, mass, offset
-        self._deviation = np.nan
+        self._deviations = UNKNOWN
         self.around = config.around
 
     def follow(self, estimate: np.ndarray, acting: Acting, before: Acting, senses: Senses) -> np.ndarray:
@@ -167,11 +174,10 @@ class ForceFollowing:
             force_bandwidth=bandwidth if acting.timed else min(bandwidth, SLOW),
             torque_bandwidth=torque_bandwidth(config.torque_bandwidth, acting, senses),
         )
-        stays = math.exp(-config.force_bandwidth * self._period)
-        walked = stays**2 * float(senses.walk.max()) ** 2 * self._period
-        read = (1 - stays) ** 2 * (float(np.square(senses.reading).mean()) + (LIFT * senses.attitude) ** 2)
-        by_filter = math.sqrt((walked + read) / (1 - stays**2))
-        self._deviation = math.hypot(by_filter, self._offset, SCALE * senses.swing)
+        passed = math.sqrt(math.tanh(config.force_bandwidth * self._period / 2))  # of white noise, sqrt(K / (2 - K))
+        noise = passed * np.hypot(senses.reading, LIFT * senses.attitude)
+        force = self._mass * np.hypot(noise, self._offset)
+        self._deviations = np.array([*UNKNOWN[:3], *force, 1 / config.force_bandwidth, np.nan])
         if shown and first:
             estimate[6] = config.force_initial**2
         estimate[:3] *= shown
@@ -184,8 +190,7 @@ class ForceFollowing:
 
     def deviations(self, estimate: np.ndarray) -> np.ndarray:
         """See WindFollowing."""
-        force = self._mass * self._deviation if estimate[6] > 0 else np.nan
-        return np.array([np.nan, np.nan, np.nan, force, np.nan])
+        return self._deviations if estimate[6] > 0 else UNKNOWN
 
 
 def torque_bandwidth(most: float, acting: Acting, senses: Senses) -> float:
