@@ -20,6 +20,7 @@ from typing import Any, Literal, get_origin
 import pandas as pd
 
 from quadexp import requests
+from quadexp.bench import Bench
 from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
@@ -27,7 +28,8 @@ from quadexp.parts.override import MOST_CELLS, quoted
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
 from quadexp.progress import Progress
-from quadexp.requests import RESULTS, Bench, Tune
+from quadexp.requests import RESULTS
+from quadexp.tune import Tune
 
 Place = str | os.PathLike[str]
 Given = str | Mapping[str, Any]
@@ -149,11 +151,14 @@ def tune(
     Returns a row a trial, the first one as it was; `choice` names what was found, `settings` what it changes.
     Raises UsageError where the budget does not pay two trials, or several controllers are asked for.
     """
+    from quadexp.tune.call import HISTORY
+    from quadexp.tune.call import tune as tuned_by
+
     folder, asked = Scratch() if out is None else Path(out), _request(Tune, keywords)
     place: dict[str, Any] = {"out": Path(folder), "conf": _path(conf), "force": force, "figure": out is not None}
     with _shown("flights", progress) as shown:
-        tuned = requests.tune(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
-    table = Tuning.of(*read_table(Path(folder) / requests.TRIALS, "tuning"), folder)
+        tuned = tuned_by(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
+    table = Tuning.of(*read_table(Path(folder) / HISTORY, "tuning"), folder)
     table.attrs |= {"best": tuned.best, "choice": tuned.choice, "lines": list(tuned.lines)}
     table.attrs["settings"] = dict(tuned.record["settings"])
     return table
@@ -171,12 +176,15 @@ def bench(
     Raises UsageError before anything is flown, also for results of another protocol. A flight that failed is a row with
     its cause, and counts as lost.
     """
+    from quadexp.bench.board import FILE
+    from quadexp.bench.run import bench as ranked_by
+
     folder, asked = Scratch() if out is None else Path(out), _request(Bench, keywords)
     with _shown("flights", progress) as shown:
         texts = overrides(settings, keywords, "evaluate")
-        board = requests.bench(texts, asked, out=Path(folder), conf=_path(conf), progress=shown)
-    table = Leaderboard.of(*read_table(Path(folder) / requests.LEADERBOARD, "leaderboard"), folder)
-    table.attrs["notes"] = [*board.notes, *requests.failed_flights(board)]
+        board = ranked_by(texts, asked, out=Path(folder), conf=_path(conf), progress=shown)
+    table = Leaderboard.of(*read_table(Path(folder) / FILE, "leaderboard"), folder)
+    table.attrs["notes"] = [*board.notes, *board.failed]
     return table
 
 

@@ -11,14 +11,11 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from quadexp.bench import Bench as Bench
 from quadexp.errors import DataError, UsageError
 from quadexp.names import file_name
-from quadexp.tune import Tune as Tune
 from quadexp.writer import check_output
 
 if TYPE_CHECKING:
@@ -32,31 +29,6 @@ SAMPLED = 200  # cells that are looked at for what their flights import
 DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
 FOREIGN = (".csv", ".json", ".txt", ".mcap", ".ulg", ".h5")  # formats that a flight is exported to, or imported from
 RESULTS = "results.parquet"  # in a folder of results
-# Requests that a function of a room answers as they are.
-ANSWERED = {
-    "tune": "tune.call.tune",
-    "hidden": "tune.preset.hidden",
-    "bench": "bench.run.bench",
-    "validate": "experiment.validate.validate",
-    "vehicle_of": "experiment.vehicle_of.config_for",
-    "import_logs": "experiment.import_flights.import_files",
-    "ImportOptions": "log.importers.Options",
-    "describe_log": "log.importers.describe.describe_log",
-    "export": "log.exporters.export_flight",
-    "select": "sweeps.results.select",
-    "prune": "sweeps.results.prune",
-    "verify": "sweeps.verify.verify_results",
-    "OUTCOME_RULE": "log.outcome.RULE",
-    "TRIALS": "tune.call.HISTORY",
-    "LEADERBOARD": "bench.board.FILE",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in ANSWERED:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, function = ANSWERED[name].rpartition(".")
-    return getattr(import_module(f"quadexp.{module}"), function)
 
 
 def quiet(done: float, total: float) -> None:
@@ -239,11 +211,6 @@ def _flight_name(config: Config) -> str:
 def _results_name(overrides: Overrides, config: Config, sweep: bool) -> str:
     experiments = [text.partition("=")[2] for text in overrides if text.startswith("experiment=")]
     return file_name(experiments[-1] if experiments else "sweep" if sweep else _flight_name(config))
-
-
-def failed_flights(board: Any) -> list[str]:
-    """A line that says which flights of a leaderboard failed, where some did."""
-    return [f"{len(board.failed)} flights failed; the first: {board.failed[0]['cause']}"] if board.failed else []
 
 
 # -------------------------------------------------------------------------------------------------------------- learn

@@ -49,8 +49,10 @@ class Leaderboard:
     notes: Sequence[str]
 
     @property
-    def failed(self) -> list[Row]:
-        return [row for row in self.rows if row["outcome"] == "failed"]
+    def failed(self) -> list[str]:
+        """A line that says which flights failed, where some did."""
+        failed = [row for row in self.rows if row["outcome"] == "failed"]
+        return [f"{len(failed)} flights failed; the first: {failed[0]['cause']}"] if failed else []
 
 
 def bench(

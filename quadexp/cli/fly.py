@@ -8,11 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
+from quadexp.bench import Bench
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.progress import Progress
-from quadexp.requests import Bench, Tune
+from quadexp.tune import Tune
 
 
 @command
@@ -110,12 +111,13 @@ def tune(
     quadexp tune controller=nominal_mpc trajectory=circle --vary controller.position_weight=1..1000:log \\
         --vary controller.nodes=5..20 --delay-margin 0.04
     """
-    from quadexp import requests
+    from quadexp.tune.call import tune as tuned_by
+    from quadexp.tune.preset import hidden
 
     with Progress("flights") as progress:
-        tuned = requests.tune(overrides, asked, out=out, conf=conf, force=force, progress=progress)
+        tuned = tuned_by(overrides, asked, out=out, conf=conf, force=force, progress=progress)
     lines, where = list(tuned.lines), tuned.record["out"] if conf is None else conf
-    if requests.hidden(tuned.option):
+    if hidden(tuned.option):
         lines.append(f"{tuned.choice.split()[-1]} is an option already, which comes first: give --name, and run again")
     else:
         if conf is not None:
@@ -146,12 +148,12 @@ def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf
     quadexp bench --controller geometric --conf examples --out results/mine
     quadexp bench --size standard --only --controller my_controller --conf my_conf --add docs/leaderboard.parquet
     """
-    from quadexp import requests
+    from quadexp.bench.run import bench as ranked_by
 
     with Progress("flights") as progress:
-        board = requests.bench(overrides, asked, out=out, conf=conf, progress=progress, say=say)
+        board = ranked_by(overrides, asked, out=out, conf=conf, progress=progress, say=say)
     boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in board.tables.items()}
     record: dict[str, Any] = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
     record["files"] = dict(board.files)
     tables = list(board.tables.values())
-    return Answer(record, tables, [*tables, *board.files.values()], board.notes, requests.failed_flights(board))
+    return Answer(record, tables, [*tables, *board.files.values()], board.notes, board.failed)

@@ -205,7 +205,8 @@ def validate(
     quadexp validate models/crazyflie models/gp --flights flights/c.parquet --out results/validation
     quadexp validate models/crazyflie --flights flights/a.parquet flights/b.parquet flights/c.parquet --leave-one-out
     """
-    from quadexp import requests
+    from quadexp.experiment import validate as validation
+    from quadexp.experiment.vehicle_of import config_for
 
     overrides = [text for text in words if "=" in text]
     paths = [Path(text) for text in words if "=" not in text]
@@ -217,9 +218,9 @@ def validate(
         seconds = [float(text) for text in horizons.split(",")]
     except ValueError:
         raise UsageError(f"--horizons: '{horizons}' must be numbers of seconds with commas between") from None
-    config = requests.vehicle_of(tested, overrides, conf)
+    config = config_for(tested, overrides, conf)
     with Progress("validate") as progress:
-        report = requests.validate(
+        report = validation.validate(
             models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
             force=force, progress=progress,
         )  # fmt: skip

@@ -47,17 +47,19 @@ def import_(
     quadexp import --describe log.csv > mapping.yaml
     quadexp import log.csv --mapping mapping.yaml --out flights
     """
-    from quadexp import requests
+    from quadexp.experiment.import_flights import import_files
+    from quadexp.log.importers import Options
+    from quadexp.log.importers.describe import describe_log
 
     if describe:
         if len(logs) != 1:
             raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
-        proposed = requests.describe_log(logs[0])
+        proposed = describe_log(logs[0])
         return Answer(proposed.record(), [], proposed.yaml().splitlines(), proposed.warnings)
     turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
-    options = requests.ImportOptions(log_format, mapping, rate, crop, align, *turned, bad_rows)
+    options = Options(log_format, mapping, rate, crop, align, *turned, bad_rows)
     records: list[dict[str, Any]] = []
-    for log in requests.import_logs(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
+    for log in import_files(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
         records.append(log.record())
         if form == "text":  # as they come: a log may take minutes
             print_lines(log.lines())

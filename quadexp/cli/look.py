@@ -59,9 +59,10 @@ def results(
     quadexp results results/table1 --prune --yes
     quadexp results results/table1 --verify
     """
-    from quadexp import requests
+    from quadexp.log.outcome import RULE
     from quadexp.report.checked import check_flights, flown_by, flown_by_lines
     from quadexp.report.tables import csv_of, flights_table, page_of
+    from quadexp.sweeps.results import select
 
     if verify:
         if filters or prune or where:
@@ -71,7 +72,7 @@ def results(
         if where:
             raise UsageError("--prune: name the cells by KEY=VALUE, not by --where")
         return _prune(folder, filters, yes)
-    frame = requests.select(folder, filters, where=where, sort=sort, failures=failures)
+    frame = select(folder, filters, where=where, sort=sort, failures=failures)
     total = frame.rows
     frame = frame.taken(range(min(len(total), limit or len(total))))
     several = len(flown_by(total)) > 1
@@ -92,7 +93,7 @@ def results(
     said = ", ".join([f"{len(total)} cells", *(f"{count} {outcome}" for outcome, count in counts.items())])
     said += f"; {unwanted} not of the last sweep (--prune)" if unwanted else ""
     remarks = [f"{said}; {checked.text()}"]
-    remarks += [requests.OUTCOME_RULE] if counts.keys() - {"ok"} else []
+    remarks += [RULE] if counts.keys() - {"ok"} else []
     remarks += flown_by_lines(total) if several else []
     chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
     record = {"count": len(total), "checked": checked.text(), "rows": chosen if names else frame.rows}
@@ -100,9 +101,9 @@ def results(
 
 
 def _prune(folder: Path, filters: Sequence[str], remove: bool) -> Answer:
-    from quadexp import requests
+    from quadexp.sweeps.results import prune
 
-    done = requests.prune(folder, filters, remove=remove)
+    done = prune(folder, filters, remove=remove)
     record = {"keys": done.keys, "bytes": done.size, "removed": done.removed}
     state = "removed" if done.removed else "would be removed (--yes removes them)"
     rows = [{"key": key, "removed": done.removed} for key in done.keys]
@@ -110,10 +111,10 @@ def _prune(folder: Path, filters: Sequence[str], remove: bool) -> Answer:
 
 
 def _verify(folder: Path) -> Answer:
-    from quadexp import requests
+    from quadexp.sweeps.verify import verify_results
 
     with Progress("files") as progress:
-        checked = requests.verify(folder, progress)
+        checked = verify_results(folder, progress)
     count = len(checked.wrong)
     rows = [{"file": path, "what": what} for path, what in checked.wrong.items()]
     lines = [f"{path}: {what}" for path, what in checked.wrong.items()]
@@ -328,9 +329,9 @@ def export(
     quadexp export runs/a.parquet --to rerun --out a.rrd
     quadexp export runs/a.parquet --to csv --out a.csv
     """
-    from quadexp import requests
+    from quadexp.log.exporters import export_flight
 
-    files = requests.export(flight, to, out, force=force)
+    files = export_flight(flight, to, out, force=force)
     return Answer({"format": to, "files": files}, _files(files), list(files.values()))
 
 
