@@ -29,7 +29,7 @@ from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose
 from quadexp.parts.schema import Config
 from quadexp.provenance import sources
-from quadexp.report.beliefs import BAND, beliefs
+from quadexp.report.beliefs import BAND, beliefs, truths
 from quadexp.report.metrics import position_error
 from quadexp.world.true_vehicle import with_factors
 
@@ -112,9 +112,10 @@ def flown(seed: int, number: int) -> dict[str, Any]:
     auto = flights["auto"]
     if auto.outcome != "ok":
         timing = auto.metadata["timing"]
+        age = truths(auto)["auto_age"][0]  # s, the mean of poses that have a rate
         delays = [f"controller.dead_time={timing['dead_time']}", f"controller.motor_lag={timing['lag']}"]
         known = ["controller=perfect_mpc", "controller.allow_unstable=true", *TOLD, *delays]
-        flights["told"] = _flight([*common, *told, *known, f"delay.time={timing['age']}"])
+        flights["told"] = _flight([*common, *told, *known, f"delay.time={age}"])
     for name, flight in flights.items():
         record[name] = {"outcome": flight.outcome, "cause": flight.metadata.get("cause", "")}
         record[name]["error"] = float(position_error(flight).mean()) if len(flight) else None
