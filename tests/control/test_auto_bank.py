@@ -153,7 +153,7 @@ def test_readings_that_are_means_over_a_time_are_no_older_for_that(vehicle):
 def test_a_posterior_wider_than_the_steps_of_its_grid_is_not_cut_off(vehicle):
     """Without lag, and where nothing but the rates tells, an age is worth as much as a dead time: all splits alike."""
     posterior = Posterior(flown(vehicle, dead_time=0.01))
-    posterior._velocity = lambda *grids, **about: (0.0, 0.0)
+    posterior._velocity, posterior._share = lambda *grids, **about: 0.0, lambda: 0.0
     evidence = posterior.evidence()
     assert evidence.mean[:2].sum() == pytest.approx(0.01, abs=1e-3)
     assert evidence.deviation[0] == pytest.approx(0.01 / np.sqrt(12), rel=0.15)

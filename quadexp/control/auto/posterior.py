@@ -161,7 +161,8 @@ class Posterior:
                 for by_few, square_few in [_moments(self._sums[i], W)]
             ]
             self._spin = int(np.argmin(left))
-        by_velocity, share = self._velocity(ages, totals, lags, choose=choose, among=among)
+        by_velocity = self._velocity(ages, totals, lags, choose=choose, among=among)
+        share = self._share() if choose or self._fresh else 1.0
         ages, total = ages[among, None], totals[pairs[0]]
         likely = np.clip(total, 0.0, LAG) - np.clip(total - DEAD_TIME, 0.0, LAG)  # lags of a total, each alike
         by_thrust = worth * faded / 2 * np.log(thrust / faded + 1e-12)
@@ -204,34 +205,42 @@ class Posterior:
 
     def _velocity(
         self, ages: np.ndarray, totals: np.ndarray, lags: np.ndarray, *, choose: bool, among: Any
-    ) -> tuple[np.ndarray, float]:
-        """Log likelihood, (a, p), and what it is worth where nothing else tells the age: the share of what an age
-        changes that is not noise of the readings. Finds the bias, and with `choose` the likeliest noise."""
+    ) -> np.ndarray:
+        """Log likelihood, (a, p). Finds the bias, and with `choose` the likeliest noise."""
         bank, readings, columns = self._bank, self._bank.layout.readings, self._bank.layout.columns
         given = bank.period, readings, bank.layout.commands
         a = reading_weights(*given, ages.tobytes(), totals.tobytes(), lags.tobytes(), bank.spans[0])[among]
         across = a[:, :1, -readings:]
         n, noise = 2 * bank.count, bank.period * bank.lateral_noise
-        gains = [stationary_scalar(speed, noise) for speed in SPEEDS]
 
         def of(i: int, a: np.ndarray) -> tuple[np.ndarray, ...]:
-            return _of_ages(bank.speed_sums[i], a, across, n, noise, SPEEDS[i], gains[i], BIAS)
+            gain = stationary_scalar(SPEEDS[i], noise)
+            return _of_ages(bank.speed_sums[i], a, across, n, noise, SPEEDS[i], gain, BIAS)
 
         if choose:
             self._speed = min(range(len(SPEEDS)), key=lambda i: float(of(i, a[:, ::FEW])[0].min()))
-        gain, (squares, even, bias, known) = gains[self._speed], of(self._speed, a)
+        squares, even, bias, known = of(self._speed, a)
         likelihood = -n / 2 * np.log(squares / even / n + 1e-16)
         k = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
         G, whole = bank.speed_sums[self._speed], np.concatenate([a[k], bias[k]])
         worth = _worth(whole @ G[:, columns:] @ whole / max(whole @ G[:, :columns] @ whole, 1e-30))
         self._bias = bias[k], np.sqrt(np.diag(known) * squares[k] / n / worth)
-        ends = mean_weights(np.array([0.0, TYPICAL]), bank.period, readings)
-        apart = ends[1] - ends[0]
+        # how a force goes between readings is no evidence of the commands
+        weighed: np.ndarray = worth * (likelihood - likelihood.max(0))
+        return weighed
+
+    def _share(self) -> float:
+        """What the likelihood of the velocity is worth where nothing else tells the age: the share of what an age
+        changes that is not noise of the readings."""
+        bank, readings = self._bank, self._bank.layout.readings
+        noise, G = bank.period * bank.lateral_noise, bank.speed_sums[self._speed]
+        now, before = mean_weights(np.array([0.0, TYPICAL]), bank.period, readings)
+        apart = before - now
         both = np.concatenate([apart, np.zeros(readings), apart])
         moved = both @ G[1 : 1 + len(both), 1 : 1 + len(both)] @ both
-        by_noise = 1.5 * n * _of_noise(apart, noise, 1 - gain)
-        likelihood = likelihood - likelihood.max(0)  # how a force goes between readings is no evidence of the commands
-        return worth * likelihood, float(max(1 - by_noise / max(moved, 1e-30), 0.0))
+        stays = 1 - stationary_scalar(SPEEDS[self._speed], noise)
+        by_noise = 3 * bank.count * _of_noise(apart, noise, stays)
+        return float(max(1 - by_noise / max(moved, 1e-30), 0.0))
 
     def _attitude(self, ages: np.ndarray) -> np.ndarray:
         """Log likelihood of ages (a,) of the attitude against the rates."""
