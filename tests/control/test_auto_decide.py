@@ -55,7 +55,7 @@ def test_an_age_that_is_plain_acts_at_once():
     decision = Decision()
     assert decision.at_once(0.05, PLAIN - 1).age == 0.0
     began = decision.at_once(0.05, PLAIN + 1)
-    assert (began.age, began.fresh) == (0.05, True)
+    assert (began.age, began.fresh, began.grid) == (0.05, True, PUSHED)
     assert decision.take(evidence(age=0.05, late=SURE + 1), Senses(), 0.6).age == 0.05
     fresh = evidence(age=0.05, late=PLAIN + 1)._replace(fresh=True)
     assert Decision().take(fresh, Senses(), 0.6).age == 0.05

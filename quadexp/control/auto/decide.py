@@ -2,8 +2,8 @@
 
     age             from SURE in log odds on, CERTAIN times in a row, and LEAST_AGE
     dead time, lag  from LIKELY in log odds on; the total is the likeliest one
-    stiffness       of the grid and weights (GRIDS): PUSHED once a push shows itself, then by what may be unknown of the
-                    timing,
+    stiffness       of the grid and weights (GRIDS): PUSHED once a push or a plain age shows itself, then by what may be
+                    unknown of the timing,
                         unknown = sd(d + l) + |d + l - what is acted on| + sd(a) / 2
                     one grid at a time towards the stiffer, at once towards the softer
                     where commands stand at the rotors' limits, as behind a corner, FIRM at most, or they would swing
@@ -40,7 +40,7 @@ GRIDS = (
     (0.02, 0.6, 200.0, 0.0025),
 )  # fmt: skip
 HEAVIEST = 1e3  # of what a position weight is raised by
-PUSHED = 1  # least grid once there is a push, whose error the softest one would let stand for a second
+PUSHED = 1  # least grid once there is a push or such an age: the softest one would let their error stand for a second
 PATIENT = 3  # decisions with commands at their limits: a corner takes fewer
 FIRM, LIMITED = 2, 0.2  # a grid, and from which share of commands at a limit on none is stiffer
 STIFF_TOTAL = 0.015  # s, largest dead time and lag under the stiffest grid
@@ -118,7 +118,8 @@ class Decision:
     def at_once(self, age: float, late: float) -> Acting:
         """What to act on where nothing is known but an age by attitude and rates (s), and its log odds."""
         if late > PLAIN and age > LEAST_AGE and not self.acting.age:
-            self.acting, self._certain = replace(self.acting, age=age, fresh=True), CERTAIN
+            grid = max(self.acting.grid, PUSHED)
+            self.acting, self._certain = replace(self.acting, age=age, fresh=True, grid=grid), CERTAIN
         return self.acting
 
     def soften(self, senses: Senses) -> Acting:
