@@ -60,10 +60,25 @@ def beliefs(flight: Flight) -> list[Belief]:
         spread = factor * columns.get(deviation, unknown)
         if column in columns and np.isfinite(spread).any():
             if deviation.startswith("auto_force"):
-                spread = np.hypot(spread, behind(columns["t"], columns[column], columns["auto_force_lag"]))
+                spread = np.sqrt(spread**2 + force_variance(flight, column))
             value = np.where(np.isfinite(spread), factor * columns[column], np.nan)
             quantities.append(Belief(name, unit, value, spread, factor * true.get(column, unknown)))
     return quantities
+
+
+def force_variance(flight: Flight, column: str) -> np.ndarray:
+    """Variance of a force (N^2), (k,), by what moves. The observer is behind the force; and where commands give the
+    thrust, a timing that is off by d shows it late: by d / lag of how far a low pass would be behind the thrust."""
+    columns, axis = flight.columns, "xyz".index(column[-1])
+    lag = columns["auto_force_lag"]
+    variance = behind(flight.t, columns[column], lag) ** 2
+    if np.isfinite(columns["auto_thrust_scale_sd"]).any():  # by rotor speeds
+        return variance
+    acts = columns["auto_acts_dead_time"] + columns["auto_acts_lag"]
+    timing = np.hypot(np.nan_to_num(columns["auto_delay_sd"]), columns["auto_delay"] - acts)
+    thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
+    late: np.ndarray = timing / lag * behind(flight.t, thrust, lag)
+    return variance + late**2
 
 
 def behind(t: np.ndarray, value: np.ndarray, lag: np.ndarray) -> np.ndarray:
@@ -120,10 +135,9 @@ def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool 
     world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period. T: of the commands
     after dead time and lag; by_speeds: at the instants that of the rotors' speeds, times the scale that is believed."""
     from scipy.signal import lfilter
-    from scipy.spatial.transform import Rotation
 
     vehicle, t = flight.metadata["config"]["vehicle"], flight.t
-    up = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True).apply([0, 0, 1])
+    up = _up(flight)
     period = float(t[1] - t[0])
     ages = (np.arange(FINE) + 0.5) / FINE * period  # within the period, from its end back
     sent = flight.input.sum(axis=1)
@@ -139,6 +153,14 @@ def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool 
     middle = (up + np.roll(up, 1, axis=0)) / 2
     force: np.ndarray = vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
     return force
+
+
+def _up(flight: Flight) -> np.ndarray:
+    """Direction of the thrusts, world, (k, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    up: np.ndarray = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True).apply([0, 0, 1])
+    return up
 
 
 def _text(value: float) -> str:
