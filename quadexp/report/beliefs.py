@@ -101,19 +101,33 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         lag = timing["lag"] - max(ways) + lag_of(*ways)  # the slower way is stated
         true["auto_age"] = np.full(len(flight), _age(flight, timing["age"]))
         true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
+        true["observer_thrust_scale"] = _thrust_scale(flight)
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
-    if "delivered_0" in columns:
-        n = sum(name.startswith("delivered_") for name in columns)
-        delivered, commanded = (np.sum([columns[f"{of}_{i}"] for i in range(n)], axis=0) for of in ("delivered", "u"))
-        spacing = float(columns["t"][1] - columns["t"][0])
-        window = np.ones(min(max(round(LAST / spacing), 1), len(flight)))
-        means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
-        true["observer_thrust_scale"] = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
     if timing is not None and flight.metadata["residual"]["name"] == "none" and "thinned" not in flight.metadata:
         by_speeds = all(np.isfinite(columns.get(f"auto_{of}_sd", unknown)[-1]) for of in ("force_x", "thrust_scale"))
         force = true_force(flight, timing["dead_time"], lag, by_speeds=by_speeds)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
+
+
+def _thrust_scale(flight: Flight) -> np.ndarray:
+    """What rotors gave of what was commanded in the last LAST, over the mass in that which is believed, (k,). NaN where
+    a factor is drawn that no column shows, or a payload is carried."""
+    columns, config, n = flight.columns, flight.metadata["config"], flight.input.shape[1]
+    actuator = config.get("actuator", {})
+    if "payload" in config or any(actuator.get(f"{of}_scale_std") for of in ("rotor", "flight")):
+        return np.full(len(flight), np.nan)
+    commanded = flight.input.sum(axis=1)
+    given = commanded  # where no motors lag or sag
+    if "rotor_speed_0" in columns:
+        speeds = flight.stack([f"rotor_speed_{i}" for i in range(n)])
+        given = config["vehicle"]["thrust_coefficient"] * np.square(speeds).sum(axis=1)
+    elif "delivered_0" in columns:
+        given = flight.stack([f"delivered_{i}" for i in range(n)]).sum(axis=1)
+    window = np.ones(min(max(round(LAST / float(flight.t[1] - flight.t[0])), 1), len(flight)))
+    means = [np.convolve(sums, window)[: len(flight)] for sums in (given, commanded)]
+    scale: np.ndarray = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
+    return scale
 
 
 def lag_of(up: float, down: float) -> float:
