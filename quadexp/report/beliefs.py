@@ -60,10 +60,25 @@ def beliefs(flight: Flight) -> list[Belief]:
         spread = factor * columns.get(deviation, unknown)
         if column in columns and np.isfinite(spread).any():
             if deviation.startswith("auto_force"):
-                spread = np.hypot(spread, behind(columns["t"], columns[column], columns["auto_force_lag"]))
+                spread = np.sqrt(spread**2 + force_variance(flight, column))
             value = np.where(np.isfinite(spread), factor * columns[column], np.nan)
             quantities.append(Belief(name, unit, value, spread, factor * true.get(column, unknown)))
     return quantities
+
+
+def force_variance(flight: Flight, column: str) -> np.ndarray:
+    """Variance of a force (N^2), (k,), by what moves. The observer is behind the force; and where commands give the
+    thrust, a timing that is off by d shows it late: by d / lag of how far a low pass would be behind the thrust."""
+    columns, axis = flight.columns, "xyz".index(column[-1])
+    lag = columns["auto_force_lag"]
+    variance = behind(flight.t, columns[column], lag) ** 2
+    if np.isfinite(columns["auto_thrust_scale_sd"]).any():  # by rotor speeds
+        return variance
+    acts = columns["auto_acts_dead_time"] + columns["auto_acts_lag"]
+    timing = np.hypot(np.nan_to_num(columns["auto_delay_sd"]), columns["auto_delay"] - acts)
+    thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
+    late: np.ndarray = timing / lag * behind(flight.t, thrust, lag)
+    return variance + late**2
 
 
 def behind(t: np.ndarray, value: np.ndarray, lag: np.ndarray) -> np.ndarray:
@@ -86,19 +101,33 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         lag = timing["lag"] - max(ways) + lag_of(*ways)  # the slower way is stated
         true["auto_age"] = np.full(len(flight), _age(flight, timing["age"]))
         true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
+        true["observer_thrust_scale"] = _thrust_scale(flight)
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
-    if "delivered_0" in columns:
-        n = sum(name.startswith("delivered_") for name in columns)
-        delivered, commanded = (np.sum([columns[f"{of}_{i}"] for i in range(n)], axis=0) for of in ("delivered", "u"))
-        spacing = float(columns["t"][1] - columns["t"][0])
-        window = np.ones(min(max(round(LAST / spacing), 1), len(flight)))
-        means = [np.convolve(sums, window)[: len(flight)] for sums in (delivered, commanded)]
-        true["observer_thrust_scale"] = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
     if timing is not None and flight.metadata["residual"]["name"] == "none" and "thinned" not in flight.metadata:
         by_speeds = all(np.isfinite(columns.get(f"auto_{of}_sd", unknown)[-1]) for of in ("force_x", "thrust_scale"))
         force = true_force(flight, timing["dead_time"], lag, by_speeds=by_speeds)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
+
+
+def _thrust_scale(flight: Flight) -> np.ndarray:
+    """What rotors gave of what was commanded in the last LAST, over the mass in that which is believed, (k,). NaN where
+    a factor is drawn that no column shows, or a payload is carried."""
+    columns, config, n = flight.columns, flight.metadata["config"], flight.input.shape[1]
+    actuator = config.get("actuator", {})
+    if "payload" in config or any(actuator.get(f"{of}_scale_std") for of in ("rotor", "flight")):
+        return np.full(len(flight), np.nan)
+    commanded = flight.input.sum(axis=1)
+    given = commanded  # where no motors lag or sag
+    if "rotor_speed_0" in columns:
+        speeds = flight.stack([f"rotor_speed_{i}" for i in range(n)])
+        given = config["vehicle"]["thrust_coefficient"] * np.square(speeds).sum(axis=1)
+    elif "delivered_0" in columns:
+        given = flight.stack([f"delivered_{i}" for i in range(n)]).sum(axis=1)
+    window = np.ones(min(max(round(LAST / float(flight.t[1] - flight.t[0])), 1), len(flight)))
+    means = [np.convolve(sums, window)[: len(flight)] for sums in (given, commanded)]
+    scale: np.ndarray = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
+    return scale
 
 
 def lag_of(up: float, down: float) -> float:
@@ -120,10 +149,9 @@ def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool 
     world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period. T: of the commands
     after dead time and lag; by_speeds: at the instants that of the rotors' speeds, times the scale that is believed."""
     from scipy.signal import lfilter
-    from scipy.spatial.transform import Rotation
 
     vehicle, t = flight.metadata["config"]["vehicle"], flight.t
-    up = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True).apply([0, 0, 1])
+    up = _up(flight)
     period = float(t[1] - t[0])
     ages = (np.arange(FINE) + 0.5) / FINE * period  # within the period, from its end back
     sent = flight.input.sum(axis=1)
@@ -139,6 +167,14 @@ def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool 
     middle = (up + np.roll(up, 1, axis=0)) / 2
     force: np.ndarray = vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
     return force
+
+
+def _up(flight: Flight) -> np.ndarray:
+    """Direction of the thrusts, world, (k, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    up: np.ndarray = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True).apply([0, 0, 1])
+    return up
 
 
 def _text(value: float) -> str:

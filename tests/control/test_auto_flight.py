@@ -234,7 +234,7 @@ def test_what_it_believes_is_true_and_shown():
     of = {belief.name: belief for belief in beliefs(flight)}
     age, delays = of["age of the state"], of["dead time and lag of commands"]
     assert (age.true[-1], delays.true[-1]) == pytest.approx((10.0, 40.0))
-    for belief in (age, delays, of["wind, x"], of["scale of the thrust"]):
+    for belief in (age, delays, of["wind, x"]):
         beside = 0.04 * abs(belief.true[-1])  # of errors of the model, which no deviation contains
         off = abs(belief.value[-1] - belief.true[-1])
         known = BAND * belief.deviation[-1] < 1.05 * LIMITS[belief.unit]  # a total of 40 ms is just at the limit
@@ -248,6 +248,22 @@ def test_what_it_believes_is_true_and_shown():
         belief.name: belief.identifiable for belief in beliefs(flown("perfect_mpc", "world=clean", "remedies=auto"))
     }
     assert still["age of the state"]
+
+
+@pytest.mark.parametrize(
+    ("given", "true"),
+    [
+        (["world=only_latency", "truth.mass=1.08"], 1 / 1.08),
+        (["world=only_battery"], 0.9),  # what is left after 20 s
+        (["vehicle=hummingbird", "world=only_battery", "truth.mass=1.05"], 0.94 / 1.05),
+        (["world=everything"], np.nan),  # a drawn factor is in no column
+    ],
+)
+def test_the_scale_of_the_thrust_is_known_where_the_world_states_it(given, true):
+    flight = flown("perfect_mpc", *given, "controller.allow_unstable=true", "remedies=auto")
+    scale = next(belief for belief in beliefs(flight) if belief.name == "scale of the thrust")
+    assert scale.true[-1] == pytest.approx(true, rel=0.02, nan_ok=True)
+    assert np.isnan(true) or abs(scale.value[-1] - scale.true[-1]) < BAND * scale.deviation[-1] < 0.2
 
 
 def test_a_state_with_a_rate_is_older_than_its_delay():

@@ -1,11 +1,13 @@
 """How far a low pass is behind what moves, and the one lag of motors that lag unlike up and down."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from quadexp.report.beliefs import behind, lag_of
+from quadexp.report.beliefs import behind, force_variance, lag_of
 
 STEP = 0.0005  # s
 
@@ -21,6 +23,22 @@ def test_a_low_pass_is_behind_a_ramp_by_what_it_moved_in_its_time_constant():
     there = behind(t, wave, np.full(len(t), lag))[t > 1]
     assert 0.2 * 8 * lag < there.min() and there.max() < 8 * lag
     assert not behind(t, np.ones(len(t)), np.full(len(t), lag)).any()
+
+
+@pytest.mark.parametrize(("sd", "known"), [(0.0, 0.004), (0.003, 0.007), (0.004, 0.0)])
+def test_thrusts_that_are_expected_too_late_look_like_a_force(sd, known):
+    """A climb whose thrust grows by 5 N/s, upright, of which rms(sd, known) is not acted on."""
+    t, lag, ones = np.arange(0, 2, STEP), 0.05, np.ones(round(2 / STEP))
+    share, off = -np.expm1(-STEP / lag), np.hypot(sd, known)
+    force = lfilter([share], [1, share - 1], 5.0 * t - 5.0 * np.maximum(t - off, 0.0))  # which is none
+    columns = {"observer_force_z": force, "auto_force_lag": lag * ones, "auto_thrust_scale_sd": np.nan * ones}
+    columns |= {"auto_delay": (0.01 + known) * ones, "auto_delay_sd": sd * ones}
+    columns |= {"auto_acts_dead_time": 0.01 * ones, "auto_acts_lag": 0.0 * ones}
+    state = np.tile([0, 0, 0, 1.0, *np.zeros(9)], (len(t), 1))
+    flight = SimpleNamespace(t=t, columns=columns, state=state, input=np.tile(5.0 * t[:, None] / 4, 4))
+    assert np.sqrt(force_variance(flight, "observer_force_z")[-1]) == pytest.approx(force[-1], rel=0.01)
+    by_speeds = SimpleNamespace(**vars(flight) | {"columns": columns | {"auto_thrust_scale_sd": ones}})
+    assert force_variance(by_speeds, "observer_force_z")[-1] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(("up", "down"), [(0.0125, 0.025), (0.03, 0.03), (0.02, 0.01)])

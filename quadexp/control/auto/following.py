@@ -213,4 +213,5 @@ def following(core: Any, sheet: SensorSheet) -> WindFollowing | SpeedFollowing |
     if isinstance(core, PredictiveController) and bandwidth >= wind.least_bandwidth:
         slope = bandwidth * wind.noise[0] * math.sqrt(period) / wind.wind_walk
         return WindFollowing(wind, period, offset, slope)
-    return ForceFollowing(DisturbanceObserver(targets=False), period, core.vehicle.mass, offset)
+    tilted = math.hypot(by_reading, core.vehicle.gravity * by_attitude)
+    return ForceFollowing(DisturbanceObserver(targets=False), period, core.vehicle.mass, tilted)
