@@ -85,15 +85,12 @@ def exact_allocation(vehicle: Vehicle, weight: tuple[float, ...]) -> ca.Function
     return ca.Function("allocation", [y], [ca.fmin(ca.fmax(u, low), high)], ["wrench"], ["thrust"])
 
 
-def clipped_allocation(vehicle: Vehicle) -> ca.Function:
-    """wanted [T (N), tau (N m)] (4,) -> thrusts u = G^+ y (n,) (N), each clipped to its limits."""
+def allocation(vehicle: Vehicle, kind: str, weight: tuple[float, ...]) -> ca.Function:
+    """The allocation of a setting, "exact" or "clip": wanted [T (N), tau (N m)] (4,) -> thrusts u (n,) (N)."""
+    if kind == "exact":
+        return exact_allocation(vehicle, weight)
     y = ca.MX.sym("wrench", 4)
     return ca.Function("allocation", [y], [clipped(vehicle, y)], ["wrench"], ["thrust"])
-
-
-def allocation(vehicle: Vehicle, kind: str, weight: tuple[float, ...]) -> ca.Function:
-    """The allocation of a setting, "exact" or "clip"."""
-    return exact_allocation(vehicle, weight) if kind == "exact" else clipped_allocation(vehicle)
 
 
 TINY = 1e-12  # of a difference below which nothing limits a share

@@ -9,8 +9,8 @@ the loop. experiment.linearised makes it of what flies.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +42,8 @@ class LinearLoop:
         kept = _reached(follows, from_command) & _reached(follows.T, to_command)
         self.period, self._smooth, self._direct = period, smooth[kept], direct[kept]
         self.phases = [Phase(A[np.ix_(kept, kept)], B[kept], C[:, kept]) for A, B, C in phases]
-        self._open, self._held = _product(A for A, _, _ in self.phases), self._response()
+        self._held = self._response()
+        self._open = functools.reduce(lambda before, matrix: matrix @ before, (A for A, _, _ in self.phases))
         self._fixed = np.linalg.eigvals(self._open)
 
     def growth(self, *, delay: float = 0.0, lag: float = 0.0) -> float:
@@ -115,11 +116,3 @@ def _reached(follows: np.ndarray, begin: np.ndarray) -> np.ndarray:
     while (more := reached | (follows @ reached > 0)).sum() > reached.sum():
         reached = more
     return reached
-
-
-def _product(matrices: Iterable[np.ndarray]) -> np.ndarray:
-    """Of matrices that act one after another."""
-    whole: Any = None
-    for matrix in matrices:
-        whole = matrix if whole is None else matrix @ whole
-    return np.asarray(whole)

@@ -134,12 +134,12 @@ def _latex_row(cells: Sequence[str]) -> str:
     return " & ".join(_marked(cell.strip(), latex, r"\textbf{{{}}}", "$^*$") for cell in cells) + r" \\"
 
 
-def records_table(records: Sequence[Mapping[str, Any]], title: str = "") -> Table:
+def records_table(records: Sequence[Mapping[str, Any]]) -> Table:
     """A table of records, a row each: numbers in full precision, nothing for what is missing."""
     names = list(dict.fromkeys(name for record in records for name in record))
     rows = [[_exact(record.get(name)) for name in names] for record in records]
     left = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
-    return Table(names, rows, title, left=frozenset(left))
+    return Table(names, rows, left=frozenset(left))
 
 
 def _exact(value: Any) -> str:

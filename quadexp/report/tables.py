@@ -205,7 +205,10 @@ def flights_table(frame: SweepFrame, names: Sequence[str]) -> Table:
     Raises UsageError for a name that is no column and no key.
     """
     columns = {name: frame.column(name) for name in names}
-    texts = [[_flight_text(name, value) for value in values] for name, values in columns.items()]
+    texts = [
+        [f"{shown(name)[0] * x:.4g}" if is_metric(name) and is_number(x) else plain(x) for x in values]
+        for name, values in columns.items()
+    ]
     numbers = [all(is_number(value) for value in values if value is not None) for values in columns.values()]
     rows = [*map(list, zip(*texts, strict=True))]
     return Table([*map(heading, columns)], rows, left=frozenset(i for i, right in enumerate(numbers) if not right))
@@ -225,7 +228,3 @@ def heading(name: str) -> str:
     """The name with the unit in which its numbers are shown."""
     unit = shown(name)[1]
     return with_unit(name, name) if not is_metric(name) else f"{name} ({unit})" if unit else name
-
-
-def _flight_text(name: str, value: Any) -> str:
-    return f"{shown(name)[0] * value:.4g}" if is_metric(name) and is_number(value) else plain(value)

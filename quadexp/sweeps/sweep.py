@@ -27,6 +27,7 @@ from quadexp.parts.cells import Cell, Cells
 from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.checked import differing_libraries, flown_by, program_name, programs_text
+from quadexp.report.frame import RESULTS
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistics
 from quadexp.report.table import Table
 from quadexp.sweeps.engine import (
@@ -40,7 +41,7 @@ from quadexp.sweeps.engine import (
     default_workers,
 )
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
-from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
+from quadexp.sweeps.sweep_table import Row, table_row, write_results
 from quadexp.writer import flush, make_inside
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown

@@ -17,13 +17,13 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_table, write_table
 from quadexp.names import NAMED, check_names
+from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, errors_none, from_columns, to_columns, to_csv, typed
 from quadexp.report.statistics import Statistics, results_statistics
 from quadexp.report.table import Table
 from quadexp.report.tables import comparison_texts, write_comparison
 from quadexp.writer import write_text
 
-RESULTS = "results.parquet"
 OPTIONAL = ("speed", "reference_residual", "outside_data")  # numbers that not every flight has: None where missing
 
 Row = dict[str, Any]

@@ -14,12 +14,12 @@ from typing import Any
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table
-from quadexp.report.metrics import ROW_COLUMNS
+from quadexp.report.checked import COMPARED
+from quadexp.report.frame import RESULTS
 from quadexp.report.tables import STATISTICS
-from quadexp.sweeps.sweep_table import RESULTS, Row, altered_texts, open_results, read_rows, table_row
+from quadexp.sweeps.sweep_table import Row, altered_texts, open_results, read_rows, table_row
 
 TEXTS = ("results.csv", "statistics.csv", "table.md", "table.tex", "comparison.tex")
-COMPARED = [name for name in ROW_COLUMNS if name != "variant"]  # which the sweep gives, not the flight
 
 
 @dataclass

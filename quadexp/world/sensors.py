@@ -113,10 +113,11 @@ class Sensors(SensorKeys, Effect):
             channels.append(self._channel("rotor_speed", rotors, self._counted))
         for name in POSE if self.sets(*POSE, "pose") or self.later else ():
             fresh = name == "attitude" and self.attitude_age == "fresh"
-            message, add = "attitude" if fresh else "pose", _erring if name == "attitude" else _plus
-            channels.append(self._channel(name, AXES, add, message, self.later))
+            add = (lambda q, slow, random: turned(q, slow + random)) if name == "attitude" else None
+            channels.append(self._channel(name, AXES, add, "attitude" if fresh else "pose", self.later))
         if self.sets("battery"):
-            channels.append(self._channel("battery", 1, self._measured_voltage))
+            told = self._channel("battery", 1, lambda v, slow, random: in_steps(v + random, self.battery_step))
+            channels.append(told)
         return {channel.name: channel for channel in channels}
 
     def _channel(
@@ -137,7 +138,7 @@ class Sensors(SensorKeys, Effect):
             gain=of("bias_walk") * math.sqrt(DRIFT) + of("drift") * math.sqrt(1 - decay**2),
             delay=getattr(self, f"{message or name}_delay", 0.0) + later,
             message=message or name,
-            add=add or _plus,
+            add=add or (lambda value, slow, random: (value + slow) + random),
             **way,
         )
 
@@ -276,22 +277,11 @@ class Sensors(SensorKeys, Effect):
         pairs = self.rotor_speed_pole_pairs
         return in_steps(dshot_speed(speed, pairs) if pairs else speed, self.rotor_speed_step)
 
-    def _measured_voltage(self, voltage: Any, slow: Any, random: Any) -> Any:
-        return in_steps(voltage + random, self.battery_step)
-
 
 def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
     """Where each of some parts of a vector stands."""
     ends = [0, *accumulate(sizes.values())]
     return {name: slice(*pair) for name, pair in zip(sizes, pairwise(ends), strict=True)}
-
-
-def _plus(value: Any, slow: Any, random: Any) -> Any:
-    return (value + slow) + random
-
-
-def _erring(q: Any, slow: Any, random: Any) -> Any:
-    return turned(q, slow + random)
 
 
 def group_delay(cutoff: float) -> float:

@@ -12,7 +12,7 @@ from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import from_columns
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import Swept
+from quadexp.report.page.panels import swept_section
 from quadexp.report.page.sections import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.tables import error_table
@@ -221,24 +221,26 @@ class TestSwept:
 
         return swept(tmp_path_factory.mktemp("swept") / "two", list(self.TWO), error)
 
-    def test_two_keys_are_lines_in_panels_and_a_map_for_every_quantity(self, two):
-        made = Swept.of(read_comparison(two))
-        assert [view.kind for view in automatic(SweepFrame.read(two))] == [view.kind for view in made.views]
-        assert [name for name, _, _ in made.tabs] == ["mean_error", "rmse", "max_error", "success"] and not made.left
-        assert all(figure.count("<img alt=") == 1 for _, _, figures in made.tabs for figure in figures)
-        assert [len(figures) for _, _, figures in made.tabs] == [2] * 4
-        assert set(made.figures()) == {"mean_error_against_nodes", "mean_error_map_of_nodes_and_mass"}
+    def test_two_keys_are_lines_in_panels_and_a_map_for_every_quantity(self, two, tmp_path):
+        section, left_out, views = swept_section(read_comparison(two))
+        assert [view.kind for view in automatic(SweepFrame.read(two))] == [view.kind for view in views]
+        assert [block.tab for block in section.blocks] == ["mean_error", "rmse", "max_error", "success"]
+        assert not left_out
+        assert all(figure.count("<img alt=") == 1 for block in section.blocks for figure in block.figures)
+        assert [len(block.figures) for block in section.blocks] == [2] * 4
+        made = make_report(two, tmp_path / "report.html", figures=tmp_path)
+        assert set(made["figures"]) == {"mean_error_against_nodes", "mean_error_map_of_nodes_and_mass"}
 
     def test_what_has_too_many_marks_is_a_picture_and_what_has_no_room_is_said(self, two, monkeypatch):
         comparison = read_comparison(two)
         monkeypatch.setattr("quadexp.report.page.panels.TABLED", ())  # the mean error and success
         monkeypatch.setattr("quadexp.report.style.LARGEST_DRAWING", 1000)
-        made = Swept.of(comparison)
-        assert all("data:image/png" in figure for _, _, figures in made.tabs for figure in figures)
-        monkeypatch.setattr("quadexp.report.page.panels.BUDGET", len(made.tabs[0][2][0]) + 10)
-        less = Swept.of(comparison)
-        assert [len(figures) for _, _, figures in less.tabs] == [1] and len(less.left) == 3
-        assert less.left[0] == "mean error (mm) map of nodes and mass, which `quadexp plot` draws"
+        blocks = swept_section(comparison)[0].blocks
+        assert all("data:image/png" in figure for block in blocks for figure in block.figures)
+        monkeypatch.setattr("quadexp.report.page.panels.BUDGET", len(blocks[0].figures[0]) + 10)
+        section, left_out, _ = swept_section(comparison)
+        assert [len(block.figures) for block in section.blocks] == [1] and len(left_out) == 3
+        assert left_out[0] == "mean error (mm) map of nodes and mass, which `quadexp plot` draws"
 
 
 def test_refusals(results, tmp_path):

@@ -15,8 +15,6 @@ M(q) p = p o q, in place of L(q*).
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import left_matrix, right_matrix
@@ -24,40 +22,25 @@ from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE
 
 
-class AttitudeError(Protocol):
-    """Coordinates of the quaternion's deviation at the nodes 0..N of a horizon."""
+class AttitudeError:
+    """Coordinates of the quaternion's deviation at the nodes 0..N of a horizon: its own, of q - q*."""
 
     def deviation(self, k: int, dx: Expression) -> Expression:
         """State deviation at node k in the cost's coordinates."""
+        return dx
 
     def change(self, k: int, dx: Expression) -> Expression:
         """The way back: from the cost's coordinates to a change of the state."""
+        return dx
 
     def linearisation(
         self, k: int, A: Expression, B: Expression, b: Expression
     ) -> tuple[Expression, Expression, Expression]:
         """dx_{k+1} = A dx_k + B du_k + b in the cost's coordinates."""
-
-
-class PlainDifference:
-    """q - q*: the coordinates are the quaternion's own."""
-
-    def deviation(self, k: int, dx: Expression) -> Expression:
-        """See AttitudeError."""
-        return dx
-
-    def change(self, k: int, dx: Expression) -> Expression:
-        """See AttitudeError."""
-        return dx
-
-    def linearisation(
-        self, k: int, A: Expression, B: Expression, b: Expression
-    ) -> tuple[Expression, Expression, Expression]:
-        """See AttitudeError."""
         return A, B, b
 
 
-class Rotation:
+class Rotation(AttitudeError):
     """q*^-1 o q, or q o q*^-1.
 
     frames: L(q*_k), or M(q*_k), side by side, (4, 4 (N + 1)); see `reference_frames`.
@@ -84,23 +67,19 @@ class Rotation:
 
 def attitude_error_in(frames: Expression | None) -> AttitudeError:
     """The error in a horizon's frames; None: the plain difference."""
-    return PlainDifference() if frames is None else Rotation(frames)
+    return AttitudeError() if frames is None else Rotation(frames)
 
 
 def reference_frames(X_ref: Expression, kind: str) -> list[Expression]:
     """L or M of q* / |q*| of every reference state, (13, N + 1), side by side: (4, 4 (N + 1)); none for "plain"."""
     if kind == "plain":
         return []
-    frame = as_scalars({"body": _body_frame, "world": _world_frame}[kind])
-    return [ca.horzcat(*(frame(x[ATTITUDE]) for x in ca.horzsplit(X_ref)))]
+    matrix = {"body": left_matrix, "world": right_matrix}[kind]
 
+    def frame(q: Expression) -> Expression:
+        return matrix(q / ca.norm_2(q))
 
-def _body_frame(q: Expression) -> Expression:
-    return left_matrix(q / ca.norm_2(q))
-
-
-def _world_frame(q: Expression) -> Expression:
-    return right_matrix(q / ca.norm_2(q))
+    return [ca.horzcat(*(as_scalars(frame)(x[ATTITUDE]) for x in ca.horzsplit(X_ref)))]
 
 
 def _into(L: Expression, rows: Expression) -> Expression:

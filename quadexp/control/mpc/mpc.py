@@ -82,7 +82,7 @@ class ModelPredictiveController:
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
         self._first_solve: FirstSolve | None = None  # few flights need it
-        self.prepared, self.prepare_time, self._cold = False, 0.0, True
+        self.prepared, self._cold = False, True
         self.set_parameters(residual.theta)
 
     def _weigh(self, settings: MPCSettings) -> None:
@@ -228,10 +228,9 @@ class ModelPredictiveController:
         """Compute what the next step does not need its measurement for; `feedback` completes it.
 
         References: as for `command`. To be called after a step and before the next; before the first step it does
-        nothing. Valid until the next step, `set_parameters` or `reset`. `prepare_time`: its wall-clock time (s).
-        Raises QuadexpError for a reference that is not finite.
+        nothing. Valid until the next step, `set_parameters` or `reset`. Raises
+        QuadexpError for a reference that is not finite.
         """
-        began = time.perf_counter()
         self.prepared = False
         if self._cold:
             return
@@ -240,7 +239,6 @@ class ModelPredictiveController:
             self._X_ref[:, ATTITUDE] *= -1
         self._step.prepare()
         self.prepared = True
-        self.prepare_time = time.perf_counter() - began
 
     def feedback(self, x0: np.ndarray) -> tuple[np.ndarray, StepRecord]:
         """As `command` with the prepared reference, with less work after the measurement; equal to rounding.

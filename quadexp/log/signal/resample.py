@@ -144,16 +144,16 @@ def interpolate(
     t: np.ndarray, values: np.ndarray, at: np.ndarray, *, sphere: bool = False, held: bool = False
 ) -> np.ndarray:
     """values (k, m) given at t, at the times `at`: shape-preserving cubic, slerp (sphere) or the last value (held)."""
+    from scipy.interpolate import CubicHermiteSpline
+    from scipy.spatial.transform import Rotation, Slerp
+
     at = np.clip(at, t[0], t[-1])
     if held:
         return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
     if sphere:
-        return slerp(t, values, at)
-    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+        return Slerp(t, Rotation.from_quat(values, scalar_first=True))(at).as_quat(scalar_first=True)
     step = np.diff(t)
-    width = step[before]
-    share = (at - t[before]) / width
-    return np.stack([_hermite(column, _slopes(column, step), before, width, share) for column in values.T], axis=-1)
+    return CubicHermiteSpline(t, values, np.stack([_slopes(column, step) for column in values.T], axis=-1))(at)
 
 
 def _slopes(x: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -168,28 +168,3 @@ def _slopes(x: np.ndarray, step: np.ndarray) -> np.ndarray:
     denominator = np.where(rising, first * after + second * before, 1.0)
     slopes[1:-1] = np.where(rising, (first + second) * product / denominator, 0.0)
     return slopes
-
-
-def _hermite(x: np.ndarray, slopes: np.ndarray, before: np.ndarray, width: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Cubic with given ends and slopes in every interval."""
-    low, rise = x[before], x[before + 1] - x[before]
-    a, b = slopes[before] * width, slopes[before + 1] * width
-    return low + share * (a + share * (3 * rise - 2 * a - b + share * (a + b - 2 * rise)))
-
-
-def slerp(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Spherical linear interpolation of quaternions q (k, 4) at the times `at`, (n, 4), along the shorter arc: q and -q
-    are one attitude."""
-    q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-    share = ((at - t[before]) / (t[before + 1] - t[before]))[:, None]
-    a, b = q[before], q[before + 1]
-    cosine = np.sum(a * b, axis=1, keepdims=True)
-    b = np.where(cosine < 0, -b, b)
-    angle = np.arccos(np.clip(np.abs(cosine), -1, 1))
-    small = angle < 1e-6  # there the arc is its chord
-    sine = np.where(small, 1, np.sin(angle))
-    first = np.where(small, 1 - share, np.sin((1 - share) * angle) / sine)
-    second = np.where(small, share, np.sin(share * angle) / sine)
-    out = first * a + second * b
-    return out / np.linalg.norm(out, axis=1, keepdims=True)

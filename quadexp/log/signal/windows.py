@@ -77,8 +77,12 @@ class Windows:
 
     @cached_property
     def rotation(self) -> np.ndarray:
-        """R(q), (n, 2m + 1, 3, 3)."""
-        return rotation_matrices(self.streams["q"])
+        """R(q), (n, 2m + 1, 3, 3); where q is zero, the identity."""
+        from scipy.spatial.transform import Rotation
+
+        q = self.streams["q"].reshape(-1, 4)
+        turn = Rotation.from_quat(np.where(q.any(axis=1, keepdims=True), q, [1.0, 0.0, 0.0, 0.0]), scalar_first=True)
+        return turn.as_matrix().reshape(*self.t.shape, 3, 3)
 
     def every(self, step: int) -> Windows:
         """Every step-th window."""
@@ -187,17 +191,6 @@ def _weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     weight = np.diff(t, axis=1)[..., None]
     parts = [slice(a, b) for a, b in halves(t)]
     return np.concatenate([np.sum(x[:, s] * weight[:, s], axis=1) / np.sum(weight[:, s], axis=1) for s in parts])
-
-
-def rotation_matrices(q: np.ndarray) -> np.ndarray:
-    """R(q) of quaternions (..., 4), w first, of any length, (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(_normed(q), -1, 0)
-    matrix = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(line, axis=-1) for line in matrix], axis=-2)
 
 
 def _normed(q: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ from typing import Any
 from quadexp import __version__
 from quadexp.names import file_name
 from quadexp.report.document import Section, document
+from quadexp.report.draw import figure_of
 from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import Swept, swept_section
+from quadexp.report.page.panels import swept_section
 from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, records, scoreboard, worst, worst_rows
 from quadexp.report.page.source import Comparison, read_comparison
-from quadexp.report.style import Figure, save_figure
+from quadexp.report.style import save_figure
 from quadexp.writer import check_output, write_text
 
 MOST_LINES = 200  # of a table
@@ -37,13 +39,14 @@ def make_report(
     if figures is not None:
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
-    swept = Swept.of(comparison)
+    swept, left_out, views = swept_section(comparison)
     words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
     words += ["--baseline", baseline] if baseline else []
     words += ["--figures", portable(Path(figures))] if figures else []
-    page, left_out = render(comparison, swept, shlex.join(words))
+    page, left_out = render(comparison, swept, shlex.join(words), left_out)
     write_text(out, page, force=force)
-    drawn: dict[str, Figure] = swept.figures() if figures else {}
+    names = {f"{view.y.removesuffix('_error')}_error_{view.file_name}": view for view in views}
+    drawn = {name: figure_of(view) for name, view in names.items()} if figures else {}
     paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
     answered, checked = answer(comparison), comparison.checked
     return {
@@ -57,17 +60,17 @@ def make_report(
     }
 
 
-def render(comparison: Comparison, swept: Swept, command: str) -> tuple[str, list[str]]:
-    """The page, and what is not on it for its size. command: that makes it again."""
+def render(comparison: Comparison, swept: Section, command: str, left_out: Sequence[str]) -> tuple[str, list[str]]:
+    """The page, and what is not on it for its size. command: that makes it again. left_out: of what was swept."""
     bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
     short = [
         replace(block, tables={name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()})
         for block in whole.blocks
     ]
-    left_out = [*_left_out(comparison, whole), *swept.left]
+    left_out = [*_left_out(comparison, whole), *left_out]
     sections = [
         replace(whole, blocks=short),
-        swept_section(swept),
+        swept,
         worst(comparison, bad),
         origin(comparison, flights, command, left_out),
     ]
