@@ -17,7 +17,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.experiment.identity import digest, find_model
+from quadexp.experiment.identity import MODEL_FILE, digest, find_model
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
@@ -27,7 +27,6 @@ from quadexp.writer import write_text
 
 ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
 SHIPPED = "as shipped"
-MODEL = "model.json"
 MAKING = (*DECIDING, "models", "experiment")  # sources that decide a checkpoint
 
 
@@ -149,7 +148,7 @@ def make_model(
         kind = "nn" if rule == "network" else "gp"
         fit_checkpoint(kind, composer.compose(rules[rule]), data, out, force=True, figures=False)
 
-    _once(out / MODEL, digest([rules, name, hashed]), fit)
+    _once(out / MODEL_FILE, digest([rules, name, hashed]), fit)
     return out
 
 

@@ -218,7 +218,7 @@ def _read_columns(file: Any) -> tuple[dict[str, np.ndarray], bytes]:
     def each() -> Iterator[Any]:
         for name in names:
             column = file.read([name]).column(0) if whole is None else whole.column(name)
-            columns[name] = _numpy(column)
+            columns[name] = as_numpy(column)
             yield column
 
     content = content_hash(names, each())
@@ -340,7 +340,7 @@ def _arrow(values: Any) -> Any:
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [None, data])
 
 
-def _numpy(column: Any) -> np.ndarray:
+def as_numpy(column: Any) -> np.ndarray:
     """A column as an array of its own."""
     import pyarrow as pa
 

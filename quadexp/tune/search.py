@@ -36,7 +36,6 @@ from quadexp.tune.space import TUNED, Axis, overrides
 from quadexp.writer import write_text
 
 FIRST_SEED = 1_000_000  # of the flights that tune, far from those that evaluate
-SEEDS = 2  # of the flights that tune
 STARTUP = 10  # trials drawn at random, the first one aside
 REQUEST = "search.json"  # in the folder: what decides the trials beside the flights
 EXTRA = "pip install 'quadexp[tune]'"
@@ -75,7 +74,7 @@ class Request:
         }
 
 
-def with_seeds(given: Sequence[str], seeds: int = SEEDS) -> list[str]:
+def with_seeds(given: Sequence[str], seeds: int) -> list[str]:
     """The overrides, with seeds that no evaluation has, where none are given."""
     if any(text.startswith("seed=") for text in given):
         return list(given)

@@ -19,7 +19,7 @@ import numpy as np
 
 from quadexp.errors import DataError, missing_package
 from quadexp.log.integrity import allowed_bytes
-from quadexp.log.store import first_line
+from quadexp.log.store import as_numpy, first_line
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
 LONGEST_LINE = 1 << 16
@@ -148,6 +148,7 @@ def _unique(names: Iterable[str]) -> tuple[str, ...]:
 
 def _read_text(table: Table, names: list[str], notes: list[str], rows: int | None) -> dict[str, np.ndarray]:
     import pyarrow as pa
+    import pyarrow.compute as pc
     from pyarrow import csv
 
     places = {name: f"c{table.columns.index(name)}" for name in names}
@@ -174,7 +175,8 @@ def _read_text(table: Table, names: list[str], notes: list[str], rows: int | Non
         with csv.open_csv(_source(table), read, parse, convert) as reader:
             for batch in reader:
                 for name, place in places.items():
-                    chunks[name].append(_floats(batch.column(place)))
+                    filled = pc.fill_null(batch.column(place), float("nan"))
+                    chunks[name].append(as_numpy(pa.chunked_array([filled])))
                 count += batch.num_rows
                 if count * len(names) > MOST_VALUES:
                     raise DataError(f"{table.path}: more than {MOST_VALUES} numbers: cut the log into pieces")
@@ -198,15 +200,6 @@ def _source(table: Table) -> Any:
         return table.path
     lines = table.path.read_text(encoding=table.encoding, errors="replace").splitlines()
     return io.BytesIO("\n".join(" ".join(line.split()) for line in lines).encode())
-
-
-def _floats(column: Any) -> np.ndarray:
-    """An Arrow array of doubles as numbers, NaN for null."""
-    import pyarrow.compute as pc
-
-    if column.null_count:
-        column = pc.fill_null(column, float("nan"))
-    return np.frombuffer(column.buffers()[1], np.float64, count=column.offset + len(column))[column.offset :].copy()
 
 
 def _where(text: str, table: Table) -> str:
