@@ -37,7 +37,7 @@ class AutoMPC(Auto):
         super().__init__(inner, core, sheet, mpc.residual, believed, observer, commands)
         self._delivered = Delivered(commands, core.backend)
         self._world, self._grids = world, grids(core.settings)
-        self._ahead, self._lead = CommandsAhead(mpc), MotorLead(core.vehicle, core.settings, core.backend)
+        self._ahead, self._lead = CommandsAhead(mpc), MotorLead(mpc.limits, core.settings, core.backend)
         self._spacing = self.control_period / SPACING
         longest = LARGEST + max(settings.horizon for settings in self._grids)
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)

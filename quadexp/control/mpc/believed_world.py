@@ -83,8 +83,8 @@ class BelievedWorld:
         observe = estimator and estimator.update
         function = built(mpc.backend, enter_function, mpc.vehicle, model, observe, *sizes, **form)
         assert mpc.disturbance is not None
-        step, _ = mpc.functions
-        into = {"disturbance": mpc.disturbance, "low": step.arguments["u_min"], "high": step.arguments["u_max"]}
+        low, high = mpc.limits
+        into = {"disturbance": mpc.disturbance, "low": low, "high": high}
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
         into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if self._in_place else {}
         self._enter = BufferedFunction(function, {"theta": mpc.parameters, "X": solution}, into)

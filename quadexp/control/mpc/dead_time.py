@@ -99,20 +99,23 @@ class MotorLead:
 
         u = T + (T* - T) / (1 - exp(-h / tau)),    h the control period, T the thrust now, T* the planned one
 
-    clipped to the vehicle's limits: it inverts T(t + h) of physics.motor, tau being settings.motor_lead (s). Two other
+    clipped to limits, (n,) each (N), of thrusts that are delivered, which may change: those of the plan. It inverts
+    T(t + h) of physics.motor, tau being settings.motor_lead (s). Two other
     laws are worse: a command for the mean thrust over the period amplifies noise and errors of the timing, and
     T* + tau T*' with T*' from the plan takes damping away (docs/delays.md has the figures).
     """
 
-    def __init__(self, vehicle: Vehicle, settings: MPCSettings, backend: str = "interpreted") -> None:
-        self._invert = BufferedFunction(built(backend, inversion_function, vehicle.n_rotors))
-        self._invert.arguments["numbers"][1:] = vehicle.thrust_min, vehicle.thrust_max
+    def __init__(
+        self, limits: tuple[np.ndarray, np.ndarray], settings: MPCSettings, backend: str = "interpreted"
+    ) -> None:
+        function = built(backend, inversion_function, len(limits[0]))
+        self._invert = BufferedFunction(function, dict(zip(("low", "high"), limits, strict=True)))
         self.tune(settings)
 
     def tune(self, settings: MPCSettings) -> None:
         """Go on with the lag of other settings; without one, a command is what is planned."""
         period, lag = settings.control_period, settings.motor_lead
-        self._invert.arguments["numbers"][0] = -1 / math.expm1(-period / lag) if lag else 1.0
+        self._invert.arguments["gain"][...] = -1 / math.expm1(-period / lag) if lag else 1.0
 
     def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Inverts for the thrusts that are found there, (n,) (N), planned and now; and the array of the command."""
@@ -122,11 +125,12 @@ class MotorLead:
 
 
 def inversion_function(rotors: int) -> ca.Function:
-    """planned, now (n,) (N); numbers: gain, least and largest thrust (N) -> command (n,) (N)."""
-    planned, now, numbers = ca.SX.sym("planned", rotors), ca.SX.sym("now", rotors), ca.SX.sym("numbers", 3)
-    command = ca.fmin(ca.fmax(now + numbers[0] * (planned - now), numbers[1]), numbers[2])
-    names = ["planned", "now", "numbers"], ["command"]
-    return ca.Function("motor_lead", [planned, now, numbers], [command], *names)
+    """planned, now, low, high (n,) (N); gain -> command (n,) (N)."""
+    planned, now, low, high = (ca.SX.sym(name, rotors) for name in ("planned", "now", "low", "high"))
+    gain = ca.SX.sym("gain")
+    command = ca.fmin(ca.fmax(now + gain * (planned - now), low), high)
+    names = ["planned", "now", "low", "high", "gain"], ["command"]
+    return ca.Function("motor_lead", [planned, now, low, high, gain], [command], *names)
 
 
 def prediction_function(

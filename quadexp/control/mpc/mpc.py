@@ -70,7 +70,7 @@ class ModelPredictiveController:
         self._active_set = make_active_set(self._step, *bounded)
 
         self._weigh(settings)
-        arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
+        self.set_thrust_scale(1.0)
         if settings.motor_lag:
             arguments["tau"][...] = settings.motor_lag
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
@@ -149,8 +149,13 @@ class ModelPredictiveController:
         """What a rotor gives of a command of 1 N, from the next step on: inputs are the thrusts that are delivered, so
         only their limits change."""
         self.prepared = False
-        given, vehicle = self._step.arguments, self.vehicle
-        given["u_min"][...], given["u_max"][...] = scale * vehicle.thrust_min, scale * vehicle.thrust_max
+        (low, high), vehicle = self.limits, self.vehicle
+        low[...], high[...] = scale * vehicle.thrust_min, scale * vehicle.thrust_max
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """The arrays of the limits of delivered thrusts, (n,) each (N)."""
+        return self._step.arguments["u_min"], self._step.arguments["u_max"]
 
     @property
     def reference(self) -> tuple[np.ndarray, np.ndarray]:

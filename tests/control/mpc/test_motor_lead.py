@@ -7,13 +7,15 @@ from quadexp.control.instant import run
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
+from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.motor import lagging_thrust
 
 
-def commanded(vehicle, lag, planned, now):
-    operations, command = MotorLead(vehicle, MPCSettings(motor_lead=lag)).after(planned, now)
+def commanded(vehicle, lag, planned, now, scale=1.0):
+    limits = np.full(4, scale * vehicle.thrust_min), np.full(4, scale * vehicle.thrust_max)
+    operations, command = MotorLead(limits, MPCSettings(motor_lead=lag)).after(planned, now)
     run(operations)
     return command
 
@@ -29,6 +31,23 @@ def test_the_command_keeps_to_the_limits(vehicle):
     command = commanded(vehicle, 0.1, np.array([0.0, 20, 9, 11]), np.full(4, 10.0))
     assert command.min() == vehicle.thrust_min and command.max() == vehicle.thrust_max
     assert command[2] < 9 and command[3] > 11
+
+
+def test_the_limits_are_those_of_what_rotors_deliver(vehicle):
+    """Where they give a fifth more of a command, a fifth more is delivered before the command is at its limit."""
+    command = commanded(vehicle, 0.1, np.array([0.0, 20, 9, 11]), np.full(4, 10.0), scale=1.2)
+    assert command.max() == pytest.approx(1.2 * vehicle.thrust_max)
+
+
+def test_commands_reach_their_limit_whatever_scale_is_believed():
+    """A vehicle a fifth lighter than believed, with lagging motors, in corners: all of its thrust is used."""
+    light = ["truth.mass=0.83", "controller.allow_unstable=true", "remedies=auto", "world=only_motor_lag"]
+    path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=8", "trajectory.speed=8"]
+    flight = fly_one(compose(["controller=perfect_mpc", *light, *path]))
+    settled, commands = flight.t > 2, np.column_stack([flight.columns[f"u_{i}"] for i in range(4)])
+    assert np.median(flight.columns["observer_thrust_scale"][settled]) > 1.1
+    most = build_vehicle(compose([]).vehicle).thrust_max
+    assert commands[settled].max() == pytest.approx(most, rel=1e-3) and commands.max() <= most
 
 
 def test_a_lag_is_modelled_or_inverted():
