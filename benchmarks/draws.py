@@ -112,7 +112,7 @@ def flown(seed: int, number: int) -> dict[str, Any]:
     auto = flights["auto"]
     if auto.outcome != "ok":
         timing = auto.metadata["timing"]
-        age = truths(auto)["auto_age"][0]  # s, the mean of poses that have a rate
+        age = truths(auto)["auto_age"].max(initial=timing["age"])  # s, the mean of poses that have a rate
         delays = [f"controller.dead_time={timing['dead_time']}", f"controller.motor_lag={timing['lag']}"]
         known = ["controller=perfect_mpc", "controller.allow_unstable=true", *TOLD, *delays]
         flights["told"] = _flight([*common, *told, *known, f"delay.time={age}"])

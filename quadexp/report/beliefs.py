@@ -60,6 +60,8 @@ def beliefs(flight: Flight) -> list[Belief]:
         spread = factor * columns.get(deviation, unknown)
         if column in columns and np.isfinite(spread).any():
             if deviation.startswith("auto_force"):
+                if "thinned" in flight.metadata:  # what moves between samples is not known
+                    continue
                 spread = np.sqrt(spread**2 + force_variance(flight, column))
             value = np.where(np.isfinite(spread), factor * columns[column], np.nan)
             quantities.append(Belief(name, unit, value, spread, factor * true.get(column, unknown)))
@@ -75,7 +77,7 @@ def force_variance(flight: Flight, column: str) -> np.ndarray:
     if np.isfinite(columns["auto_thrust_scale_sd"]).any():  # by rotor speeds
         return variance
     acts = columns["auto_acts_dead_time"] + columns["auto_acts_lag"]
-    timing = np.hypot(np.nan_to_num(columns["auto_delay_sd"]), columns["auto_delay"] - acts)
+    timing = np.hypot(columns["auto_delay_sd"], columns["auto_delay"] - acts)  # NaN: nothing is known yet
     thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
     late: np.ndarray = timing / lag * behind(flight.t, thrust, lag)
     return variance + late**2
@@ -101,32 +103,34 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         lag = timing["lag"] - max(ways) + lag_of(*ways)  # the slower way is stated
         true["auto_age"] = np.full(len(flight), _age(flight, timing["age"]))
         true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
-        true["observer_thrust_scale"] = _thrust_scale(flight)
+        true["observer_thrust_scale"] = _thrust_scale(flight, timing["dead_time"], lag)
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
-    if timing is not None and flight.metadata["residual"]["name"] == "none" and "thinned" not in flight.metadata:
+    whole = len(flight) > 1 and "thinned" not in flight.metadata
+    if timing is not None and flight.metadata["residual"]["name"] == "none" and whole:
         by_speeds = all(np.isfinite(columns.get(f"auto_{of}_sd", unknown)[-1]) for of in ("force_x", "thrust_scale"))
         force = true_force(flight, timing["dead_time"], lag, by_speeds=by_speeds)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
 
 
-def _thrust_scale(flight: Flight) -> np.ndarray:
-    """What rotors gave of what was commanded in the last LAST, over the mass in that which is believed, (k,). NaN where
-    a factor is drawn that no column shows, or a payload is carried."""
+def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
+    """What rotors gave in the last LAST of what was commanded, after dead time and lag (s), over the mass in that which
+    is believed, (k,). NaN where no column shows what the world has: a factor that is drawn, a payload, a rotor that
+    fails."""
     columns, config, n = flight.columns, flight.metadata["config"], flight.input.shape[1]
-    actuator = config.get("actuator", {})
-    if "payload" in config or any(actuator.get(f"{of}_scale_std") for of in ("rotor", "flight")):
+    actuator, truth, speeds = config.get("actuator", {}), config.get("truth", {}), "rotor_speed_0" in columns
+    drawn = any(actuator.get(f"{of}_scale_std") for of in ("rotor", "flight"))
+    changes = "payload" in config or "health" in config or config["plant"].get("schedule")
+    if drawn or changes or len(flight) < 2 or "thinned" in flight.metadata:
         return np.full(len(flight), np.nan)
-    commanded = flight.input.sum(axis=1)
-    given = commanded  # where no motors lag or sag
-    if "rotor_speed_0" in columns:
-        speeds = flight.stack([f"rotor_speed_{i}" for i in range(n)])
-        given = config["vehicle"]["thrust_coefficient"] * np.square(speeds).sum(axis=1)
+    given = commanded = commanded_thrust(flight, dead_time, lag)[:, -1]
+    if speeds:
+        given = config["vehicle"]["thrust_coefficient"] * sum(columns[f"rotor_speed_{i}"] ** 2 for i in range(n))
     elif "delivered_0" in columns:
         given = flight.stack([f"delivered_{i}" for i in range(n)]).sum(axis=1)
     window = np.ones(min(max(round(LAST / float(flight.t[1] - flight.t[0])), 1), len(flight)))
     means = [np.convolve(sums, window)[: len(flight)] for sums in (given, commanded)]
-    scale: np.ndarray = means[0] / means[1] / config.get("truth", {}).get("mass", 1.0)
+    scale: np.ndarray = means[0] / means[1] * truth.get("thrust_coefficient", 1.0) / truth.get("mass", 1.0)
     return scale
 
 
@@ -148,16 +152,8 @@ def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool 
     """What acts beside gravity and the thrusts that are believed, on a model without air: m (a + g e_z) - T R e_z,
     world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period. T: of the commands
     after dead time and lag; by_speeds: at the instants that of the rotors' speeds, times the scale that is believed."""
-    from scipy.signal import lfilter
-
-    vehicle, t = flight.metadata["config"]["vehicle"], flight.t
-    up = _up(flight)
-    period = float(t[1] - t[0])
-    ages = (np.arange(FINE) + 0.5) / FINE * period  # within the period, from its end back
-    sent = flight.input.sum(axis=1)
-    late = np.clip(np.floor((t[:, None] - t[0] - ages - dead_time) / period + 1e-9).astype(int), 0, None)
-    thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / FINE / lag) if lag else 1.0
-    followed = lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE)
+    vehicle, up, period = flight.metadata["config"]["vehicle"], _up(flight), float(flight.t[1] - flight.t[0])
+    followed = commanded_thrust(flight, dead_time, lag)
     thrust = followed.mean(axis=1)
     if by_speeds:
         squares = sum(flight.columns[f"rotor_speed_{i}"] ** 2 for i in range(flight.input.shape[1]))
@@ -167,6 +163,19 @@ def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool 
     middle = (up + np.roll(up, 1, axis=0)) / 2
     force: np.ndarray = vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
     return force
+
+
+def commanded_thrust(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
+    """Thrust of all rotors by the commands after dead time and lag (s), in FINE steps of the period that ends at each
+    sample, (k, FINE) (N)."""
+    from scipy.signal import lfilter
+
+    t, period, sent = flight.t, float(flight.t[1] - flight.t[0]), flight.input.sum(axis=1)
+    ages = (np.arange(FINE) + 0.5) / FINE * period  # within the period, from its end back
+    late = np.clip(np.floor((t[:, None] - t[0] - ages - dead_time) / period + 1e-9).astype(int), 0, None)
+    thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / FINE / lag) if lag else 1.0
+    followed: np.ndarray = lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE)
+    return followed
 
 
 def _up(flight: Flight) -> np.ndarray:

@@ -7,7 +7,9 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from quadexp.report.beliefs import behind, force_variance, lag_of
+from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
+from quadexp.report.beliefs import behind, beliefs, force_variance, lag_of, truths
 
 STEP = 0.0005  # s
 
@@ -58,3 +60,31 @@ def test_motors_that_lag_unlike_up_and_down_have_the_lag_that_fits_them_best(rng
 
     best = minimize_scalar(left, bounds=(0.003, 0.1), method="bounded").x
     assert lag_of(up, down) == pytest.approx(best, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("world", "scale"),
+    [
+        (["truth.thrust_coefficient=0.85"], 0.85),
+        (["truth.mass=0.8", "world=only_motor_lag", "link=latency"], 1.25),
+        (["truth.mass=0.8", "world=only_motor_lag", "vehicle=hummingbird"], 1.25),
+    ],
+)
+def test_the_true_scale_is_that_of_the_world_in_corners_too(world, scale):
+    """Thrusts are compared with the commands that they follow."""
+    path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=6", "trajectory.speed=4"]
+    flight = fly_one(compose([*world, *path, "controller=nominal_mpc", "controller.allow_unstable=true"]))
+    assert truths(flight)["observer_thrust_scale"][flight.t > 1] == pytest.approx(scale, rel=1e-6)
+
+
+def test_what_a_world_draws_or_carries_has_no_true_scale():
+    for world in (["world=everything"], ["vehicle=lei_li", "plant=blade_element_payload"]):
+        flight = fly_one(compose([*world, "controller=nominal_mpc", "trajectory.duration=1", "trajectory=hover"]))
+        assert np.isnan(truths(flight)["observer_thrust_scale"]).all()
+
+
+def test_a_flight_of_one_sample_has_no_beliefs():
+    flight = fly_one(
+        compose(["controller=perfect_mpc", "trajectory=hover", "trajectory.duration=0.01", "remedies=auto"])
+    )
+    assert len(flight) == 1 and not beliefs(flight)

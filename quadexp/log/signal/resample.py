@@ -151,6 +151,11 @@ def interpolate(
     if held:
         return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
     if sphere:
+        whole = np.linalg.norm(values, axis=1) > 0  # NaN is not; what is left out here is refused elsewhere
+        if whole.sum() < 2:
+            return np.full((len(at), values.shape[1]), np.nan)
+        t, values = t[whole], values[whole]
+        at = np.clip(at, t[0], t[-1])
         return Slerp(t, Rotation.from_quat(values, scalar_first=True))(at).as_quat(scalar_first=True)
     step = np.diff(t)
     return CubicHermiteSpline(t, values, np.stack([_slopes(column, step) for column in values.T], axis=-1))(at)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
 from quadexp.log.signal import Stream
-from quadexp.log.signal.resample import resample
+from quadexp.log.signal.resample import interpolate, resample
 
 
 def tone(frequency, rate, duration=10.0, jitter=0.0, rng=None):
@@ -108,3 +108,15 @@ def test_what_cannot_be_is_named():
     t[5] = 0.1
     with pytest.raises(DataError, match="row 4"):
         resample({"a": Stream(t, t)}, 10)
+
+
+def test_a_quaternion_that_is_none_is_left_out():
+    """Of norm zero or NaN: a log is refused for it by its check, not by the interpolation of another fault."""
+    t, angle = np.arange(5.0), 0.2 * np.arange(5.0)
+    turned = Rotation.from_rotvec(angle[:, None] * [0, 0, 1]).as_quat(scalar_first=True)
+    at, whole = np.array([1.5, 2.0, 3.7]), turned.copy()
+    turned[2], turned[3] = 0.0, np.nan
+    np.testing.assert_allclose(
+        interpolate(t, turned, at, sphere=True), interpolate(t, whole, at, sphere=True), atol=1e-12
+    )
+    assert np.isnan(interpolate(t, np.zeros((5, 4)), at, sphere=True)).all()
