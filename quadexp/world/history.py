@@ -1,9 +1,6 @@
 """Quantities at any time of a control period, from their values at its integration steps.
 
-Between two steps they are interpolated, which is off by a second derivative times h^2 / 8 at most. A low pass of first
-order with the cut-off f_c (Hz) gives for the values x_j
-
-    y_j = a y_{j-1} + (1 - a) (x_{j-1} + x_j) / 2,    a = exp(-2 pi f_c h)
+Between two steps they are interpolated, which is off by a second derivative times h^2 / 8 at most.
 """
 
 from __future__ import annotations
@@ -14,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.physics.low_pass import low_pass
 from quadexp.world.effect import Clock
 
 ROUNDING = 1e-6  # of an integration step, by which a time may lie beside it and count as there
@@ -24,11 +22,6 @@ class History(NamedTuple):
 
     values: ca.MX
     clock: Clock
-
-    @property
-    def means(self) -> ca.MX:
-        """(k, steps), over each step."""
-        return (self.values[:, :-1] + self.values[:, 1:]) / 2
 
     def at(self, time: Any) -> ca.MX:
         """(k,) at a time (s) since the period began: a number, or a symbol; zeros outside the period."""
@@ -47,15 +40,18 @@ class History(NamedTuple):
         return value / ca.norm_2(value)
 
     def low_passed(self, first: ca.MX, cutoff: float) -> History:
-        """What a low pass makes of it; first: what it gave as the period began, (k,). cutoff: Hz; 0: none."""
+        """What a low pass makes of it (physics/low_pass.py); first: what it gave as the period began, (k,). cutoff: Hz;
+        0: none."""
         if not cutoff:
             return self
-        decay, steps = math.exp(-2 * math.pi * cutoff * self.clock.step), np.arange(self.clock.steps + 1)
-        gains = np.where(steps[:, None] <= steps, (1 - decay) * decay ** np.maximum(steps - steps[:, None], 0), 0.0)
-        gains[0] = decay**steps
-        return History(ca.mtimes(ca.horzcat(first, self.means), ca.DM(gains)), self.clock)
+        decay, before, now = low_pass(cutoff, self.clock.step)
+        driven = before * self.values[:, :-1] + now * self.values[:, 1:]
+        steps = np.arange(self.clock.steps + 1)
+        gains = np.where(steps[:, None] <= steps, decay ** np.maximum(steps - steps[:, None], 0), 0.0)
+        return History(ca.mtimes(ca.horzcat(first, driven), ca.DM(gains)), self.clock)
 
     def integral(self, first: ca.MX) -> History:
         """first, (k,), and what has come to it since the period began."""
-        gained = self.clock.step * ca.cumsum(ca.horzcat(ca.MX.zeros(first.numel()), self.means), 1)
+        means = (self.values[:, :-1] + self.values[:, 1:]) / 2
+        gained = self.clock.step * ca.cumsum(ca.horzcat(ca.MX.zeros(first.numel()), means), 1)
         return History(ca.repmat(first, 1, self.clock.steps + 1) + gained, self.clock)

@@ -7,8 +7,8 @@
     attitude        q o [1, e_a / 2] / |..|                 e_a: rad, body axes;  the same
     battery         the voltage + sigma n, in whole steps   V; no controller is told it, a flight logs it
 
-How readings drift, wait and get lost: channel.py. Low pass, of first order: history.py. What telegrams leave of a
-speed, and vibration at the rotors' frequencies: physics/telegram.py. Position, velocity and attitude come in one
+How readings drift, wait and get lost: channel.py. Low pass, of first order: physics/low_pass.py. What telegrams leave of
+a speed, and vibration at the rotors' frequencies: physics/telegram.py. Position, velocity and attitude come in one
 message, which is late and lost as a whole. An estimator with a delay of its own makes all of them older by that.
 """
 
@@ -27,6 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import declared
+from quadexp.physics.low_pass import group_delay
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.telegram import dshot_speed, in_steps, vibration
@@ -47,8 +48,8 @@ AXES = 3
 @dataclass(frozen=True, kw_only=True)
 class Sensors(SensorKeys, Effect):
     """Inner states: of each channel that does something, in the order of `channels`: what it keeps of the quantity,
-    which are the last (low-passed) force (3,) and the angles of the rotors (n,) (rad), or the low-passed rates (3,);
-    then the channel's own. Parameters: those of the channels."""
+    which are the last force (3,) behind the low pass and before it, and the angles of the rotors (n,) (rad), or the
+    low-passed rates (3,); then the channel's own. Parameters: those of the channels."""
 
     stage = "sensor"
     added = tuple(key for key in declared(SensorKeys) if key not in ("accelerometer_bias", "accelerometer_noise"))
@@ -145,7 +146,7 @@ class Sensors(SensorKeys, Effect):
     # ------------------------------------------------------------------------------------------------------ see Effect
     def _keeps(self, name: str, rotors: int) -> int:
         """How many numbers a channel keeps of its quantity."""
-        return {"accelerometer": AXES + rotors * any(self.accelerometer_vibration), "gyroscope": AXES}.get(name, 0)
+        return {"accelerometer": 2 * AXES + rotors * any(self.accelerometer_vibration), "gyroscope": AXES}.get(name, 0)
 
     def _places(self, clock: Clock, rotors: int) -> dict[str, slice]:
         """Where the inner states of each channel stand."""
@@ -176,7 +177,7 @@ class Sensors(SensorKeys, Effect):
         inner, parameters = [np.empty(0)], [np.empty(0)]
         for name, channel in self.channels(vehicle.n_rotors).items():
             own, numbers = channel.start(part_stream(rng, name), start.clock, exact[name])
-            kept = np.concatenate([exact[name], angles])[: self._keeps(name, vehicle.n_rotors)]
+            kept = np.concatenate([exact[name], exact[name], angles])[: self._keeps(name, vehicle.n_rotors)]
             inner += [kept, own]
             parameters.append(numbers)
         return np.concatenate(inner), np.concatenate(parameters)
@@ -251,21 +252,22 @@ class Sensors(SensorKeys, Effect):
 
     def _force(self, at: Readings, last: ca.MX, kept: ca.MX) -> tuple[Callable[[Any], ca.MX], ca.MX]:
         """Specific force and vibration; last: the force at the end of the period."""
-        cutoff, clock, before = self.accelerometer_cutoff, at.clock, kept[:AXES]
+        cutoff, clock = self.accelerometer_cutoff, at.clock
+        passed, before, turned_by = ca.vertsplit(kept, [0, AXES, 2 * AXES, kept.numel()])
         forces = History(ca.repmat(last, 1, clock.steps + 1), clock)
         if cutoff or self.accelerometer_delay or self.accelerometer_rate:
-            forces = History(ca.horzcat(before, at.forces()), clock).low_passed(before, cutoff)
-            last = forces.values[:, -1]
+            forces = History(ca.horzcat(before, at.forces()), clock).low_passed(passed, cutoff)
+        after = ca.vertcat(forces.values[:, -1], last)
         if not any(self.accelerometer_vibration):
-            return forces.at, last
+            return forces.at, after
         speeds, vehicle = self._speeds(at), at.vehicle
-        angles, amplitude = speeds.integral(kept[AXES:]), ca.DM(self.accelerometer_vibration)
+        angles, amplitude = speeds.integral(turned_by), ca.DM(self.accelerometer_vibration)
         hover = math.sqrt(vehicle.hover_thrust / vehicle.static_thrust_coefficient)
 
         def shaken(time: Any) -> ca.MX:
             return forces.at(time) + vibration(angles.at(time), speeds.at(time), hover, amplitude, cutoff)
 
-        return shaken, ca.vertcat(last, ca.fmod(angles.values[:, -1], 2 * math.pi))
+        return shaken, ca.vertcat(after, ca.fmod(angles.values[:, -1], 2 * math.pi))
 
     def _speeds(self, at: Readings) -> History:
         """Of the rotors, (n,) (rad/s)."""
@@ -282,11 +284,6 @@ def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
     """Where each of some parts of a vector stands."""
     ends = [0, *accumulate(sizes.values())]
     return {name: slice(*pair) for name, pair in zip(sizes, pairwise(ends), strict=True)}
-
-
-def group_delay(cutoff: float) -> float:
-    """Of a low pass of first order with this cut-off (Hz) for what is slow (s); 0 of none."""
-    return 1 / (2 * math.pi * cutoff) if cutoff else 0.0
 
 
 def turned(q: Any, error: Any) -> Any:

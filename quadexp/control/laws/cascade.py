@@ -45,13 +45,14 @@ from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, Triple, key, part
 from quadexp.physics.expression import Expression
+from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer integrates
 SATURATED = 1e-9  # share of a wanted torque that the mixer leaves out, from which on an axis counts as saturated
-MEMORY = {"velocity_integral": 3, "velocity": 3, "acceleration": 3, "rate_integral": 3, "rate": 3, "turning": 3}
+MEMORY = {"velocity_integral": 3, "velocity": 3, "velocity_filter": 3, "rate_integral": 3, "rate": 3, "rate_filter": 3}
 LOGGED = tuple(f"{name}_{axis}" for name in ("velocity_integral", "rate_integral") for axis in "xyz")
 
 
@@ -125,10 +126,10 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     period, g = 1 / keys.rate, vehicle.gravity
     x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
     path, yaw, memory = ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3), ca.SX.sym("memory", sum(MEMORY.values()))
-    integral, v_last, acceleration, rate_integral, w_last, turning = ca.vertsplit(memory, 3)
+    integral, v_last, of_velocity, rate_integral, w_last, of_rate = ca.vertsplit(memory, 3)
     R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
-    acceleration = low_pass(acceleration, (v - v_last) / period, keys.velocity_cutoff, period)
-    turning = low_pass(turning, (w - w_last) / period, keys.rate_cutoff, period)
+    acceleration, of_velocity = filtered(of_velocity, (v - v_last) / period, keys.velocity_cutoff, period)
+    turning, of_rate = filtered(of_rate, (w - w_last) / period, keys.rate_cutoff, period)
 
     v_c = wanted_velocity(
         ca.DM(keys.position_proportional) * (path[:, 0] - x[POSITION]), path[:, 1], keys.velocity_limit
@@ -168,7 +169,7 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     outputs = {
         "command": u,
         "held": held(vehicle, u),
-        "memory_next": ca.vertcat(integral, v, acceleration, rate_integral, w, turning),
+        "memory_next": ca.vertcat(integral, v, of_velocity, rate_integral, w, of_rate),
         "log": ca.vertcat(integral, rate_integral),
     }
     values = ca.cse([ca.densify(value) for value in outputs.values()])
@@ -177,9 +178,11 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     )
 
 
-def low_pass(last: Expression, value: Expression, cutoff: float, period: float) -> Expression:
-    """A first-order filter one sample on; cutoff: Hz."""
-    return last + period / (period + 1 / (2 * math.pi * cutoff)) * (value - last)
+def filtered(memory: Expression, value: Expression, cutoff: float, period: float) -> tuple[Expression, Expression]:
+    """What a low pass (physics/low_pass.py) makes of a value, and its memory for the next; cutoff: Hz."""
+    decay, before, now = low_pass(cutoff, period)
+    passed = now * value + memory
+    return passed, before * value + decay * passed
 
 
 def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[float, float, float]) -> Expression:
