@@ -13,7 +13,7 @@ or an entry of a sheet, options/SHEET.yaml, which holds several, by group and op
       heavy: {meaning: 30 % more mass than believed, actuator: first_order, truth.mass: 1.3}
 
 `of` names the option that it extends, `meaning` says in words what it is, `provenance` where its values come from; the
-rest is what a file would state. Of a bundle (world, remedies) a key that names a group chooses its option, and
+rest is what a file would state. `crazyflie` reads values from an installed package (crazyflies.py). Of a bundle (world, remedies) a key that names a group chooses its option, and
 GROUP.KEY sets a value. A part of a world whose values are set so is an option too: truth=heavy.
 
 A folder may come from anybody. So a file that is none (a pipe, a device) is not opened to be waited for; aliases of
@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
+from quadexp.parts.crazyflies import CRAZYFLIE, crazyflie_numbers
 from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name, refuse_former
 from quadexp.parts.part import TARGET, Part, part_class, plugin_folders
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
@@ -135,6 +136,9 @@ class OptionFiles:
         if path is None:
             raise UsageError(f"{group}={option}: there is no file {name}.yaml")
         content = self.entries[name].content if name in self.entries else read_mapping(path)
+        if CRAZYFLIE in content:
+            numbers = crazyflie_numbers(group, str(content[CRAZYFLIE]))
+            content = numbers | {key: value for key, value in content.items() if key != CRAZYFLIE}
         return path, {key: value for key, value in content.items() if look or key != LOOK}
 
     def look(self, group: str, option: str) -> Mapping[str, Any]:

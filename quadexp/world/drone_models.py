@@ -1,4 +1,4 @@
-"""drone-models' first-principles Crazyflie (version 0.1) as a plant: its equations, written anew in CasADi.
+"""The first-principles Crazyflie of crazyflow, formerly drone-models, as a plant, written from the laws in CasADi.
 
 Rotor i at r_i turns with n_i (rpm), its reaction torque has the sign s_i about +z_body; v is the air-relative body
 velocity:
@@ -7,13 +7,15 @@ velocity:
     f_i   = k_0 + k_1 n_i + k_2 n_i^2                       N; n*_i is its root for the commanded thrust u_i
     t_i   = m_0 + m_1 n_i + m_2 n_i^2                       N m
     F     = sum_i f_i e_z - diag(d) v                       N
-    Gamma = sum_i (r_i x f_i e_z + s_i t_i e_z) + J_p [-w_y N, -w_x N, N'],   N = sum_i s_i n_i pi / 30        N m
+    h     = -J_p N e_z,   N = sum_i s_i n_i pi / 30         angular momentum of the rotors, N m s
+    Gamma = sum_i (r_i x f_i e_z + s_i t_i e_z) - w x h - h'                                                   N m
     v'    = R F / m + g,   J w' = Gamma - w x J w
 
-r_i, s_i, m, J and the limits of u_i are the vehicle's. The angular momentum of the rotors is -J_p N e_z, whose change
-would be +w_y N along x; the package has -w_y N there, and so has this plant. In hover N is zero.
+r_i, s_i, m, J and the limits of u_i are the vehicle's; a rotor turns against its reaction torque, whence the sign of h.
+So the torque of the rotors as gyroscopes is J_p [w_y N, -w_x N, N']; in hover N is zero. (drone-models 0.1 has -w_y N
+in the first row; crazyflow 0.4 has the law.)
 
-drone-models: MIT licence, M. Rath and M. Schuck, University of Toronto (utiasDSL/drone-models).
+crazyflow: MIT licence, University of Toronto (utiasDSL/crazyflow). Where its numbers are read: parts/crazyflies.py.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import REQUIRED, Triple, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features, state_derivative
@@ -50,24 +52,14 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class DroneModels(PlantPart):
-    """Rotors and drag of the first-principles model of drone-models 0.1, with the numbers of its cf2x_L250."""
+    """Rotors and drag of crazyflow's first-principles model."""
 
-    thrust_curve: Triple = key(
-        (0.0, -5.382196214637237e-7, 2.4582929831265485e-10), "rpm2thrust: N, N/rpm, N/rpm^2", "[-1, 1]"
-    )
-    torque_curve: Triple = key(
-        (0.0, 1.410454111996297e-9, 1.4592584373980652e-12), "rpm2torque: N m, N m/rpm, N m/rpm^2", "[-1, 1]"
-    )
-    spin_up: Pair = key(
-        (7.355623702172756, 0.0), "rotor_dyn_coef: rpm' per rpm and per rpm^2 missing, 1/s, 1/(rpm s)", "[0, 1e4]"
-    )
-    spin_down: Pair = key(
-        (0.0, 0.00024443862952110715), "the same where the command is below the speed, 1/s, 1/(rpm s)", "[0, 1e4]"
-    )
-    linear_drag: Triple = key(
-        (0.01471782, 0.01471782, 0.01277641), "drag force per velocity, body axes (drag_matrix)", "[0, 100]", "N s/m"
-    )
-    propeller_inertia: float = key(34.52e-9, "of one propeller about its axis (prop_inertia)", "[0, 1]", "kg m^2")
+    thrust_curve: Triple = key(REQUIRED, "rpm2thrust: N, N/rpm, N/rpm^2", "[-1, 1]")
+    torque_curve: Triple = key(REQUIRED, "rpm2torque: N m, N m/rpm, N m/rpm^2", "[-1, 1]")
+    spin_up: Pair = key(REQUIRED, "rotor_dyn_coef: rpm' per rpm and per rpm^2 missing, 1/s, 1/(rpm s)", "[0, 1e4]")
+    spin_down: Pair = key(REQUIRED, "the same where the command is below the speed, 1/s, 1/(rpm s)", "[0, 1e4]")
+    linear_drag: Triple = key(REQUIRED, "drag force per velocity, body axes (drag_matrix)", "[0, 100]", "N s/m")
+    propeller_inertia: float = key(REQUIRED, "of one propeller about its axis (prop_inertia)", "[0, 1]", "kg m^2")
 
     former_kind = "drone_models"
 
@@ -76,7 +68,7 @@ class DroneModels(PlantPart):
 
 
 class DroneModelsPlant(RotorSpeedPlant):
-    """drone-models' first-principles model, with its motors, as a Plant.
+    """crazyflow's first-principles model, with its motors, as a Plant.
 
     vehicle: with thrust_coefficient. After `advance`: rotor_speed (n,) (rad/s). Raises UsageError where thrust_curve
     does not rise over the vehicle's thrusts, or in hover is not that of the vehicle's thrust_coefficient.
@@ -166,7 +158,9 @@ def wrench(
     rotors = ca.mtimes(ca.DM(vehicle.allocation[:3]), _thrust(rpm, parameters))
     reaction = ca.dot(spin, m[0] + m[1] * rpm + m[2] * rpm**2)
     total, change = RPM * ca.dot(spin, rpm), RPM * ca.dot(spin, rpm_rate)
-    gyroscopic = parameters[INERTIA] * ca.vertcat(-rate[1] * total, -rate[0] * total, change)
+    axis = ca.DM([0, 0, 1])
+    momentum, momentum_rate = -parameters[INERTIA] * total * axis, -parameters[INERTIA] * change * axis
+    gyroscopic = -ca.cross(rate, momentum) - momentum_rate
     force = linear_drag_force(v, parameters[DRAG]) + ca.vertcat(0, 0, rotors[0])
     return force, ca.vertcat(rotors[1:], reaction) + gyroscopic
 
