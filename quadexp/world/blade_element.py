@@ -364,6 +364,7 @@ def fast_equations(model: BladeElementModel, rough: bool = False) -> Equations:
         _begin(model, ca.Function("begin", [x, w, held, parameters], [first])),
         ca.Function("end", [s, held, parameters], results),
         *_for_effects(model),
+        _static_thrust(model, [s, held, parameters, h], w_now),
     )
 
 
@@ -397,6 +398,7 @@ def checked_equations(model: BladeElementModel) -> Equations:
         _begin(model, lambda x, w, held, parameters: ca.vertcat(x, w)),
         ca.Function("checked_end", [s, held, parameters], [x, ca.vertcat(w, induced), reading, ca.MX(1, 1)]),
         *_for_effects(model),
+        _static_thrust(model, [s, held, parameters, h], w_now),
     )
 
 
@@ -417,6 +419,11 @@ def _for_effects(model: BladeElementModel) -> tuple[ca.Function, ca.Function]:
         ca.Function("command", [u, parameters], [model.commanded(u, parameters)]),
         ca.Function("mass", [parameters], [model.split(parameters)[2]]),
     )
+
+
+def _static_thrust(model: BladeElementModel, arguments: list[Expression], w: Expression) -> ca.Function:
+    """Equations.thrust."""
+    return ca.Function("thrust", arguments, [model.vehicle.static_thrust_coefficient * w**2])
 
 
 def _symbols(model: BladeElementModel, kind: type[Expression]) -> list[Expression]:

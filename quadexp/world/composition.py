@@ -251,11 +251,11 @@ class _Parts:
         return self._function("ending", symbols, [ca.vertcat(*inner)])
 
     def drive(self) -> ca.Function:
-        """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""
+        """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), and those that enter each effect."""
         symbols = self._symbols("t", "x", "own", "u", "parameters", "step")
         t, x, own, command, parameters, step = symbols
         moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
-        wind, force, torque = (self._kind.zeros(3) for _ in range(3))
+        wind = self._kind.zeros(WIND)
         for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wind"):
                 wind += effect.wind(at)
@@ -264,11 +264,20 @@ class _Parts:
             entering.append(command)
             if effect.has("thrusts"):
                 command = effect.thrusts(at._replace(command=command, wind=wind))
-        for effect, at, enters in zip(self._effects, moments, entering, strict=True):
+        return self._function("drive", symbols, [wind, command, *entering])
+
+    def pushes(self) -> ca.Function:
+        """(t, x, own, parameters, step, wind, thrusts, entering ..) -> force (3,) world, torque (3,) body."""
+        symbols = self._symbols("t", "x", "own", "parameters", "step", "wind", "thrusts")
+        entering = [self._symbols("u")[0] for _ in self._effects]
+        t, x, own, parameters, step, wind, thrusts = symbols
+        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step, wind=wind, thrust=thrusts)
+        force, torque = self._kind.zeros(3), self._kind.zeros(3)
+        for effect, at, command in zip(self._effects, moments, entering, strict=True):
             if effect.has("wrench"):
-                more = effect.wrench(at._replace(command=enters, wind=wind, thrust=command))
+                more = effect.wrench(at._replace(command=command))
                 force, torque = force + more[0], torque + more[1]
-        return self._function("drive", symbols, [wind, command, force, torque, *entering])
+        return self._function("pushes", [*symbols, *entering], [force, torque])
 
     def _after(self) -> ca.Function:
         """(t, x, own, parameters, step, wind, thrusts, x_next, entering ..) -> own after the step."""
@@ -326,9 +335,12 @@ class _Parts:
             size = layout.effects[i].inner
             pieces[i], first = still[first : first + size], first + size
         own = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
-        wind, thrusts, force, torque, *entering = self.drive()(t, x, own, u, parameters, step)
+        wind, thrusts, *entering = self.drive()(t, x, own, u, parameters, step)
         pushes = any(effect.has("wrench") for effect in self._effects)
         blows = any(effect.has("wind") for effect in self._effects)
+        held = equations.command(thrusts, theta) if equations.command else thrusts
+        given = equations.thrust(ca.vertcat(x, rest), held, theta, step) if equations.thrust else thrusts
+        force, torque = self.pushes()(t, x, own, parameters, step, wind, given, *entering)
         mass = equations.mass(theta) if equations.mass else self._vehicle.mass
         kick = step / 2 * force / mass
         turn = step / 2 * ca.mtimes(ca.inv(ca.DM(self._vehicle.inertia_matrix)), torque)
@@ -339,7 +351,6 @@ class _Parts:
             return ca.vertcat(state[: VELOCITY.start], state[VELOCITY] + kick, state[RATE] + turn)
 
         seen = kicked(_seen_from_the_air(x, wind) if blows else x)
-        held = equations.command(thrusts, theta) if equations.command else thrusts
         results = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
         s, *kept = results if isinstance(results, tuple) else (results,)
         x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]

@@ -186,6 +186,9 @@ def _equations(vehicle: Vehicle) -> Equations:
     thrusts = ca.fmin(ca.fmax(u, vehicle.thrust_min), vehicle.thrust_max)
     after = integrate("rk4", lambda state: f(state, thrusts, parameters)[0], s, step)
     results = ca.cse([after, f(after, thrusts, parameters)[1]])
+    rpm = s[N_STATE:] / RPM
+    middle = rpm + step / 2 * _spinning(rpm, _commanded(thrusts, parameters), parameters)
     return Equations(
-        ca.Function("drone_models_step", [s, u, noise, parameters, step], results, STEP_INPUTS, STEP_OUTPUTS)
+        ca.Function("drone_models_step", [s, u, noise, parameters, step], results, STEP_INPUTS, STEP_OUTPUTS),
+        thrust=ca.Function("thrust", [s, u, parameters, step], [_thrust(middle, parameters)]),
     )

@@ -44,7 +44,8 @@ class Equations:
     inner] and u. end: (s, held, parameters) after the last step -> x, inner, specific force, and a doubt, not zero
     where all this may be wrong; None: s is [x, inner], and the last specific force holds.
     For effects (see effect.py), whose thrusts change from step to step: command: (u, parameters) -> held, as in begin;
-    None: u itself. mass: parameters -> the mass that is flown (kg); None: the vehicle's.
+    None: u itself. mass: parameters -> the mass that is flown (kg); None: the vehicle's. thrust: (s, held, parameters,
+    step) -> what the plant's own rotors give in the middle of the step by their speeds (n,) (N); None: what is commanded.
     """
 
     step: ca.Function
@@ -52,6 +53,7 @@ class Equations:
     end: ca.Function | None = None
     command: ca.Function | None = None
     mass: ca.Function | None = None
+    thrust: ca.Function | None = None
 
     @property
     def inner_size(self) -> int:

@@ -30,7 +30,7 @@ from quadexp.parts.part import Given
 from quadexp.parts.settings import Triple, key
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
-from quadexp.physics.motor import lagging_rk4_step
+from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -169,4 +169,8 @@ def _equations(vehicle: Vehicle) -> Equations:
     after = ca.vertcat(after[: ATTITUDE.start], q / ca.norm_2(q), after[ATTITUDE.stop :])
     reading = f(after[:N_STATE], after[N_STATE:], parameters)[1]
     results = ca.cse([after, reading])
-    return Equations(ca.Function("rotorpy_step", [s, u, noise, parameters, step], results, STEP_INPUTS, STEP_OUTPUTS))
+    middle = lagging_thrust(begun[N_STATE:], command, step / 2, lag)
+    return Equations(
+        ca.Function("rotorpy_step", [s, u, noise, parameters, step], results, STEP_INPUTS, STEP_OUTPUTS),
+        thrust=ca.Function("thrust", [s, u, parameters, step], [vehicle.static_thrust_coefficient * middle**2]),
+    )
