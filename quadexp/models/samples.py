@@ -79,15 +79,22 @@ class Samples:
         """With the signal of `delay` (s) earlier; at the beginning of a segment, where it is not known, the first."""
         if not delay:
             return self
-        rows = round(delay / float(np.median(np.diff(self.time))))
-        first = np.searchsorted(self.segment, self.segment)
-        late = np.maximum(np.arange(len(self)) - rows, first)
-        return replace(self, signal=self.signal[late], delay=self.delay + delay)
+        return replace(self, signal=self.signal[earlier(self.time, self.segment, delay)], delay=self.delay + delay)
 
     def during(self, values: np.ndarray) -> np.ndarray:
         """Values (k, n) of the signal, over the interval that begins at each sample."""
         later = np.minimum(np.arange(len(self)) + 1, np.searchsorted(self.segment, self.segment, "right") - 1)
         return np.where(self.held[:, None], values[later], values)
+
+
+def earlier(time: np.ndarray, segment: np.ndarray, delay: float) -> np.ndarray:
+    """The sample, (k,), of a time `delay` (s) before each; at the beginning of a segment its first.
+
+    time, segment: (k,), segments one after another with increasing numbers.
+    """
+    rows = round(delay / float(np.median(np.diff(time))))
+    late: np.ndarray = np.maximum(np.arange(len(time)) - rows, np.searchsorted(segment, segment))
+    return late
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:

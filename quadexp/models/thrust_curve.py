@@ -27,7 +27,7 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
 from quadexp.models.regression import Regression, half_width, regress
-from quadexp.models.samples import SIGNALS, Samples, rotor_columns
+from quadexp.models.samples import SIGNALS, Samples, earlier, rotor_columns
 
 # Powers of the signal in the curve, and the signals with an intercept by default.
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
@@ -76,9 +76,10 @@ class ThrustCurve(Record, frozen=True):
         if not columns:
             raise DataError(f"the flight has no column {self.signal}_0, which this thrust curve needs")
         voltage = flight["battery_voltage"] if self.reference_voltage else None
-        late = round(self.delay / float(np.median(np.diff(flight.t)))) if self.delay else 0
-        acting = np.maximum(np.arange(len(flight)) - late, 0)
-        return self.of_signal(flight.stack(columns).astype(float)[acting], voltage)
+        signal = flight.stack(columns).astype(float)
+        if self.delay:
+            signal = signal[earlier(flight.t, flight.columns.get("segment", np.zeros(len(flight))), self.delay)]
+        return self.of_signal(signal, voltage)
 
     def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None = None) -> np.ndarray:
         """The same from the signal, (k, n), and the voltage, (k,) (V)."""

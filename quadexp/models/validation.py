@@ -58,6 +58,7 @@ NOMINAL = "nominal"
 _KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
 LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
 TURNING = ("held", "full")
+FAR = 10.0  # medians of the distances of errors from their median
 STARTS = 120  # per flight at most, spread evenly
 POINT, WORLD_VELOCITY = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z")
 Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -217,7 +218,7 @@ class Track:
         thrust = row.samples.force[:, 2] - beyond[:, 2]
         self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
         self.gravity = gravity
-        self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, row.samples.force, gravity)
+        self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, row.samples.force, self.segment, gravity)
 
     def starts(self, steps: int) -> np.ndarray:
         """Samples followed by `steps` more in the same segment, spread over the flight."""
@@ -233,11 +234,22 @@ class Track:
 
 
 def accelerometer_bias(
-    time: np.ndarray, velocity: np.ndarray, matrix: np.ndarray, force: np.ndarray, gravity: float = GRAVITY
-) -> np.ndarray:
-    """Mean of f - R^T (dv/dt + g), (3,) (m/s^2): the accelerometer's mean error."""
-    world = np.gradient(velocity, time, axis=0) + [0.0, 0.0, gravity]
-    return np.mean(force - np.einsum("kji,kj->ki", matrix, world), axis=0)
+    time: np.ndarray, velocity: np.ndarray, matrix: np.ndarray, force: np.ndarray, segment: np.ndarray,
+    gravity: float = GRAVITY,
+) -> np.ndarray:  # fmt: skip
+    """Mean of f - R^T (dv/dt + g), (3,) (m/s^2): the accelerometer's mean error.
+
+    dv/dt is taken within each segment, (k,). Samples that are FAR typical deviations from the median are left out: there
+    an estimator has set its velocity anew.
+    """
+    errors = []
+    for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(segment)) + 1):
+        if len(rows) > 1:
+            world = np.gradient(velocity[rows], time[rows], axis=0) + [0.0, 0.0, gravity]
+            errors.append(force[rows] - np.einsum("kji,kj->ki", matrix[rows], world))
+    error = np.concatenate(errors)
+    distance = np.linalg.norm(error - np.median(error, axis=0), axis=1)
+    return np.mean(error[distance <= FAR * np.median(distance)], axis=0)
 
 
 def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
+from quadexp.experiment.build import build_vehicle, build_world
+from quadexp.parts.compose import compose
 from quadexp.world.true_vehicle import coefficient_allocation, with_factors, with_payload
 
 
@@ -75,3 +77,42 @@ def test_coefficients_change_the_wrench_as_another_vehicle_would_give_it(
     wanted = other.allocation @ (thrust_factor * u) - odd_vehicle.allocation @ u
     found = coefficient_allocation(odd_vehicle, thrust_factor, torque_factor) @ u
     assert found == pytest.approx(wanted, abs=1e-12)
+
+
+LAGGING = {
+    "drone_models": ["vehicle=cf2x_L250", "plant=drone_models"],
+    "rotorpy": ["vehicle=hummingbird", "plant=rotorpy", "plant.motor_lag=0.03"],
+    "blade_element": ["vehicle=lei_li", "plant=blade_element", "plant.motor_lag=0.05", "plant.step=1e-3"],
+    "actuator": ["plant=ideal", "actuator=first_order"],
+}
+
+
+def forces(overrides, scale):
+    """Specific force along z and rates after each of 10 periods, in which the thrusts rise by a fifth of hover."""
+    config = compose([*overrides, "plant.backend=interpreted"])
+    vehicle = build_vehicle(config.vehicle)
+    world = build_world(config, vehicle)
+    hover = scale * vehicle.hover_thrust
+    x, rows = np.r_[np.zeros(3), 1, np.zeros(9)], []
+    noise = world.begin(x, 0.02, 1.0, np.random.default_rng(0), np.full(4, hover))
+    for _ in range(10):
+        x, force = world.advance(x, np.full(4, 1.2 * hover), 0.02, noise)
+        rows.append(force[2])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+@pytest.mark.parametrize("plant", LAGGING)
+def test_thrust_that_is_off_lags_as_the_rotors_do(plant, factor):
+    """As if the commands were so many times larger, whether the rotors are the plant's own or an actuator's."""
+    off = forces([*LAGGING[plant], f"truth.thrust_coefficient={factor}"], 1.0)
+    assert off == pytest.approx(forces(LAGGING[plant], factor), abs=0.1)
+    assert off[0] < off[1] < off[2]
+
+
+@pytest.mark.parametrize("plant", ["drone_models", "blade_element"])
+def test_thrust_near_the_ground_lags_as_the_rotors_do(plant):
+    """The ground gives a constant factor of what the rotors give, here from the first period on."""
+    near = ["ground=cheeseman_bennett", "ground.rotor_radius=2.0"]  # less than half of it above the ground
+    share = forces([*LAGGING[plant], *near], 1.0)[:3] / forces(LAGGING[plant], 1.0)[:3]
+    assert share == pytest.approx(np.full(3, share[0]), rel=0.02) and share[0] > 1.25

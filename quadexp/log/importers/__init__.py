@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.log.importers.assemble import assemble
+from quadexp.log.importers.assemble import SHORTEST, assemble
 from quadexp.log.importers.mapping import Mapping, load_mapping
 from quadexp.log.importers.raw import RawLog, read_mapped
 from quadexp.log.importers.readers import reader_of, readers
@@ -30,7 +30,6 @@ from quadexp.provenance import provenance, versions
 
 MOST = 0.2  # share of the rows: beyond, the fault is not one of rows
 ROUNDS = 3  # what is left out may have hidden something
-SHORTEST = 5  # rows of a segment
 ATTITUDES = (("q_w", "q_x", "q_y", "q_z"), ("ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"))
 HELD = ("motor_command_", "u_", "battery_voltage", "wind_", "segment", "status")
 

@@ -22,7 +22,7 @@ LEAST_SHARE = {"reference": 0.95, "core": 0.1}  # of the flight that a stream mu
 CORE = ("acceleration", "rate", "attitude", "velocity", "position")
 QUATERNIONS = ("attitude", "reference_attitude")
 UNIFORM = 1e-3  # of a period: how far the steps of a clock may differ for it to be taken as uniform
-LEAST_ROWS = 10
+LEAST_ROWS, SHORTEST = 10, 5  # of a flight, of a segment
 REST_HEIGHT, REST_DISTANCE, REST_TIME = 0.05, 0.1, 0.5  # m, m, s: what counts as standing on the ground
 CLEARANCE, AUTO_MARGIN = 0.5, 1.5  # m above the ground; s cut off after take-off and before landing
 DIP = 0.2  # s: shorter losses of height or of its measurement do not end a stretch in the air
@@ -63,6 +63,12 @@ def assemble(
         t, values, segment = _one_clock(path, streams, core, rate, notes)
     if len(t) < LEAST_ROWS:
         raise DataError(f"{path}: {len(t)} rows, {LEAST_ROWS} at least are needed")
+    between = np.zeros(len(t), bool)  # the rows of a reset, which are interpolated across it, and those of short pieces
+    for before, after in log.resets:
+        between |= (t > before) & (t < after)
+        segment = segment + (t > before) + (t >= after)
+    if log.resets:
+        between |= np.bincount(segment)[segment] < SHORTEST
     columns = {"t": t}
     for name in [*CORE[::-1], *(n for n in values if n not in CORE)]:
         if name in values:
@@ -73,7 +79,7 @@ def assemble(
         columns |= dict(zip(columns_of("velocity", 3), velocity.values.T, strict=True))
         notes.append(f"velocity: derivative of the position, to {velocity.bandwidth:.3g} Hz")
     columns["segment"] = segment
-    kept = _cropped(t, values, log.crop if cropping else Crop("none"), notes)
+    kept = _cropped(t, values, log.crop if cropping else Crop("none"), notes) & ~between
     t0, t1 = float(t[kept][0] - start), float(t[kept][-1] - start)
     if not kept.all():
         columns = {name: column[kept] for name, column in columns.items()}

@@ -29,7 +29,8 @@ MOST_LATE = 0.01  # share of the rows that may lie out of order
 @dataclass
 class RawLog:
     """One log, read. mapping: name of the mapping, or of the reader's convention. layout: position of each of the log's
-    motors ("front_right", ...), or None where they stand in the vehicle's own order. about: for the flight's record."""
+    motors ("front_right", ...), or None where they stand in the vehicle's own order. about: for the flight's record.
+    resets: of the estimator, the last time before one and the first after it (s)."""
 
     format: str
     streams: dict[str, Stream]
@@ -38,6 +39,7 @@ class RawLog:
     crop: Crop = field(default_factory=Crop)
     notes: list[str] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
+    resets: list[tuple[float, float]] = field(default_factory=list)
 
 
 def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:

@@ -59,9 +59,17 @@ TOPICS = sorted({source.split()[0] for sources in SOURCES.values() for source in
                 | {topic for _, topic, _ in ROTOR_TOPICS})  # fmt: skip
 # What the estimator itself says of its horizontal and its vertical part.
 VALID = {"position": ("xy_valid", "z_valid"), "velocity": ("v_xy_valid", "v_z_valid")}
-RESETS = {"position": ("xy_reset_counter", "z_reset_counter"), "velocity": ("vxy_reset_counter", "vz_reset_counter")}
+RESETS = {
+    "position": ("xy_reset_counter", "z_reset_counter", "reset_counter"),
+    "velocity": ("vxy_reset_counter", "vz_reset_counter", "reset_counter"),
+    "attitude": ("quat_reset_counter", "reset_counter"),
+}
 ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE
-_BODY_VELOCITY = 3  # vehicle_odometry.velocity_frame: body, FRD
+ODOMETRY = "vehicle_odometry"
+# What an odometry says of its axes: north, east, down; of any heading ("local"); of the body, of its velocity. Before
+# PX4 1.14 with other numbers, and `local_frame` for `pose_frame`.
+FRAMES, FORMER_FRAMES = {1: "NED", 2: "local", 3: "body"}, {0: "NED", 1: "local", 3: "body"}
+OF_WORLD = ("position", "velocity", "attitude", "wind", "reference_position", "reference_velocity")
 
 
 def recognises(path: Path, head: bytes | None) -> bool:
@@ -152,19 +160,29 @@ def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) ->
     log = RawLog("ulog", {}, "px4")
     used: dict[str, str] = {}
     refused: set[str] = set()
+    axes: str | None = None  # of the world, "NED" or "local"
+    body_velocity = False
     for name, sources in SOURCES.items():
         for source in sources:
             topic, fields = _fields(source)
             instance = _instance(topics, topic, fields)
             if instance is None or (name in refused and not topic.endswith("groundtruth")):
                 continue
-            instance = _valid(name, topic, instance, log.notes)
+            frame = _frame(name, topic, instance, fields)
+            if frame not in ("", "body", axes or frame or "NED"):
+                known = f"of other axes ({frame}) than what goes before" if frame else "it does not say of which axes"
+                log.notes.append(f"{name} ({topic}): {known}: left out")
+                continue
+            instance = _valid(name, topic, instance, log)
             if instance is None:  # then the estimator's other topics have nothing better
                 refused.add(name)
                 continue
             stream = _stream(path, f"{name} ({topic})", instance, fields, log.notes)
             if stream is not None:
                 log.streams[name], used[name] = _turned(name, stream), topic
+                body_velocity |= frame == "body"
+                if frame in ("NED", "local"):
+                    axes = frame
                 break
     _motors(path, log, topics, parameters, used)
     if not {"position", "attitude", "velocity", "rate", "acceleration"} & set(log.streams):
@@ -174,14 +192,31 @@ def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) ->
     absent = {"position", "attitude", "rate", "acceleration"} - used.keys() - refused
     if missing := [f"{name} ({sources[0].split()[0]})" for name, sources in SOURCES.items() if name in absent]:
         log.notes.append(f"topics missing: {', '.join(missing)}")
-    if used.get("velocity") == "vehicle_odometry" and "attitude" in used:
-        frames = topics["vehicle_odometry"][0].get("velocity_frame", ())
-        if len(frames) and int(np.median(frames)) == _BODY_VELOCITY:
-            # in FRD, and turned as if it were NED: turned back, into FLU, and by the attitude into the world
-            stream, R = with_attitude(log.streams, "velocity")
-            log.streams["velocity"] = Stream(stream.t, R.apply(stream.values @ NED @ FRD.T))
+    if axes == "local":
+        log.notes.append("the world's axes are those of vehicle_odometry: x and y may have any heading")
+    if body_velocity and "attitude" in used:
+        # in FRD, and turned as if it were NED: turned back, into FLU, and by the attitude into the world
+        stream, R = with_attitude(log.streams, "velocity")
+        log.streams["velocity"] = Stream(stream.t, R.apply(stream.values @ NED @ FRD.T))
+    elif body_velocity:
+        log.notes.append("velocity (vehicle_odometry): in the body, whose attitude is not known: left out")
+        del log.streams["velocity"], used["velocity"]
     log.about["topics"] = used
     return log
+
+
+def _frame(name: str, topic: str, instance: Topic, fields: Sequence[str]) -> str | None:
+    """Of which axes a quantity is: "NED", "local", "body", None where it does not say, "" where it is not of the world."""
+    if name not in OF_WORLD or topic != ODOMETRY:
+        return "NED" if name in OF_WORLD else ""
+    former = "local_frame" in instance
+    stated = "velocity_frame" if name == "velocity" else "local_frame" if former else "pose_frame"
+    if stated not in instance:
+        return "NED"
+    known = np.isfinite(np.stack([np.asarray(instance[field], float) for field in fields])).all(axis=0)
+    frames = {(FORMER_FRAMES if former else FRAMES).get(int(number)) for number in np.asarray(instance[stated])[known]}
+    frame = frames.pop() if len(frames) == 1 else None
+    return None if frame == "body" and name != "velocity" else frame
 
 
 def _fields(source: str) -> tuple[str, list[str]]:
@@ -202,8 +237,10 @@ def _instance(topics: Topics, name: str, fields: Sequence[str]) -> Topic | None:
     return most if len(most["timestamp"]) > 2 * len(instances[0]["timestamp"]) else instances[0]
 
 
-def _valid(name: str, source: str, topic: Topic, notes: list[str]) -> Topic | None:
-    """The rows that the estimator holds to be valid, horizontally and vertically; None where there are none."""
+def _valid(name: str, source: str, topic: Topic, log: RawLog) -> Topic | None:
+    """The rows that the estimator holds to be valid, horizontally and vertically; None where there are none. Its resets
+    are added to the log."""
+    notes = log.notes
     flags = {flag: np.asarray(topic[flag]) > 0 for flag in VALID.get(name, ()) if flag in topic}
     good = np.logical_and.reduce(list(flags.values())) if flags else np.ones(1, bool)
     if not good.any():
@@ -213,17 +250,25 @@ def _valid(name: str, source: str, topic: Topic, notes: list[str]) -> Topic | No
     if not good.all():
         notes.append(f"{name} ({source}): not valid in {int((~good).sum())} of {len(good)} rows: left out")
         topic = {field: np.asarray(values)[good] for field, values in topic.items()}
-    count = sum(int(np.count_nonzero(np.diff(topic[field]))) for field in RESETS.get(name, ()) if field in topic)
-    if count:
-        notes.append(f"{name} ({source}): reset by the estimator {count} times: it may jump there")
+    counters = [np.asarray(topic[field]) for field in RESETS.get(name, ()) if field in topic]
+    t = _times(topic)
+    resets = [(t[k], t[k + 1]) for counter in counters for k in np.flatnonzero(np.diff(counter))]
+    if resets:
+        notes.append(f"{name} ({source}): reset by the estimator {len(resets)} times: a new segment begins there")
+    log.resets += resets
     return topic
+
+
+def _times(topic: Topic) -> np.ndarray:
+    """Of the samples, (k,) (s)."""
+    sampled = topic.get("timestamp_sample")
+    stamp = sampled if sampled is not None and (np.asarray(sampled) > 0).all() else topic["timestamp"]
+    return np.asarray(stamp).astype(np.int64) * 1e-6
 
 
 def _stream(path: Path, name: str, topic: Topic, fields: Sequence[str], notes: list[str]) -> Stream | None:
     """The fields of a topic as one stream at the times of the samples (s); None where they hold no number."""
-    sampled = topic.get("timestamp_sample")
-    stamp = sampled if sampled is not None and (np.asarray(sampled) > 0).all() else topic["timestamp"]
-    t, values = np.asarray(stamp).astype(np.int64) * 1e-6, np.stack([np.asarray(topic[f], float) for f in fields], 1)
+    t, values = _times(topic), np.stack([np.asarray(topic[f], float) for f in fields], 1)
     if not np.isfinite(values).all(axis=1).any():
         return None
     order = np.argsort(t, kind="stable")  # the sample's times of one topic may lie a little out of order
