@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import quadexp
+from quadexp.control.mpc.attitude_error import yaw_share
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     build_controller,
@@ -26,7 +27,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
-from quadexp.physics.state import POSITION
+from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics
@@ -227,6 +228,9 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
     flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins, timing=timing)
     flight.metadata["lacking"] = list(getattr(controller, "lacking", ()))
+    if getattr(config.controller, "attitude_error", "") == "plain" and len(flight):
+        reference = flight.stack([f"ref_{name}" for name in STATE_COLUMNS[ATTITUDE]])
+        flight.metadata["yaw_share"] = yaw_share(reference, np.array(config.controller.attitude_weight))
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight

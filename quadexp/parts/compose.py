@@ -183,7 +183,7 @@ class Composer:
         """Made once from the same options, so that a sweep over many choices of options costs little."""
         source = tuple(layer.option for layer in layers)
         if (name, *source) not in self._nodes:
-            self._nodes[name, *source] = Node(source, *_joined(name, layers))
+            self._nodes[name, *source] = Node(source, *_joined(name, layers, self._files))
         return self._nodes[name, *source]
 
     # -------------------------------------------------------------------------------------------------- values are set
@@ -214,10 +214,11 @@ class Composer:
         return nodes
 
 
-def _joined(name: str, layers: Sequence[Layer]) -> tuple[Any, type | None]:
+def _joined(name: str, layers: Sequence[Layer], files: OptionFiles) -> tuple[Any, type | None]:
     """The content of a node over the defaults of its class, and that class, None for a value of the root.
 
-    UsageError where the option's file names no class, or something sets a key that the class has not.
+    What an experiment sets holds for the options that have it. UsageError where the option's file names no class, or
+    something else sets a key that the class has not.
     """
     schema = declared(Config)[name].node if name in declared(Config) else None
     if schema is None and name not in PARTS:
@@ -238,7 +239,11 @@ def _joined(name: str, layers: Sequence[Layer]) -> tuple[Any, type | None]:
         schema = part_class(name, target)
         for layer in layers[1:]:
             for key in layer.values:
-                if key not in declared(schema):
+                if key in declared(schema):
+                    continue
+                if layer.option.startswith("experiment=") and f"{name}.{key}" in files.having(key):
+                    content.pop(key, None)
+                else:
                     refuse_former(f"{name}.{key}")
                     raise UsageError(f"{layer.by}: sets {name}.{key}, which {option} does not have")
         content.setdefault("name", option.partition("=")[2])

@@ -26,6 +26,7 @@ from quadexp.report.table import Table, records_table
 from quadexp.report.text import number, speed_text
 
 MODEL_FILE = "model.json"
+WEAK_YAW = 0.501  # share of the weight on yaw, from which on down it is said: headings of 90 degrees and more
 LONG = 0.499  # s: margins are not looked for beyond half a second
 HELD_OUT_UNITS = {"a": "m/s^2", "t": "N m"}  # by the first letter of an output
 
@@ -74,6 +75,9 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     ]
     if row["attitude_rmse"] > LARGE_ATTITUDE_ERROR:
         lines.append("            the attitude is far from the reference's, which an error of position does not show")
+    if (share := metadata.get("yaw_share", 1.0)) < WEAK_YAW:
+        kept = f"keeps {100 * share:.0f} % of its weight on yaw at the headings of this path"
+        lines.append(f"heading     controller.attitude_error=plain {kept}, controller.attitude_error=body all of it")
     lines.append(f"step        median {median:.0f} us, 99 % {p99:.0f} us, largest {largest:.0f} us ({row['backend']})")
     if row.get("unconverged_count"):
         lines.append("            the first step did not converge (controller.initial_iterations): not the optimum")

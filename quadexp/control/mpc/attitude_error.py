@@ -1,7 +1,8 @@
 """The attitude error in the cost: the difference q - q*, or the error rotation e = q*^-1 o q or q o q*^-1.
 
     plain    weighted q - q*, as in Torrente et al. 2021. The components do not belong to axes of the vehicle: the same
-             weights mean other weights of roll, pitch and yaw at every heading.
+             weights mean other weights of roll, pitch and yaw at every heading: (0, c, c, c) weighs a turn about z_body
+             by c (1 - q_z*^2), half of it at a heading of 90 degrees, nothing at 180.
     body     weighted e - (1, 0, 0, 0), with e = (cos a/2, sin(a/2) axis) and the axis in the reference's body frame:
              weights of roll, pitch and yaw errors, the same at every heading.
     world    weighted q o q*^-1 - (1, 0, 0, 0): the axis in world axes, as Sun et al. 2022 print it; the third weight
@@ -15,11 +16,23 @@ M(q) p = p o q, in place of L(q*).
 
 from __future__ import annotations
 
+import numpy as np
+
 from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import left_matrix, right_matrix
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE
+
+
+def yaw_share(reference: np.ndarray, weight: np.ndarray) -> float:
+    """The least weight that "plain" gives a turn about z_body along a reference, over that at a heading of zero.
+
+    reference: quaternions (k, 4). weight: on w, x, y, z, (4,). 1 where there is none at a heading of zero.
+    """
+    q_w, q_x, q_y, q_z = reference.T
+    turned = np.stack([-q_z, q_y, -q_x, q_w])  # q o (0, e_z)
+    return float((weight @ turned**2).min() / weight[3]) if weight[3] else 1.0
 
 
 class AttitudeError:
