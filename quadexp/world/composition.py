@@ -29,6 +29,7 @@ from quadexp.world.integrator import INPUTS, OUTPUTS, Equations, period
 WORLD_INPUTS = (*INPUTS, "draws", "time")
 WORLD_OUTPUTS = (*OUTPUTS, "measured")
 WRITTEN_OUT = 100  # integration steps of a control period that are not a loop
+IN_STEP = ("t", "x", "own", "parameters", "step", "wind", "thrusts")  # what effects see of a step
 WIND = 3  # inner states at the end: the wind of the last step, world (m/s)
 
 
@@ -76,7 +77,8 @@ def compose(
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
     inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
     theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
-    own = parts.begun()(time, x, own, u, known, draws[: stepping.size("draws")], step)
+    begin = parts.inner_after("begin", "t", "x", "own", "u", "parameters", "draws", "step")
+    own = begin(time, x, own, u, known, draws[: stepping.size("draws")], step)
     if equations.begin:
         wind, thrusts, *_ = parts.drive()(time, x, own, u, known, step)
         s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
@@ -229,26 +231,25 @@ class _Parts:
         results = [ca.densify(result) for result in results]
         return ca.Function(name, symbols, ca.cse(results) if self._kind is ca.SX else results)
 
-    def begun(self) -> ca.Function:
-        """(t, x, own, u, parameters, draws, step) -> own at the beginning of a period."""
-        symbols = self._symbols("t", "x", "own", "u", "parameters", "draws", "step")
-        t, x, own, u, parameters, draws, step = symbols
-        moments = self._moments(t=t, x=x, own=own, command=u, parameters=parameters, draws=draws, step=step)
+    def inner_after(self, hook: str, *names: str) -> ca.Function:
+        """(symbols of these names, with "thrusts" also those that enter each effect ..) -> own after a hook."""
+        symbols, moments = self._moments_of(names)
         inner = [
-            effect.begin(at) if effect.has("begin") else at.inner
+            getattr(effect, hook)(at) if effect.has(hook) else at.inner
             for effect, at in zip(self._effects, moments, strict=True)
         ]
-        return self._function("begun", symbols, [ca.vertcat(*inner)])
+        return self._function(hook, symbols, [ca.vertcat(*inner)])
 
-    def ending(self) -> ca.Function:
-        """(t, x, own, parameters, step) -> own at the end of a period, before anything is measured."""
-        symbols = self._symbols("t", "x", "own", "parameters", "step")
-        t, x, own, parameters, step = symbols
-        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
-        inner = [
-            effect.end(at) if effect.has("end") else at.inner for effect, at in zip(self._effects, moments, strict=True)
-        ]
-        return self._function("ending", symbols, [ca.vertcat(*inner)])
+    def _moments_of(self, names: tuple[str, ...]) -> tuple[list[Any], list[Moment]]:
+        """Symbols of these names, and what each effect sees of them."""
+        symbols = self._symbols(*names)
+        called = {"u": "command", "thrusts": "thrust"}
+        moments = self._moments(**{called.get(name, name): one for name, one in zip(names, symbols, strict=True)})
+        if "thrusts" not in names:
+            return symbols, moments
+        entering = [self._symbols("u")[0] for _ in self._effects]
+        moments = [at._replace(command=command) for at, command in zip(moments, entering, strict=True)]
+        return [*symbols, *entering], moments
 
     def drive(self) -> ca.Function:
         """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), and those that enter each effect."""
@@ -267,31 +268,14 @@ class _Parts:
         return self._function("drive", symbols, [wind, command, *entering])
 
     def pushes(self) -> ca.Function:
-        """(t, x, own, parameters, step, wind, thrusts, entering ..) -> force (3,) world, torque (3,) body."""
-        symbols = self._symbols("t", "x", "own", "parameters", "step", "wind", "thrusts")
-        entering = [self._symbols("u")[0] for _ in self._effects]
-        t, x, own, parameters, step, wind, thrusts = symbols
-        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step, wind=wind, thrust=thrusts)
+        """(IN_STEP, thrusts that enter each effect ..) -> force (3,) world, torque (3,) body."""
+        symbols, moments = self._moments_of(IN_STEP)
         force, torque = self._kind.zeros(3), self._kind.zeros(3)
-        for effect, at, command in zip(self._effects, moments, entering, strict=True):
+        for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wrench"):
-                more = effect.wrench(at._replace(command=command))
+                more = effect.wrench(at)
                 force, torque = force + more[0], torque + more[1]
-        return self._function("pushes", [*symbols, *entering], [force, torque])
-
-    def _after(self) -> ca.Function:
-        """(t, x, own, parameters, step, wind, thrusts, x_next, entering ..) -> own after the step."""
-        symbols = self._symbols("t", "x", "own", "parameters", "step", "wind", "thrusts", "x_next")
-        entering = [self._symbols("u")[0] for _ in self._effects]
-        t, x, own, parameters, step, wind, thrusts, x_next = symbols
-        moments = self._moments(
-            t=t, x=x, own=own, parameters=parameters, step=step, wind=wind, thrust=thrusts, x_next=x_next
-        )
-        inner = [
-            effect.advance(at._replace(command=command)) if effect.has("advance") else at.inner
-            for effect, at, command in zip(self._effects, moments, entering, strict=True)
-        ]
-        return self._function("after", [*symbols, *entering], [ca.vertcat(*inner)])
+        return self._function("pushes", symbols, [force, torque])
 
     def settled(self, S: Any, own: Any, known: Any, theta: Any, t: Any, step: Any) -> tuple[Any, ...]:
         """State, inner states of effects and airframe, wind, specific force without effects' forces, and doubt, of a
@@ -300,7 +284,8 @@ class _Parts:
         further = equations.step.size1_in(0) - N_STATE
         sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
         x, rest, moved, wind, thrusts, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
-        own = self.ending()(t, x, self.assembled(moved, own), known, step)
+        end = self.inner_after("end", "t", "x", "own", "parameters", "step")
+        own = end(t, x, self.assembled(moved, own), known, step)
         if not equations.end:
             return x, own, rest, wind, None, None
         held = equations.command(thrusts, theta) if equations.command else thrusts
@@ -357,7 +342,8 @@ class _Parts:
         if blows:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
         if self.moving:
-            own = self._after()(t, x, own, parameters, step, wind, thrusts, x_next, *entering)
+            advance = self.inner_after("advance", *IN_STEP, "x_next")
+            own = advance(t, x, own, parameters, step, wind, thrusts, x_next, *entering)
         pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
         S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
         one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])

@@ -34,6 +34,7 @@ L = 0.03253
 prop_inertia = 34.52e-9
 rpm2thrust = [0.0, -5.4e-7, 2.46e-10]
 rpm2torque = [0.0, 0.0, 0.0]
+thrust2torque = 0.0073
 rotor_dyn_coef = [7.4, 0.0, 0.0, 2.4e-4]
 mixing_matrix = [[-1.0, -1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]]
 drag_matrix = [[-0.015, 0.0, 0.0], [0.0, -0.015, 0.0], [0.0, 0.0, -0.0139]]
@@ -46,17 +47,11 @@ def package(tmp_path, monkeypatch):
     """Writes the files of an installed crazyflow with one drone, whose air does not turn it."""
     monkeypatch.syspath_prepend(tmp_path)
 
-    def write(drone=DRONE, core="[cf2x_L250.core]\nmass = 0.029\nthrust2torque = 0.0073\n"):
-        for name, text in {
-            "first_principles/params.toml": drone,
-            "params.toml": "gravity_vec = [0.0, 0.0, -9.81]\n",
-            "../control/mellinger/params.toml": core,
-            "../__init__.py": "raise ImportError('files are read, code is not')\n",
-        }.items():
-            path = (tmp_path / "crazyflow" / "dynamics" / name).resolve()
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        return tmp_path / "crazyflow"
+    def write(drone=DRONE):
+        folder = tmp_path / "crazyflow" / "dynamics" / "first_principles"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "params.toml").write_text(drone, encoding="utf-8")
+        (tmp_path / "crazyflow" / "__init__.py").write_text("raise ImportError('files are read, code is not')\n")
 
     return write
 
@@ -149,6 +144,11 @@ def test_numbers_are_those_of_the_installed_crazyflow(package):
     assert config.vehicle.mass == 0.0328 and config.plant.linear_drag == (0.015, 0.015, 0.0139)
     assert config.vehicle.torque_coefficient == 0.0073 and config.vehicle.gravity == 9.81
     assert config.vehicle.rotor_position[1] == (-0.03253, -0.03253, 0.0)
+    curves = DRONE.replace("thrust2torque = 0.0073\n", "").replace("[0.0, 0.0, 0.0]\n", "[0.0, 0.0, 1.46e-12]\n", 1)
+    package(curves)  # as crazyflow's own, which state no such ratio: that of the curves in hover
+    vehicle = compose(CRAZYFLIE).vehicle
+    in_hover = 1.46e-12 * vehicle.hover_thrust / (vehicle.thrust_coefficient * RPM**2)
+    assert vehicle.torque_coefficient == pytest.approx(in_hover / vehicle.hover_thrust, rel=1e-9)
     package(DRONE.replace("0.0328", "0.0400"))
     assert compose(CRAZYFLIE).vehicle.mass == 0.04
     assert compose([*CRAZYFLIE, "vehicle.mass=0.03"]).vehicle.mass == 0.03
@@ -157,12 +157,12 @@ def test_numbers_are_those_of_the_installed_crazyflow(package):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (DRONE.replace("cf2x_L250", "hb_x500"), "has no drone cf2x_L250; there are hb_x500"),
-        (DRONE.replace("rpm2thrust", "rpm2lift"), "params.toml: cf2x_L250: not the numbers .*rpm2thrust"),
+        (DRONE.replace("cf2x_L250", "hb_x500"), "params.toml: not the numbers of cf2x_L250.*KeyError"),
+        (DRONE.replace("rpm2thrust", "rpm2lift"), "params.toml: not the numbers of cf2x_L250.*rpm2thrust"),
         (DRONE.replace("[[-0.015, 0.0", "[[-0.015, 0.1"), "drag_matrix is not diagonal"),
         (DRONE.replace("mass = 0.0328", "mass = "), "params.toml: .*line 2"),
-        (DRONE.replace("0.0328", "-0.0328"), "params.toml: cf2x_L250: not the numbers"),
-        (DRONE.replace("0.0328", "[0.0328]"), "params.toml: cf2x_L250: not the numbers"),
+        (DRONE.replace("0.0328", "-0.0328"), "params.toml: not the numbers of cf2x_L250"),
+        (DRONE.replace("0.0328", "[0.0328]"), "params.toml: not the numbers of cf2x_L250"),
     ],
 )
 def test_other_files_are_refused_in_one_line(package, given, message):
