@@ -239,8 +239,8 @@ def accelerometer_bias(
 ) -> np.ndarray:  # fmt: skip
     """Mean of f - R^T (dv/dt + g), (3,) (m/s^2): the accelerometer's mean error.
 
-    dv/dt is taken within each segment, (k,). Samples that are FAR typical deviations from the median are left out: there
-    an estimator has set its velocity anew.
+    dv/dt is taken within each segment, (k,). Samples that are FAR typical deviations from the median are left out:
+    there an estimator has set its velocity anew.
     """
     errors = []
     for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(segment)) + 1):

@@ -45,7 +45,7 @@ def _file(drone: str) -> Path:
             if path.is_file():
                 return path
     raise UsageError(
-        f"{drone} has the numbers of the package crazyflow, or of drone-models, which was merged into it, and none of them"
+        f"{drone} has the numbers of the package crazyflow, or of drone-models, which was merged into it, and neither"
         " is installed: pip install crazyflow, or 'quadexp[drone-models]'"
     )
 

@@ -13,8 +13,9 @@ or an entry of a sheet, options/SHEET.yaml, which holds several, by group and op
       heavy: {meaning: 30 % more mass than believed, actuator: first_order, truth.mass: 1.3}
 
 `of` names the option that it extends, `meaning` says in words what it is, `provenance` where its values come from; the
-rest is what a file would state. `crazyflie` reads values from an installed package (crazyflies.py). Of a bundle (world, remedies) a key that names a group chooses its option, and
-GROUP.KEY sets a value. A part of a world whose values are set so is an option too: truth=heavy.
+rest is what a file would state. `crazyflie` reads values from an installed package (crazyflies.py). Of a bundle (world,
+remedies) a key that names a group chooses its option, and GROUP.KEY sets a value. A part of a world whose values are
+set so is an option too: truth=heavy.
 
 A folder may come from anybody. So a file that is none (a pipe, a device) is not opened to be waited for; aliases of
 YAML (&a, *a) stand for a bounded number of values, and nothing is nested without end; `${KEY}` names a key of the

@@ -83,7 +83,7 @@ class Moment(NamedTuple):
     t: s since the start. x: true state (13,), world. inner, parameters: the effect's own. step: s.
     draws: the effect's own, in `begin` only. command: thrusts (n,) (N) that enter the effect; in `begin` those just
     commanded. wind: sum of all winds (3,), world (m/s), zero in `begin` and `wind`. thrust: (n,) (N) that the airframe
-    gets, in `advance`; in `wrench` what its rotors give, which may lag. x_next: true state after the step, in `advance`.
+    gets, in `advance`; in `wrench` what its rotors give, which may lag. x_next: true state after a step, in `advance`.
     """
 
     t: Any

@@ -45,7 +45,7 @@ class Equations:
     where all this may be wrong; None: s is [x, inner], and the last specific force holds.
     For effects (see effect.py), whose thrusts change from step to step: command: (u, parameters) -> held, as in begin;
     None: u itself. mass: parameters -> the mass that is flown (kg); None: the vehicle's. thrust: (s, held, parameters,
-    step) -> what the plant's own rotors give in the middle of the step by their speeds (n,) (N); None: what is commanded.
+    step) -> what the plant's own rotors give in the middle of the step by their speeds (n,) (N); None: the command.
     """
 
     step: ca.Function

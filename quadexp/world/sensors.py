@@ -7,9 +7,9 @@
     attitude        q o [1, e_a / 2] / |..|                 e_a: rad, body axes;  the same
     battery         the voltage + sigma n, in whole steps   V; no controller is told it, a flight logs it
 
-How readings drift, wait and get lost: channel.py. Low pass, of first order: physics/low_pass.py. What telegrams leave of
-a speed, and vibration at the rotors' frequencies: physics/telegram.py. Position, velocity and attitude come in one
-message, which is late and lost as a whole. An estimator with a delay of its own makes all of them older by that.
+How readings drift, wait and get lost: channel.py. Low pass, of first order: physics/low_pass.py. What telegrams
+leave of a speed, and vibration at the rotors' frequencies: physics/telegram.py. Position, velocity and attitude come in
+one message, which is late and lost as a whole. An estimator with a delay of its own makes all of them older by that.
 """
 
 from __future__ import annotations

@@ -8,6 +8,9 @@ from quadexp.log.importers import Options, import_log
 from tests.log.importers import logs
 
 pytest.importorskip("pyulog", reason="the extra [logs] is not installed")
+FRAMES = [
+    (1, 1, False), (1, 3, False), (2, 2, False), (2, 3, False), (0, 0, True), (1, 1, True), (1, 3, True),
+]  # fmt: skip
 HEADING = Rotation.from_euler("z", 70, degrees=True)  # of the odometry's axes from north
 
 
@@ -54,9 +57,7 @@ def expected(flight, f, local):
 
 
 @pytest.mark.parametrize("attitude", [False, True])
-@pytest.mark.parametrize(
-    ("pose", "velocity", "former"), [(1, 1, False), (1, 3, False), (2, 2, False), (2, 3, False), (0, 0, True), (1, 1, True), (1, 3, True)]
-)  # fmt: skip
+@pytest.mark.parametrize(("pose", "velocity", "former"), FRAMES)
 def test_all_of_a_flight_has_the_same_axes(truth, tmp_path, pose, velocity, former, attitude):
     """What moves the vehicle, R f + g, is the derivative of its velocity, whatever the heading of the axes."""
     flight, notes = imported(tmp_path, truth, pose, velocity, former=former, attitude=attitude)

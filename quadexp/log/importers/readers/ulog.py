@@ -206,7 +206,7 @@ def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) ->
 
 
 def _frame(name: str, topic: str, instance: Topic, fields: Sequence[str]) -> str | None:
-    """Of which axes a quantity is: "NED", "local", "body", None where it does not say, "" where it is not of the world."""
+    """Of which axes a quantity is: "NED", "local", "body"; None where it does not say, "" where it is of no axes."""
     if name not in OF_WORLD or topic != ODOMETRY:
         return "NED" if name in OF_WORLD else ""
     former = "local_frame" in instance
