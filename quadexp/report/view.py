@@ -29,7 +29,8 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_controller, setting_text, with_unit
+from quadexp.parts.schema import of_contestant
+from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
 from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
@@ -81,7 +82,7 @@ def points(
     places = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)) if None not in place)
     beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
     for place, numbers in places.items():
-        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
+        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_contestant(key))
         broken = {flights[i] for i in numbers if not well[i]}
         beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
     used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}

@@ -228,7 +228,7 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
 
 
 def _row_of(job: Job, row: Mapping[str, Any]) -> Row:
-    return table_row({**row, "key": job.key, "variant": job.cell.varied})
+    return table_row({**row, "key": job.key, "variant": job.variant})
 
 
 def _fly_missing(

@@ -16,7 +16,7 @@ from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
 from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, Section
-from quadexp.report.frame import flat
+from quadexp.parts.settings import flat
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.source import TABLED, Comparison, Record
