@@ -28,6 +28,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import describe
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
+from quadexp.parts.cells import OPTION
 from quadexp.parts.options import units
 from quadexp.parts.schema import PARTS, REMEDIES, WORLD
 from quadexp.parts.settings import canonical_text, flat, read_value
@@ -164,6 +165,8 @@ class SweepFrame:
         varied = dict(setting_pairs(row["variant"])) if row["key"] not in self._read else {}
         if name in varied:
             return read_value(varied[name])
+        if name.endswith(f".{OPTION}"):  # its own name says it
+            return self._value(row, name.partition(".")[0])
         config = self._config(row)
         value = _named(config.get(name, config.get(f"{name}.name")))
         # What does nothing is left out of the record of a flight.
