@@ -23,9 +23,10 @@ from quadexp.report.text import number
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.sweep import opened
 from quadexp.tune import Tune
-from quadexp.tune.preset import check_name, options_of, write_preset
-from quadexp.tune.search import REQUEST, Request, Search, Trial, best_of, cells_of, with_seeds
+from quadexp.tune.preset import check_name, check_place, options_of, write_preset
+from quadexp.tune.search import Request, Search, Trial, best_of, cells_of, with_seeds
 from quadexp.tune.space import Axis, overrides, read_axes, settings_of
+from quadexp.writer import check_output
 
 HISTORY = "history.parquet"
 
@@ -87,9 +88,9 @@ def tune(
                 )
             options = options_of(given, first)
             check_name(options, asked.name)
-            if force:
-                (out / REQUEST).unlink(missing_ok=True)
-            trials = search.run(asked.flights // each, progress)
+            check_place(out, composer, options, asked.name)
+            check_output(out / HISTORY, force=True)
+            trials = search.run(asked.flights // each, progress, anew=force)
         best = best_of(trials)
         history = _write_history(out, request, search, trials)
         tuned = composer.expand([*given, *overrides(axes, trials[best].numbers)], check=False).sound()[0].config
