@@ -6,6 +6,7 @@ attrs["record"] is what the file carries beside its columns: configuration, seed
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -87,6 +88,35 @@ class Flight(Frame):
     """
 
     kind = "flight"
+
+    @classmethod
+    def of(cls, columns: Mapping[str, np.ndarray], record: Mapping[str, Any], folder: Any = None) -> Self:
+        frame = super().of(columns, record, folder)
+        frame.attrs["samples"] = list(columns), frame._digest(list(columns))
+        return frame
+
+    def _digest(self, names: Sequence[str]) -> str:
+        """Of the samples in some columns; "" where one is missing."""
+        if not set(names) <= set(self):
+            return ""
+        rows = pd.util.hash_pandas_object(self[names], index=False)
+        return hashlib.sha256(rows.to_numpy().tobytes()).hexdigest()
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What the file carries beside its columns; the numbers of a part of a flight are those of this part."""
+        from quadexp.report.metrics import renewed
+
+        names, digest = self.attrs.get("samples", ([], ""))
+        record = super().record
+        if "row" not in record or self._digest(names) == digest:
+            return record
+        return renewed(Log(self.columns_as_arrays(), record))
+
+    def columns_as_arrays(self) -> dict[str, np.ndarray]:
+        """Name -> (k,) of every column, in the order of time; truth values as 0 and 1."""
+        ordered = "t" not in self or self["t"].is_monotonic_increasing
+        return super().columns_as_arrays() if ordered else self.sort_values("t", kind="stable").columns_as_arrays()
 
     @property
     def outcome(self) -> str:

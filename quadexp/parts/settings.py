@@ -238,8 +238,12 @@ def canonical_text(value: Any) -> str:
     """A value as a text, the same for all its spellings: 1 of 1.0, [1,0] of (1.0, 0), true of True; a text as it is."""
     if isinstance(value, str):
         return value
-    whole = json.loads(json.dumps(value, default=str), parse_float=lambda text: int(x) if (x := float(text)).is_integer() else x)
-    return json.dumps(whole, separators=(",", ":"))
+
+    def shortest(text: str) -> float:
+        number = float(text)
+        return int(number) if number.is_integer() else number
+
+    return json.dumps(json.loads(json.dumps(value, default=str), parse_float=shortest), separators=(",", ":"))
 
 
 def read_value(text: str) -> Any:
@@ -254,7 +258,9 @@ def read_value(text: str) -> Any:
     try:
         number = float(text)
     except ValueError:
-        return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"" else text.replace(", ", ",")
+        quoted = len(text) > 1 and text[0] == text[-1] and text[0] in "'\""
+        unquoted = text[1:-1] if quoted else text.replace(", ", ",")
+        return re.sub(r"\\([\W])", r"\1", unquoted)  # a sign that means something in the grammar of overrides
     return int(number) if number.is_integer() and "." not in text and "e" not in text.lower() else number
 
 

@@ -34,7 +34,7 @@ from quadexp.parts.schema import PARTS, REMEDIES, WORLD
 from quadexp.parts.settings import canonical_text, flat, read_value
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 from quadexp.report.pairing import setting_pairs
-from quadexp.report.text import plain, shown
+from quadexp.report.text import shown
 
 RESULTS = "results.parquet"
 ALIASES = {"speed": "trajectory.speed"}

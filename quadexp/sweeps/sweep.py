@@ -90,6 +90,7 @@ def run_sweep(
     flown: Callable[[Sequence[Row], Mapping[str, Any]], None] = lambda rows, record: None,
     landed: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
+    conf: Sequence[Path] = (),
 ) -> SweepResult:
     """Fly the cells that are not done, and write the table of all.
 
@@ -98,7 +99,7 @@ def run_sweep(
     replace another sweep's table. old: of cells that are there and were flown by other sources than those that run:
     "refly", "keep", or refuse to go on. isolate: False flies in this process. flown: called with the rows and the
     record of the results once all cells are flown, before the tables are made. landed: called with every row as it is
-    there. function: flies one cell.
+    there. function: flies one cell. conf: the user's configuration folders, for the record.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -138,6 +139,7 @@ def run_sweep(
             "conditions": sorted({job.condition for job in jobs.values()}),
             "without_flight": {key: list(jobs[key].cell.overrides) for key in unflown},
             "flown_by": flown_by(in_order), "provenance": provenance(),
+            "folder": str(Path.cwd()), "conf": [str(folder.absolute()) for folder in conf],
         }  # fmt: skip
         flown(in_order, record)
         statistics, shown, files, altered = write_results(store.root, in_order, record)

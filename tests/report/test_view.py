@@ -9,8 +9,8 @@ from scipy import stats
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
-from quadexp.report.draw import records
 from quadexp.parts.settings import read_value
+from quadexp.report.draw import records
 from quadexp.report.frame import SweepFrame, setting_text, unit_of
 from quadexp.report.statistics import compute_statistics
 from quadexp.report.view import Axis, automatic, points, view
