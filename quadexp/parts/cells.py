@@ -17,19 +17,14 @@ from quadexp.parts.schema import PRESETS, REMEDIES, WORLD, Config, controller_na
 from quadexp.parts.settings import Settings, canonical_text, flat, read_value, record
 from quadexp.progress import doing
 
-# Varied keys that the result table has a column for; the plant's column names the world around it too, but not a sensor
-# that is only an accelerometer.
-COLUMN_KEYS = {
-    "vehicle", "plant", "world", "trajectory", "controller", "trajectory.speed", "model", "seed", "experiment",
-    *(group for group in WORLD if group != "sensor"), "remedies", *REMEDIES,
-}  # fmt: skip
-
 # Groups that make who flies, and what is flown, and the columns that name each of the two.
 SCOPES: tuple[tuple[Sequence[str], Callable[[Config], tuple[Any, ...]]], ...] = (
     (("controller", "remedies", *REMEDIES), lambda c: (controller_name(c), c.model)),
     (("vehicle", "plant", "world", "trajectory", *WORLD),
      lambda c: (c.vehicle.name, c.plant.name, c.world, c.trajectory.name, getattr(c.trajectory, "speed", None))),
 )  # fmt: skip
+# Keys that columns name, but for a sensor that is only an accelerometer.
+COLUMNS = {"model", "seed", "experiment", "trajectory.speed", *(x for groups, _ in SCOPES for x in groups)} - {"sensor"}
 OPTION = "option"  # GROUP.option: which option of a group was chosen, where its name does not say
 
 Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are their product, the last varies fastest
@@ -156,11 +151,11 @@ def varied(cells: Sequence[Cell]) -> list[str]:
     who flies, or in the world, `GROUP.option` says which options were chosen; where that does not tell them apart, the
     first recorded settings that do. A value is spelled as in `canonical_text`.
     """
-    settings = _Settings()
+    settings, cells = _Settings(), list(cells)  # whose parts are known by what they are in memory
     texts = dict.fromkeys(text for cell in cells for text in cell.overrides)
     values: dict[str, set[str]] = {}
     for key, _, text in (text.partition("=") for text in texts):
-        if key not in COLUMN_KEYS and not key.endswith(".name"):
+        if key not in COLUMNS and not key.endswith(".name"):
             values.setdefault(key, set()).add(canonical_text(read_value(text)))
     keys = [key for key, several in values.items() if len(several) > 1]
     for groups, columns in SCOPES:
@@ -168,11 +163,8 @@ def varied(cells: Sequence[Cell]) -> list[str]:
         for cell in cells:
             if not cell.invalid:
                 different.setdefault((columns(cell.config), settings.identity(cell, groups)), cell)
-        candidates = dict.fromkeys(f"{group}.{OPTION}" for group in groups)
-        for cell in different.values():
-            for group in groups:
-                candidates |= dict.fromkeys(settings.of(cell, group))
-        for key in candidates:
+        recorded = (key for cell in different.values() for group in groups for key in settings.of(cell, group))
+        for key in dict.fromkeys([*(f"{group}.{OPTION}" for group in groups), *recorded]):
             alike: dict[Any, list[Cell]] = {}
             for (named, _), cell in different.items():
                 alike.setdefault((named, *(settings.value(cell, known) for known in keys)), []).append(cell)

@@ -32,8 +32,9 @@ METRICS = (
     "solve_time_max",
 )  # fmt: skip
 # Columns of a row of results, in the order they are written.
+SETTING_COLUMNS = ("plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed")
 ROW_COLUMNS = (
-    "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", *ERRORS, "solve_time_median",
+    *SETTING_COLUMNS, *ERRORS, "solve_time_median",
     "solve_time_p99", "solve_time_max", "saturated_share", "peak_speed", "duration", "unconverged_count",
     "reference_residual", "outside_data", "outside_where", "outcome", "backend", "cause", "program", "sources",
     "libraries", "key",
@@ -159,14 +160,14 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
 def renewed(flight: Flight) -> dict[str, Any]:
     """The metadata of a flight whose samples are no longer those that were flown: the numbers of its row are of the
     samples that are there, in the order of time; without a row where these do not suffice."""
-    metadata = {name: value for name, value in flight.metadata.items() if name not in ("row", "outside_data", "thinned")}
+    metadata = {name: value for name, value in flight.metadata.items() if name not in ("row", "thinned")}
     row, config = flight.metadata["row"], flight.metadata["config"]
     limits, rate = config["vehicle"], config["controller"].get("rate")
     try:
         numbers = flight_metrics(flight, limits["thrust_min"], limits["thrust_max"], 1 / rate if rate else None)
     except DataError:
         return metadata
-    return metadata | {"row": {**row, **numbers, "outside_data": None, "outside_where": ""}, "outside_data": None}
+    return metadata | {"row": {**row, **numbers, "outside_data": None}, "outside_data": None}
 
 
 def errors_none(outcome: Any) -> dict[str, float]:

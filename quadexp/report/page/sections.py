@@ -13,6 +13,7 @@ import numpy as np
 
 from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
+from quadexp.parts.override import quoted
 from quadexp.parts.settings import flat
 from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, Section
@@ -166,8 +167,11 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     """Where every number comes from, and the commands that make it again. flights: metadata. command: of the page."""
     about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
     grids = [tuple(tuple(map(comparison.anywhere, texts)) for texts in grid) for grid in comparison.grids]
-    place = comparison.place(comparison.root) + ("" if grids == comparison.grids else "_again")  # another path, other cells
-    sweep = sweep_command(grids, place, comparison.conf)
+    models = {row["model"] for row in comparison.rows if row["model"]}
+    found = [comparison.anywhere(f"model={quoted(model)}") for model in models if len(models) == 1 and "+" not in model]
+    # With other paths they are other cells, which the folder of these does not take.
+    place = comparison.place(comparison.root) + ("_again" if found or grids != comparison.grids else "")
+    sweep = sweep_command(grids, place, [*comparison.conf, *found])
     blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
     if rows := settings(flights):
         tables = {"settings": Table(["setting", "value"], rows)}
@@ -214,8 +218,8 @@ def settings(flights: Sequence[Record]) -> list[list[str]]:
     return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
 
 
-def sweep_command(grids: Sequence[Grid], out: str, conf: Sequence[str] = ()) -> str:
-    """The sweep in one line: its one grid, or the experiment of its grids; "" if there is neither. conf: words."""
+def sweep_command(grids: Sequence[Grid], out: str, others: Sequence[str] = ()) -> str:
+    """The sweep in one line: its one grid, or the experiment of its grids; "" if there is neither. others: words."""
     if len(grids) == 1:
         words = []
         for texts in grids[0]:
@@ -224,4 +228,4 @@ def sweep_command(grids: Sequence[Grid], out: str, conf: Sequence[str] = ()) -> 
     else:
         named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
         words = sorted(named) if len(named) == 1 else []
-    return shlex.join(["quadexp", "evaluate", *conf, "--sweep", *words, "--out", out]) if words else ""
+    return shlex.join(["quadexp", "evaluate", *others, "--sweep", *words, "--out", out]) if words else ""

@@ -217,15 +217,13 @@ class Comparison:
 
     def command(self, row: Mapping[str, Any]) -> str:
         """What flies a row again in any folder; "" where the record of the results does not say."""
-        asked, config = self.asked(row), flat((self.flight_record(row) or {}).get("config") or {})
-        files = {key: config[key] for key in PATHS if config.get(key)}
-        if row["model"]:
-            several = row["model"].split("+")
-            files |= {"controller.models": several} if len(several) > 1 else {"model": row["model"]}
-        kept = [self.anywhere(text) for text in asked if text.partition("=")[0] not in files]
-        added = [f"{key}={in_grammar(key, self._absolute(value))}" for key, value in files.items()]
+        words = {text.partition("=")[0]: self.anywhere(text) for text in self.asked(row)}
+        config = flat((self.flight_record(row) or {}).get("config", {}))
+        for key in (*PATHS, "controller.models"):
+            if words and config.get(key):
+                words[key] = self._file(key, config[key])
         out = ["--out", f"runs/{row['key']}.parquet"]  # several may have the same default
-        return shlex.join(["quadexp", "simulate", *self.conf, *kept, *added, *out]) if asked else ""
+        return shlex.join(["quadexp", "simulate", *self.conf, *words.values(), *out]) if words else ""
 
     @property
     def conf(self) -> list[str]:
@@ -236,20 +234,17 @@ class Comparison:
         """An override that means the same in any folder: with an absolute path where it names a file."""
         key, _, value = text.partition("=")
         path = read_value(value) if key in PATHS else None
-        return f"{key}={in_grammar(key, self._absolute(path))}" if path else text
+        return self._file(key, path) if path else text
 
-    def _absolute(self, path: Any) -> Any:
-        """A path, or a list of them, from the folder in which the sweep was flown."""
-        return [*map(self._absolute, path)] if isinstance(path, list) else os.path.join(self.folder, path)
-
-    @property
-    def folder(self) -> str:
-        """Where the sweep was flown; "" where an earlier version did not say."""
-        return str(self.record.get("folder", ""))
+    def _file(self, key: str, path: str | list[str]) -> str:
+        """An override with a path, or a list of them, from the folder in which the sweep was flown."""
+        folder = self.record.get("folder", "")
+        whole = os.path.join(folder, path) if isinstance(path, str) else [os.path.join(folder, each) for each in path]
+        return f"{key}={in_grammar(key, whole)}"
 
     def place(self, path: Path) -> str:
         """A path as commands name it; by its name alone where the record of the results says no folder either."""
-        return str(path.absolute()) if self.folder else path.name if path.is_absolute() else path.as_posix()
+        return str(path.absolute()) if "folder" in self.record else path.name
 
     def sampled(self, most: int) -> list[dict[str, Any]]:
         """At most so many rows, evenly chosen."""
