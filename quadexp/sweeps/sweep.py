@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import shlex
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -217,7 +218,7 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
         raise UsageError(
             f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
             f" {quadexp.__version__}, sources {sources()}): {programs}; pass --refly to fly them again or --keep-old to"
-            f" keep them beside new ones (`quadexp results {store.root} sources=HASH` lists them)"
+            f" keep them beside new ones (`quadexp results {shlex.quote(str(store.root))} sources=HASH` lists them)"
         )
     if others and old == "refly":
         store.remove(others)

@@ -13,8 +13,10 @@ import numpy as np
 import quadexp
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
+from quadexp.experiment.identity import find_model
 from quadexp.log.store import write_table
 from quadexp.parts.compose import session
+from quadexp.parts.override import quoted
 from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
@@ -34,11 +36,12 @@ HISTORY = "history.parquet"
 @dataclass(frozen=True)
 class Tuned:
     """trials: all, the first one as it was. best: place of the best. choice: overrides that choose what was found.
-    option: its file. record: for --json. lines: what is printed. axes: what was varied."""
+    flown: what flies it, in any folder. option: its file. record: for --json. lines: what is printed. axes: what was varied."""
 
     trials: Sequence[Trial]
     best: int
     choice: str
+    flown: Sequence[str]
     option: Path
     record: Mapping[str, Any]
     lines: Sequence[str]
@@ -103,7 +106,13 @@ def tune(
     record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
     width = max(map(len, settings))
     changes = [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
-    return Tuned(trials, best, choice, option, record, [*_lines(search, trials, best), *changes, str(option)], axes)
+    model = find_model(first)
+    flown = choice.split()
+    if model and not model.parts:  # those of a sum are settings, which the option holds
+        flown.append(f"model={quoted(str(Path(model.path).absolute()))}")
+    return Tuned(
+        trials, best, choice, flown, option, record, [*_lines(search, trials, best), *changes, str(option)], axes
+    )
 
 
 def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -> None:
