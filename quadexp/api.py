@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
@@ -24,7 +23,7 @@ from quadexp.bench import Bench
 from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
-from quadexp.parts.override import MOST_CELLS, quoted
+from quadexp.parts.override import MOST_CELLS, in_grammar
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
 from quadexp.progress import Progress
@@ -35,7 +34,6 @@ Place = str | os.PathLike[str]
 Given = str | Mapping[str, Any]
 MODEL = "model.json"
 TOP = {*(f.name for f in fields(Config)), "experiment"}
-_PLAIN = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
 
 
 def simulate(
@@ -295,19 +293,6 @@ def _pairs(values: Mapping[str, Any], prefix: str, lists: bool) -> Iterator[str]
                 raise UsageError(f"{key}: an empty list leaves nothing to fly")
             if len(value) > MOST_CELLS:
                 raise UsageError(f"{key}: {len(value)} values; a sweep has at most {MOST_CELLS} cells")
-            yield f"{key}={','.join(_text(key, one) for one in value)}"
+            yield f"{key}={','.join(in_grammar(key, one) for one in value)}"
         else:
-            yield f"{key}={_text(key, value)}"
-
-
-def _text(key: str, value: Any) -> str:
-    """One value in the grammar of overrides."""
-    value = value.tolist() if hasattr(value, "tolist") else value
-    if value is None or isinstance(value, (bool, int, float)):
-        return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
-    if isinstance(value, (list, tuple, range)):
-        return f"[{','.join(_text(key, one) for one in value)}]"
-    if isinstance(value, (str, os.PathLike)):
-        text = os.fspath(value)
-        return text if _PLAIN.fullmatch(text) else quoted(text)
-    raise UsageError(f"{key}: a {type(value).__name__} is no value: numbers, text, paths, lists and dictionaries are")
+            yield f"{key}={in_grammar(key, value)}"

@@ -6,6 +6,7 @@ attrs["record"] is what the file carries beside its columns: configuration, seed
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -88,6 +89,31 @@ class Flight(Frame):
 
     kind = "flight"
 
+    @classmethod
+    def of(cls, columns: Mapping[str, np.ndarray], record: Mapping[str, Any], folder: Any = None) -> Self:
+        frame = super().of(columns, record, folder)
+        frame.attrs["samples"] = frame._digest()
+        return frame
+
+    def _digest(self) -> str:
+        rows = pd.util.hash_pandas_object(self, index=False)
+        return hashlib.sha256(rows.to_numpy().tobytes()).hexdigest()
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What the file carries beside its columns; the numbers of a part of a flight are those of this part."""
+        from quadexp.report.metrics import renewed
+
+        record = super().record
+        if "row" not in record or self._digest() == self.attrs.get("samples"):
+            return record
+        return renewed(Log(self.columns_as_arrays(), record))
+
+    def columns_as_arrays(self) -> dict[str, np.ndarray]:
+        """Name -> (k,) of every column, in the order of time; truth values as 0 and 1."""
+        ordered = "t" not in self or self["t"].is_monotonic_increasing
+        return super().columns_as_arrays() if ordered else self.sort_values("t", kind="stable").columns_as_arrays()
+
     @property
     def outcome(self) -> str:
         """ "ok", or what went wrong; see quadexp/log/outcome.py."""
@@ -144,11 +170,19 @@ class Results(Frame):
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows as the library's own functions take them."""
-        from quadexp.report.metrics import from_columns
+        from quadexp.report.metrics import SETTING_COLUMNS, from_columns
 
         if not self._is_whole():
             raise UsageError("tables and figures need all columns of results, and a row at least")
-        return from_columns(self.columns_as_arrays())
+        rows = from_columns(self.columns_as_arrays())
+        keys: dict[str, list[str]] = {}
+        for row in rows:  # of joined tables: flights of one seed that differ in what no column names
+            known = keys.setdefault(str([row[name] for name in SETTING_COLUMNS]), [])
+            if row["key"] not in known:
+                known.append(row["key"])
+            if place := known.index(row["key"]):
+                row["variant"] = f"{row['variant']} results={place + 1}".strip()
+        return rows
 
     def _is_whole(self) -> bool:
         from quadexp.report.metrics import ROW_COLUMNS

@@ -162,6 +162,7 @@ def evaluate(
             progress=counted if watching is None else watching.before(counted),
             landed=watching.landed if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows, record: None,
+            conf=[conf] if isinstance(conf, Path) else conf or (),
         )
         files = dict(result.files) | drawn.end()
     paper = papers.paper(settings.figures)

@@ -19,7 +19,7 @@ from quadexp.report.metrics import SHOWN, from_columns, to_columns
 from quadexp.report.pairing import grouped
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
-from quadexp.writer import write_text
+from quadexp.writer import check_output, write_text
 
 FILE = "leaderboard.parquet"
 TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha256")
@@ -161,12 +161,18 @@ def markdown(rows: Sequence[Row], *, metric: str, baseline: str, what: Mapping[s
     return "\n\n".join(parts) + "\n"
 
 
+def check_markdown(path: Path) -> str | None:
+    """What the Markdown file of a leaderboard holds; UsageError where it has no marks, or cannot be written."""
+    old = read_text(check_output(path, force=True))
+    if old is not None and (BEGIN not in old or END not in old):
+        raise UsageError(f"{path}: has no marks to write between: {BEGIN} and {END}")
+    return old
+
+
 def update_markdown(path: Path, text: str) -> Path:
-    """Put a leaderboard between its marks in a Markdown file; raises UsageError where the file has no marks."""
-    old = read_text(path)
+    """Put a leaderboard between its marks in a Markdown file; raises as `check_markdown` does."""
+    old = check_markdown(path)
     if old is None:
         return write_text(path, f"# Leaderboard\n\n{BEGIN}\n\n{text}\n{END}\n")
-    if BEGIN not in old or END not in old:
-        raise UsageError(f"{path}: has no marks to write between: {BEGIN} and {END}")
     before, rest = old.split(BEGIN, 1)
     return write_text(path, f"{before}{BEGIN}\n\n{text}\n{END}{rest.split(END, 1)[1]}")

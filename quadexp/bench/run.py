@@ -13,6 +13,7 @@ from quadexp.bench.board import (
     board_table,
     check_alike,
     check_cells,
+    check_markdown,
     families_of,
     joined,
     markdown,
@@ -76,6 +77,8 @@ def bench(
         if text.partition("=")[0].partition(".")[0] not in SETTABLE:
             raise UsageError(f"{text!r}: what is flown is the protocol's; only {' and '.join(SETTABLE)} can be set")
     out = out or Path("results") / f"bench_{asked.size}"
+    if asked.markdown is not None:
+        check_markdown(asked.markdown)
     with session(conf) as composer, opened(composer.compose(overrides), CALLS) as engine:
         protocol = read_protocol()
         protocol.check(asked.size, composer)

@@ -84,7 +84,11 @@ def evaluate(
         return statistics_csv(result.statistics.of(metric))
 
     texts = {"csv": csv, "markdown": result.table.markdown, "latex": result.table.latex}
-    invalid = [f"{swept.invalid}; all of them: quadexp results {swept.out} --failures"] if swept.invalid else []
+    invalid = (
+        [f"{swept.invalid}; all of them: quadexp results {shlex.quote(str(swept.out))} --failures"]
+        if swept.invalid
+        else []
+    )
     shown = swept.lines or [result.table]
     return Answer(record, [], [*shown, swept.out], [*swept.notes, *invalid], swept.failed, texts)
 
@@ -122,7 +126,7 @@ def tune(
     else:
         if conf is not None:
             lines.append(f"copy the file to {conf}/{tuned.option.parent.name} to fly it:")
-        lines.append(f"fly it: {shlex.join(['quadexp', 'simulate', '--conf', str(where), *tuned.choice.split()])}")
+        lines.append(f"fly it: {shlex.join(['quadexp', 'simulate', '--conf', str(where.absolute()), *tuned.flown])}")
     return Answer(tuned.record, tuned.rows, lines)
 
 

@@ -18,6 +18,7 @@ from quadexp.log.store import read_flight
 from quadexp.models.samples import READINGS
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
+from quadexp.writer import check_output
 
 EVEN = 1e-3  # share of a period by which samples may be uneven
 NOTHING = 1.5e-3  # s: less than this is no delay that is worth a setting
@@ -37,6 +38,8 @@ def identify_delays(
         raise UsageError("identify: no flight given")
     if figure is not None and len(paths) > 1:
         raise UsageError(f"identify --figure: draws one flight, {len(paths)} are given")
+    if figure is not None:
+        check_output(figure.with_suffix(".svg"), force=True)
     records, lines = [], list[str]()
     for path in paths:
         flight = read_flight(path, whole=True)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
@@ -155,7 +156,7 @@ def _needed(kind: str | None) -> str:
 def example_in(folder: Path) -> str:
     """A file of a folder that could be given instead of it, as the end of a message."""
     flight = next(folder.glob("cells/*/*.parquet"), None) or next(folder.glob("*.parquet"), None)
-    listed = f" (`quadexp results {folder}` lists them)" if (folder / "cells").is_dir() else ""
+    listed = f" (`quadexp results {shlex.quote(str(folder))}` lists them)" if (folder / "cells").is_dir() else ""
     return f"; give one of its files, such as {flight}{listed}" if flight else ""
 
 

@@ -8,35 +8,37 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, overload
 
 from quadexp.errors import ForbiddenValueError, UsageError
-from quadexp.parts.schema import PRESETS, REMEDIES, WORLD, Config
+from quadexp.parts.schema import PRESETS, REMEDIES, WORLD, Config, controller_name
+from quadexp.parts.settings import Settings, canonical_text, flat, read_value, record
 from quadexp.progress import doing
 
-# Varied keys that the result table has a column for; the plant's column names the world around it too, but not a sensor
-# that is only an accelerometer.
-COLUMN_KEYS = {
-    "vehicle", "plant", "world", "trajectory", "controller", "trajectory.speed", "model", "seed", "experiment",
-    *(group for group in WORLD if group != "sensor"), "remedies", *REMEDIES,
-}  # fmt: skip
+# Groups that make who flies, and what is flown, and the columns that name each of the two.
+SCOPES: tuple[tuple[Sequence[str], Callable[[Config], tuple[Any, ...]]], ...] = (
+    (("controller", "remedies", *REMEDIES), lambda c: (controller_name(c), c.model)),
+    (("vehicle", "plant", "world", "trajectory", *WORLD),
+     lambda c: (c.vehicle.name, c.plant.name, c.world, c.trajectory.name, getattr(c.trajectory, "speed", None))),
+)  # fmt: skip
+# Keys that columns name, but for a sensor that is only an accelerometer.
+COLUMNS = {"model", "seed", "experiment", "trajectory.speed", *(x for groups, _ in SCOPES for x in groups)} - {"sensor"}
+OPTION = "option"  # GROUP.option: which option of a group was chosen, where its name does not say
 
 Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are their product, the last varies fastest
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One configuration of a sweep. overrides: what made it. varied: the keys that differ within the sweep and that no
-    column of the result table names by itself, as overrides, also where the cell has its default. error: why the
-    overrides contradict each other, None where they do not. refused: the overrides that `config` is then made without.
+    """One configuration of a sweep. overrides: what made it. error: why they contradict each other, None where they do
+    not. refused: the overrides that `config` is then made without.
 
     Cells share the nodes of their configurations: read them, do not write them."""
 
     config: Config
     overrides: tuple[str, ...]
-    varied: str = ""
     error: UsageError | None = None
     refused: frozenset[str] = frozenset()
 
@@ -81,15 +83,6 @@ class Cells(Combinations, Sequence[Cell]):
     def __init__(self, grids: Sequence[Grid], compose: Callable[[Sequence[str]], Config]) -> None:
         super().__init__(grids)
         self._compose = compose
-        values: dict[str, dict[str, None]] = {}
-        for text in (text for grid in self.grids for texts in grid for text in texts):
-            values.setdefault(_key(text), {})[text] = None
-        choices = [{_key(texts[0]): set(texts) for texts in grid} for grid in self.grids]
-        self._varied = {
-            key: list(texts)
-            for key, texts in values.items()
-            if key not in COLUMN_KEYS and (len(texts) > 1 or _set_in_part(key, choices))
-        }
 
     @overload
     def __getitem__(self, index: int) -> Cell: ...
@@ -101,17 +94,10 @@ class Cells(Combinations, Sequence[Cell]):
         overrides = self.overrides(index)
         try:
             config = self._compose(overrides)
-            return Cell(config, overrides, self._differing(overrides, config))
+            return Cell(config, overrides)
         except UsageError as error:
             kept = self._consistent(overrides)
-            config, refused = self._compose(kept), frozenset(overrides).difference(kept)
-            return Cell(config, overrides, self._differing(overrides, config), error, refused)
-
-    def _differing(self, overrides: Sequence[str], config: Config) -> str:
-        """The keys that vary with their values; that of a key that is not given here is what the configuration has."""
-        given = {_key(text): text for text in overrides}
-        texts = (given.get(key) or _default(key, config, known) for key, known in self._varied.items())
-        return " ".join(text for text in texts if text)
+            return Cell(self._compose(kept), overrides, error, frozenset(overrides).difference(kept))
 
     def sound(self) -> list[Cell]:
         """All cells; raises the UsageError of the first that is invalid."""
@@ -158,35 +144,70 @@ def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
             raise error
 
 
-def _set_in_part(key: str, grids: Sequence[Mapping[str, set[str]]]) -> bool:
-    """Whether some grids give a key that another one does not, whose flights the columns do not tell apart: those of
-    who flies, for a key of the controller, which all its conditions share."""
-    who = {"controller", "model", "remedies", *REMEDIES}
-    columns = who if key.startswith("controller.") else COLUMN_KEYS - {"seed", "experiment"}
-    with_key, without = ([grid for grid in grids if (key in grid) == wanted] for wanted in (True, False))
-    return any(
-        all(grid[column] & other[column] for column in columns & grid.keys() & other.keys())
-        for grid in with_key
-        for other in without
-    )
+def varied(cells: Sequence[Cell]) -> list[str]:
+    """Of every cell the settings that tell it apart where no column of the result table does, as overrides.
+
+    These are the keys with several values among the overrides. Where two cells with the same columns still differ in
+    who flies, or in the world, `GROUP.option` says which options were chosen; where that does not tell them apart, the
+    first recorded settings that do. A value is spelled as in `canonical_text`.
+    """
+    settings, cells = _Settings(), list(cells)  # whose parts are known by what they are in memory
+    texts = dict.fromkeys(text for cell in cells for text in cell.overrides)
+    values: dict[str, set[str]] = {}
+    for key, _, text in (text.partition("=") for text in texts):
+        if key not in COLUMNS and not key.endswith(".name"):
+            values.setdefault(key, set()).add(canonical_text(read_value(text)))
+    keys = [key for key, several in values.items() if len(several) > 1]
+    for groups, columns in SCOPES:
+        different = {}
+        for cell in cells:
+            if not cell.invalid:
+                different.setdefault((columns(cell.config), settings.identity(cell, groups)), cell)
+        recorded = (key for cell in different.values() for group in groups for key in settings.of(cell, group))
+        for key in dict.fromkeys([*(f"{group}.{OPTION}" for group in groups), *recorded]):
+            alike: dict[Any, list[Cell]] = {}
+            for (named, _), cell in different.items():
+                alike.setdefault((named, *(settings.value(cell, known) for known in keys)), []).append(cell)
+            if all(len(several) == 1 for several in alike.values()):
+                break
+            if any(len({settings.value(cell, key) for cell in several}) > 1 for several in alike.values()):
+                keys.append(key)
+    told = ([(key, settings.value(cell, key)) for key in keys] for cell in cells)
+    return [" ".join(f"{key}={value}" for key, value in pairs if value is not None) for pairs in told]
 
 
-def _default(key: str, config: Config, known: Iterable[str]) -> str:
-    """The value of a key in a configuration as an override, spelled as one of those known; "" without such a key."""
-    value: Any = config
-    for part in key.split("."):
-        value = getattr(value, part, None)
-    if value is None or is_dataclass(value):  # a group of options: its columns say which
-        return ""
-    same = (text for text in known if _same(text.partition("=")[2], value))
-    return next(same, f"{key}={str(value).replace(' ', '')}")
+class _Settings:
+    """The settings of cells by dotted key, as canonical texts; those of a part that cells share are made once."""
 
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, int], dict[str, str]] = {}
 
-def _same(text: str, value: Any) -> bool:
-    try:
-        return bool(float(text) == value)
-    except ValueError:
-        return text.lower() == str(value).lower()
+    def of(self, cell: Cell, group: str) -> dict[str, str]:
+        """Of a group of the configuration; {} where it has no such group."""
+        part = getattr(cell.config, group, None)
+        if not isinstance(part, Settings):
+            return {}
+        if (group, id(part)) not in self._known:
+            dotted = flat(record(part), f"{group}.")
+            self._known[group, id(part)] = {key: canonical_text(value) for key, value in dotted.items()}
+        return self._known[group, id(part)]
+
+    def identity(self, cell: Cell, groups: Sequence[str]) -> tuple[Any, ...]:
+        """What decides the parts of some groups, but for the seed that a path takes over from the flight."""
+        seeds = {(f"{group}.seed", str(cell.config.seed)) for group in groups}
+        parts = ((getattr(cell.config, group, None), self.of(cell, group)) for group in groups)
+        return tuple((type(part), *(pair for pair in values.items() if pair not in seeds)) for part, values in parts)
+
+    def value(self, cell: Cell, key: str) -> str | None:
+        """The value of a key in a cell; None where it has none."""
+        given = dict(text.split("=", 1) for text in cell.overrides)
+        group, _, name = key.partition(".")
+        if name == OPTION:
+            option = given.get(group)
+            return None if option == getattr(getattr(cell.config, group, None), "name", None) else option
+        text = given.get(key)
+        value = None if f"{key}={text}" in cell.refused else self.of(cell, group).get(key)
+        return canonical_text(read_value(text)) if value is None and text is not None else value
 
 
 def _key(override: str) -> str:

@@ -22,7 +22,7 @@ from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.former import FORMER_TARGET, refuse_former
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge, nested
-from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader
+from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, in_grammar
 from quadexp.parts.part import TARGET, import_from, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
@@ -111,7 +111,7 @@ class Composer:
             sweep = self._compose(choice).sweep
             for grid in _written_out(sweep or {}, str(name)):
                 # The mapping's order is kept: what stands first varies slowest.
-                texts = [f"{key}={_as_override(value)}" for key, value in grid.items() if key not in given]
+                texts = [_as_override(key, value) for key, value in grid.items() if key not in given]
                 yield choice + self._overrides.read(texts, sweep=True) + rest
 
     def _compose(self, parsed: Sequence[Override]) -> Config:
@@ -354,10 +354,14 @@ def _product(overrides: Sequence[Override]) -> Grid:
     return tuple(grid.values())
 
 
-def _as_override(value: Any) -> str:
-    """A value of an experiment's `sweep:` as the text of an override."""
-    text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-    return "null" if value is None else text
+def _as_override(key: str, value: Any) -> str:
+    """What an experiment's `sweep:` says of a key as an override: a text as on the command line, a list several
+    values, of which a text is one value whatever its commas."""
+    if isinstance(value, str):
+        return f"{key}={value}"
+    values = value if isinstance(value, (list, tuple)) else [value]
+    texts = (item if isinstance(item, str) and ITEM.fullmatch(item) else in_grammar(key, item) for item in values)
+    return f"{key}={','.join(texts)}"
 
 
 # ----------------------------------------------------------------------------------------------------------- sessions

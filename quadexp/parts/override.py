@@ -8,8 +8,9 @@ same result.
 from __future__ import annotations
 
 import math
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
@@ -30,7 +31,8 @@ _DECIMAL = re.compile(r"-?(?:0|[1-9]\d{0,14})\.\d{1,15}", re.ASCII)
 _WORD = re.compile(r"(?:\.{0,2}/)*[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
 _PATHS = re.compile(r"[A-Za-z./][^,]*(?:,[A-Za-z./][^,]*)*", re.ASCII)  # none that may pass for a number
 _RANGE = re.compile(r"range\((?:(\d{1,9}), ?)?(\d{1,9})\)", re.ASCII)
-_ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
+ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
+_SAFE = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
 _NO_WORDS = {"null", "true", "false", "nan", "inf"}  # in any case of their letters
 
 
@@ -151,7 +153,7 @@ def plain_override(text: str) -> Override | None:
         start, stop = int(several[1] or 0), int(several[2])
         refuse_range(text, start, stop, 1)
         return Override(key, None, text, range(start, stop))
-    items = _ITEM.findall(value)
+    items = ITEM.findall(value)
     values = [_plain_value(item) for item in items]
     if None in values or not items or ",".join(items) != value:
         return None
@@ -173,6 +175,21 @@ def _plain_value(text: str) -> int | float | str | list[Any] | None:
 
 def _text(value: Any) -> str:
     return f"[{','.join(map(_text, value))}]" if isinstance(value, list) else str(value)
+
+
+def in_grammar(key: str, value: Any) -> str:
+    """One value of a key in the grammar of overrides; UsageError for what is no value."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if value is None or isinstance(value, (bool, int, float)):
+        return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{name}:{in_grammar(key, item)}' for name, item in value.items())}}}"
+    if isinstance(value, (list, tuple, range)):
+        return f"[{','.join(in_grammar(key, item) for item in value)}]"
+    if isinstance(value, (str, os.PathLike)):
+        text = os.fspath(value)
+        return text if _SAFE.fullmatch(text) else quoted(text)
+    raise UsageError(f"{key}: a {type(value).__name__} is no value: numbers, text, paths, lists and dictionaries are")
 
 
 def quoted(value: str) -> str:

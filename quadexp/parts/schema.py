@@ -96,6 +96,14 @@ PRESETS = {"horizon": "controller", "motor": "controller"}
 PARTS = tuple(group for group in CHOSEN if group not in {*BUNDLES, *PRESETS})  # groups whose options stand for a part
 
 
+def of_contestant(key: str) -> bool:
+    """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise.
+
+    "results" is the folder that a flight of several results comes from (compare_picture.py)."""
+    group = key.partition(".")[0]
+    return PRESETS.get(group, group) in ("controller", "model", "remedies", *REMEDIES, "results")
+
+
 def remedies(config: Config) -> dict[str, Any]:
     """The remedies that do something, by group, the one nearest to the controller first."""
     parts = {group: getattr(config, group) for group in REMEDIES}

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
@@ -224,6 +225,43 @@ def lists(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: lists(item) for key, item in value.items()}
     return [lists(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as dotted keys."""
+    if not isinstance(value, Mapping):
+        return {prefix[:-1]: value}
+    return {key: item for name, inner in value.items() for key, item in flat(inner, f"{prefix}{name}.").items()}
+
+
+def canonical_text(value: Any) -> str:
+    """A value as a text, the same for all its spellings: 1 of 1.0, [1,0] of (1.0, 0), true of True; a text as it is."""
+    if isinstance(value, str):
+        return value
+
+    def shortest(text: str) -> float:
+        number = float(text)
+        return int(number) if number.is_integer() else number
+
+    return json.dumps(json.loads(json.dumps(value, default=str), parse_float=shortest), separators=(",", ":"))
+
+
+def read_value(text: str) -> Any:
+    """The value of an override's text: a number, true, false, null (None), or a text; of a list its canonical text."""
+    text = text.strip()
+    if text.startswith("["):
+        with contextlib.suppress(ValueError):
+            return canonical_text(json.loads(text))
+    words = {"true": True, "false": False, "null": None}
+    if text.lower() in words:
+        return words[text.lower()]
+    try:
+        number = float(text)
+    except ValueError:
+        quoted = len(text) > 1 and text[0] == text[-1] and text[0] in "'\""
+        unquoted = text[1:-1] if quoted else text.replace(", ", ",")
+        return re.sub(r"\\([\W])", r"\1", unquoted)  # a sign that means something in the grammar of overrides
+    return int(number) if number.is_integer() and "." not in text and "e" not in text.lower() else number
 
 
 # ------------------------------------------------------------------------------------------------------------ checks

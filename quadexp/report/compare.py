@@ -23,7 +23,8 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata
-from quadexp.report.frame import flat, read_results
+from quadexp.parts.settings import flat
+from quadexp.report.frame import read_results
 from quadexp.report.metrics import METRICS, SHOWN
 from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.statistics import Statistic, corrected, overall

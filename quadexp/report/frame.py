@@ -28,11 +28,13 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import describe
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
+from quadexp.parts.cells import OPTION
 from quadexp.parts.options import units
-from quadexp.parts.schema import PARTS, PRESETS, REMEDIES, WORLD
+from quadexp.parts.schema import PARTS, REMEDIES, WORLD
+from quadexp.parts.settings import canonical_text, flat, read_value
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 from quadexp.report.pairing import setting_pairs
-from quadexp.report.text import plain, shown
+from quadexp.report.text import shown
 
 RESULTS = "results.parquet"
 ALIASES = {"speed": "trajectory.speed"}
@@ -163,6 +165,8 @@ class SweepFrame:
         varied = dict(setting_pairs(row["variant"])) if row["key"] not in self._read else {}
         if name in varied:
             return read_value(varied[name])
+        if name.endswith(f".{OPTION}"):  # its own name says it
+            return self._value(row, name.partition(".")[0])
         config = self._config(row)
         value = _named(config.get(name, config.get(f"{name}.name")))
         # What does nothing is left out of the record of a flight.
@@ -271,13 +275,6 @@ def _factor(tokens: Sequence[re.Match[str]], place: int) -> float:
     return next((shown(token["word"])[0] for token in comparison if token["word"] and is_metric(token["word"])), 1.0)
 
 
-def flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as dotted keys."""
-    if not isinstance(value, Mapping):
-        return {prefix[:-1]: value}
-    return {key: item for name, inner in value.items() for key, item in flat(inner, f"{prefix}{name}.").items()}
-
-
 def _plain(value: Any) -> Any:
     """None for a missing number or text."""
     if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
@@ -289,29 +286,7 @@ def _named(value: Any) -> Any:
     """A value that can be compared and printed: the name of a part, a list as its text."""
     if isinstance(value, Mapping):  # of a checkpoint
         return value.get("name")
-    return _list_text(value) if isinstance(value, (list, tuple)) else _plain(value)
-
-
-def _list_text(value: Any) -> str:
-    """A list as its text, the same for 1 and 1.0 and for all blanks."""
-    whole = json.loads(json.dumps(value), parse_float=lambda text: int(x) if (x := float(text)).is_integer() else x)
-    return json.dumps(whole, separators=(",", ":"))
-
-
-def read_value(text: str) -> Any:
-    """The value of an override's text: a number, true, false, null (None), or a text; of a list its text."""
-    text = text.strip()
-    if text.startswith("["):
-        with contextlib.suppress(ValueError):
-            return _list_text(json.loads(text))
-    words = {"true": True, "false": False, "null": None}
-    if text.lower() in words:
-        return words[text.lower()]
-    try:
-        number = float(text)
-    except ValueError:
-        return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"" else text.replace(", ", ",")
-    return int(number) if number.is_integer() and "." not in text and "e" not in text.lower() else number
+    return canonical_text(value) if isinstance(value, (list, tuple)) else _plain(value)
 
 
 def is_number(value: Any) -> bool:
@@ -321,14 +296,6 @@ def is_number(value: Any) -> bool:
 def is_metric(name: str) -> bool:
     """Whether a column is a number of the flight itself, not a setting."""
     return name in ROW_COLUMNS and name not in (*TEXT_COLUMNS, "speed", "seed")
-
-
-def of_controller(key: str) -> bool:
-    """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise.
-
-    "results" is the folder that a flight of several results comes from (compare_picture.py)."""
-    group = key.partition(".")[0]
-    return group in ("controller", "model", "remedies", *REMEDIES, "results") or PRESETS.get(group) == "controller"
 
 
 def unit_of(key: str) -> str:
@@ -347,14 +314,17 @@ def with_unit(name: str, key: str) -> str:
 
 
 def setting_text(key: str, value: Any) -> str:
-    """A setting in words with its unit: "wind 4 m/s" of wind.velocity=[4,0,0], "latency 30 ms", "nodes 20".
+    """A setting in words with its unit: "wind [4,0,0] m/s" of wind.velocity, "latency 30 ms", "nodes 20".
 
-    Of a vector the length, of times below a tenth of a second milliseconds."""
-    value, unit = _magnitude(key, value), unit_of(key)
-    if not is_number(value):
-        return f"{setting_name(key)} {plain(value)}"
-    factor, unit = (1e3, "ms") if unit == "s" and 0 < value < MILLISECONDS else (1, unit)
-    return f"{setting_name(key)} {factor * value:.6g} {unit}".strip()
+    Times below a tenth of a second are in milliseconds."""
+    value, unit = read_value(value) if isinstance(value, str) else value, unit_of(key)
+    text = canonical_text(value)
+    if is_number(value):
+        factor, unit = (1e3, "ms") if unit == "s" and 0 < value < MILLISECONDS else (1, unit)
+        text = f"{factor * value:.6g}"
+    elif not text.startswith("["):
+        unit = ""
+    return f"{setting_name(key)} {text} {unit}".strip()
 
 
 def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tuple[str, dict[str, str]]:
@@ -362,25 +332,17 @@ def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tup
 
     Numbers are as in `setting_text` as long as no two values look the same. beside: all keys that have a column; the
     heading is the whole key where two names are the same."""
-    numbers, unit = {text: _magnitude(key, text) for text in texts}, unit_of(key)
+    numbers, unit = {text: read_value(text) for text in texts}, unit_of(key)
     name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
-    if not all(map(is_number, numbers.values())) or len(set(numbers.values())) < len(numbers):
-        return with_unit(name, key), {text: text for text in texts}
-    factor, unit = (1e3, "ms") if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS else (1, unit)
-    columns = {text: f"{factor * value:.6g}" for text, value in numbers.items()}
-    return f"{name} ({unit})" if unit else name, columns
+    if all(map(is_number, numbers.values())):
+        factor, unit = (1e3, "ms") if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS else (1, unit)
+        columns = {text: f"{factor * value:.6g}" for text, value in numbers.items()}
+        if len(set(columns.values())) == len(columns):
+            return f"{name} ({unit})" if unit else name, columns
+    return with_unit(name, key), {text: text for text in texts}
 
 
 def setting_name(key: str) -> str:
     """The last part of a key in words; of a velocity what has it: "wind" of wind.velocity."""
     group, _, last = key.rpartition(".")
     return group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
-
-
-def _magnitude(key: str, value: Any) -> Any:
-    """The number of a setting, of a vector with a unit its length; what is no number as it is."""
-    value = read_value(value) if isinstance(value, str) else value
-    if unit_of(key) and isinstance(value, str) and value.startswith("["):
-        with contextlib.suppress(TypeError, ValueError):
-            return math.hypot(*json.loads(value))
-    return value

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadexp.errors import DataError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, VELOCITY
@@ -31,8 +32,9 @@ METRICS = (
     "solve_time_max",
 )  # fmt: skip
 # Columns of a row of results, in the order they are written.
+SETTING_COLUMNS = ("plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed")
 ROW_COLUMNS = (
-    "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", *ERRORS, "solve_time_median",
+    *SETTING_COLUMNS, *ERRORS, "solve_time_median",
     "solve_time_p99", "solve_time_max", "saturated_share", "peak_speed", "duration", "unconverged_count",
     "reference_residual", "outside_data", "outside_where", "outcome", "backend", "cause", "program", "sources",
     "libraries", "key",
@@ -134,7 +136,7 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
     if len(flight) == 0:
         return dict.fromkeys(METRICS, float("nan")) | {"unconverged_count": 0, "duration": 0.0}
     error, angle, t = position_error(flight), attitude_error(flight), flight.t
-    every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 else 1
+    every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 and t[1] > t[0] else 1
     solve_time, unconverged = flight["solve_time"][::every], flight.columns.get("unconverged", np.zeros(0))[::every]
     last, ordered = len(solve_time) - 1, np.sort(solve_time)  # a third of the time of np.quantile
     median, p99, longest = np.interp([0.5 * last, 0.99 * last, last], np.arange(last + 1), ordered).tolist()
@@ -153,6 +155,19 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
         "solve_time_max": longest,
     }
     return metrics | errors_none(flight.outcome)
+
+
+def renewed(flight: Flight) -> dict[str, Any]:
+    """The metadata of a flight whose samples are no longer those that were flown: the numbers of its row are of the
+    samples that are there, in the order of time; without a row where these do not suffice."""
+    metadata = {name: value for name, value in flight.metadata.items() if name not in ("row", "thinned")}
+    row, config = flight.metadata["row"], flight.metadata["config"]
+    limits, rate = config["vehicle"], config["controller"].get("rate")
+    try:
+        numbers = flight_metrics(flight, limits["thrust_min"], limits["thrust_max"], 1 / rate if rate else None)
+    except DataError:
+        return metadata
+    return metadata | {"row": {**row, **numbers, "outside_data": None}, "outside_data": None}
 
 
 def errors_none(outcome: Any) -> dict[str, float]:

@@ -34,6 +34,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from quadexp.parts.schema import of_contestant
+
 Who = TypeVar("Who", bound=Hashable)
 What = TypeVar("What", bound=Hashable)
 Key = TypeVar("Key", bound=Hashable)
@@ -84,12 +86,12 @@ class Contestant(NamedTuple):
 def condition_of(row: Row) -> Condition:
     speed = row["speed"]
     speed = None if speed is None or math.isnan(float(speed)) else float(speed)
-    setting = " ".join(part for part in _split(row.get("variant")) if not part.startswith("controller."))
+    setting = " ".join(part for part in _split(row.get("variant")) if not of_contestant(part.partition("=")[0]))
     return Condition(row["plant"], row["vehicle"], row["trajectory"], speed, setting)
 
 
 def contestant_of(row: Row) -> Contestant:
-    settings = " ".join(part for part in _split(row.get("variant")) if part.startswith("controller."))
+    settings = " ".join(part for part in _split(row.get("variant")) if of_contestant(part.partition("=")[0]))
     return Contestant(row["controller"], row["model"], settings)
 
 

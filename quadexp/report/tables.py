@@ -23,6 +23,8 @@ import numpy as np
 
 from quadexp.errors import QuadexpError
 from quadexp.log.store import read_table, read_text, write_table
+from quadexp.parts.cells import OPTION
+from quadexp.parts.schema import of_contestant
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
 from quadexp.report.metrics import NUMBERS, SHOWN
@@ -105,8 +107,8 @@ def error_table(
     settings = [dict(setting_pairs(row.get("variant"))) for row in rows]
     every = dict.fromkeys(key for pairs in settings for key in pairs)
     values = {key: [pairs[key] for pairs in settings if key in pairs] for key in every}
-    keys = [key for key, several in values.items() if len(set(several)) > 1]
-    keys.sort(key=lambda key: key.startswith("controller."))  # those of the conditions first
+    keys = [key for key, several in values.items() if len(set(several)) > 1 and not key.endswith(f".{OPTION}")]
+    keys.sort(key=of_contestant)  # those of the conditions first
     kept = (" ".join(f"{key}={value}" for key, value in pairs.items() if key not in keys) for pairs in settings)
     bare = [{**row, "variant": variant} for row, variant in zip(rows, kept, strict=True)]
     labels = column_labels(bare)

@@ -29,7 +29,9 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, of_controller, setting_text, with_unit
+from quadexp.parts.cells import OPTION
+from quadexp.parts.schema import of_contestant
+from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import NUMBERS
 from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
@@ -81,7 +83,7 @@ def points(
     places = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)) if None not in place)
     beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
     for place, numbers in places.items():
-        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_controller(key))
+        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_contestant(key))
         broken = {flights[i] for i in numbers if not well[i]}
         beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
     used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}
@@ -278,7 +280,7 @@ def view(
     free = _beside(frame, given)
     x = given_x[0] if given_x else _longest(frame, free)
     free = [key for key in free if key != x]
-    who = [key for key in WHO if key in free]
+    who = [key for key in free if of_contestant(key)]
     if kind == "heat":
         given_by = given_by or ([_longest(frame, free)] if free else [])
         if len(given_by) != 1:
@@ -286,18 +288,19 @@ def view(
         who = [key for key in who if key not in given_by]
     elif by is None:
         given_by, who = who, []
-    given_facet += who  # the mean of two controllers is the error of none
-    if facet is None and "trajectory" in free and "trajectory" not in given_by:
-        given_facet.append("trajectory")
+    given_facet += who
+    if facet is None:
+        given_facet += [key for key in free if key not in (*given_by, *given_facet) and key in _names(free)]
     return _made(frame, kind or "lines", x, given_by, given_facet, y, confidence)
 
 
 def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95) -> list[View]:
     """The views that show what was swept, the first one first of all."""
     swept = [key for key in frame.swept if key != "seed"]
-    who = [key for key in WHO if key in swept]
-    course = [key for key in ("trajectory",) if key in swept]
-    axes = [key for key in swept if key not in (*who, *course)]
+    names = _names(swept)
+    who = [key for key in names if of_contestant(key)]
+    course = [key for key in names if key not in who]
+    axes = [key for key in swept if key not in names]
     if "trajectory.speed" in axes:  # plants and vehicles are panels beside it
         course += [key for key in ("plant", "vehicle") if key in axes]
         axes = [key for key in axes if key not in course]
@@ -318,8 +321,8 @@ def _made(
 ) -> View:
     """The view of these keys."""
     others = _beside(frame, [*by, *facet, x])
-    facet = [*facet, *(key for key in WHO if key in others)]
-    others = [key for key in others if key not in WHO]
+    facet = [*facet, *(key for key in others if of_contestant(key))]  # the mean of two contestants is the error of none
+    others = [key for key in others if not of_contestant(key)]
     keys = [*facet, *by, x]
     places = points(frame, keys, y, others=others, confidence=confidence)
     if not any(point.is_shown for point in places.values()):
@@ -366,6 +369,11 @@ def _notes(
     if invalid := sum(bool(point.invalid) for point in places.values()):
         notes.append(f"{count(invalid, 'place')} invalid: settings that contradict each other")
     return notes
+
+
+def _names(keys: Sequence[str]) -> list[str]:
+    """Those of some keys that name who flew and along what."""
+    return [key for key in keys if key in FLOWN or key.endswith(f".{OPTION}")]
 
 
 def _checked(frame: SweepFrame, keys: Sequence[str]) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle
 from quadexp.experiment.identity import ModelFile, digest, find_model, flight_record, input_hashes
-from quadexp.parts.cells import Cell, Grid, refuse_mistakes
+from quadexp.parts.cells import Cell, Grid, refuse_mistakes, varied
 from quadexp.parts.schema import world_parts
 from quadexp.report.inference import least_seeds
 from quadexp.sweeps.sweep_table import condition
@@ -27,13 +27,14 @@ STRUCTURE = ("kind", "residual", "nodes", "backend", "variant", "_target_")  # c
 class Job:
     """A cell to fly. key: of its file. condition: hash of what was asked for, whatever the files it reads contain.
     model: the checkpoint that its controller uses. invalid: why its settings contradict each other, "" where they do
-    not; it is not flown then."""
+    not; it is not flown then. variant: its settings that no column of the result table names, see cells.varied."""
 
     key: str
     condition: str
     cell: Cell
     model: ModelFile | None
     invalid: str = ""
+    variant: str = ""
 
 
 def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
@@ -61,7 +62,8 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
         key = cell_key(record, inputs)
         if key not in jobs:
             jobs[key] = Job(key, digest(condition(record)), cell, model)
-    return jobs
+    variants = varied([job.cell for job in jobs.values()])
+    return {key: replace(jobs[key], variant=variant) for key, variant in zip(jobs, variants, strict=True)}
 
 
 def too_few_seeds(grids: Iterable[Grid], baseline: str, confidence: float) -> str:

@@ -19,7 +19,8 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import FAILURES
-from quadexp.report.frame import RESULTS, SweepFrame, chosen, read_value
+from quadexp.parts.settings import read_value
+from quadexp.report.frame import RESULTS, SweepFrame, chosen
 from quadexp.sweeps.sweep_table import Row, condition, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import shlex
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -90,6 +91,7 @@ def run_sweep(
     flown: Callable[[Sequence[Row], Mapping[str, Any]], None] = lambda rows, record: None,
     landed: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
+    conf: Sequence[Path] = (),
 ) -> SweepResult:
     """Fly the cells that are not done, and write the table of all.
 
@@ -98,7 +100,7 @@ def run_sweep(
     replace another sweep's table. old: of cells that are there and were flown by other sources than those that run:
     "refly", "keep", or refuse to go on. isolate: False flies in this process. flown: called with the rows and the
     record of the results once all cells are flown, before the tables are made. landed: called with every row as it is
-    there. function: flies one cell.
+    there. function: flies one cell. conf: the user's configuration folders, for the record.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -138,6 +140,7 @@ def run_sweep(
             "conditions": sorted({job.condition for job in jobs.values()}),
             "without_flight": {key: list(jobs[key].cell.overrides) for key in unflown},
             "flown_by": flown_by(in_order), "provenance": provenance(),
+            "folder": str(Path.cwd()), "conf": [str(folder.absolute()) for folder in conf],
         }  # fmt: skip
         flown(in_order, record)
         statistics, shown, files, altered = write_results(store.root, in_order, record)
@@ -215,7 +218,7 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
         raise UsageError(
             f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
             f" {quadexp.__version__}, sources {sources()}): {programs}; pass --refly to fly them again or --keep-old to"
-            f" keep them beside new ones (`quadexp results {store.root} sources=HASH` lists them)"
+            f" keep them beside new ones (`quadexp results {shlex.quote(str(store.root))} sources=HASH` lists them)"
         )
     if others and old == "refly":
         store.remove(others)
@@ -228,7 +231,7 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
 
 
 def _row_of(job: Job, row: Mapping[str, Any]) -> Row:
-    return table_row({**row, "key": job.key, "variant": job.cell.varied})
+    return table_row({**row, "key": job.key, "variant": job.variant})
 
 
 def _fly_missing(

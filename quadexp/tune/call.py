@@ -13,8 +13,10 @@ import numpy as np
 import quadexp
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
+from quadexp.experiment.identity import find_model
 from quadexp.log.store import write_table
 from quadexp.parts.compose import session
+from quadexp.parts.override import quoted
 from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
@@ -23,9 +25,10 @@ from quadexp.report.text import number
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.sweep import opened
 from quadexp.tune import Tune
-from quadexp.tune.preset import check_name, options_of, write_preset
-from quadexp.tune.search import REQUEST, Request, Search, Trial, best_of, cells_of, with_seeds
+from quadexp.tune.preset import check_name, check_place, options_of, write_preset
+from quadexp.tune.search import Request, Search, Trial, best_of, cells_of, with_seeds
 from quadexp.tune.space import Axis, overrides, read_axes, settings_of
+from quadexp.writer import check_output
 
 HISTORY = "history.parquet"
 
@@ -33,11 +36,12 @@ HISTORY = "history.parquet"
 @dataclass(frozen=True)
 class Tuned:
     """trials: all, the first one as it was. best: place of the best. choice: overrides that choose what was found.
-    option: its file. record: for --json. lines: what is printed. axes: what was varied."""
+    flown: what flies it, in any folder. option: its file. record: for --json. lines: what is printed. axes: what was varied."""
 
     trials: Sequence[Trial]
     best: int
     choice: str
+    flown: Sequence[str]
     option: Path
     record: Mapping[str, Any]
     lines: Sequence[str]
@@ -87,9 +91,9 @@ def tune(
                 )
             options = options_of(given, first)
             check_name(options, asked.name)
-            if force:
-                (out / REQUEST).unlink(missing_ok=True)
-            trials = search.run(asked.flights // each, progress)
+            check_place(out, composer, options, asked.name)
+            check_output(out / HISTORY, force=True)
+            trials = search.run(asked.flights // each, progress, anew=force)
         best = best_of(trials)
         history = _write_history(out, request, search, trials)
         tuned = composer.expand([*given, *overrides(axes, trials[best].numbers)], check=False).sound()[0].config
@@ -102,7 +106,13 @@ def tune(
     record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
     width = max(map(len, settings))
     changes = [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
-    return Tuned(trials, best, choice, option, record, [*_lines(search, trials, best), *changes, str(option)], axes)
+    model = find_model(first)
+    flown = choice.split()
+    if model and not model.parts:  # those of a sum are settings, which the option holds
+        flown.append(f"model={quoted(str(Path(model.path).absolute()))}")
+    return Tuned(
+        trials, best, choice, flown, option, record, [*_lines(search, trials, best), *changes, str(option)], axes
+    )
 
 
 def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -> None:

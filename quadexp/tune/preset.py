@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import UsageError
+from quadexp.log.store import read_text
 from quadexp.messages import printable
 from quadexp.names import file_name
 from quadexp.parts.compose import Composer
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import REMEDIES, Config
 from quadexp.parts.settings import record
-from quadexp.writer import write_text
+from quadexp.writer import check_output, write_text
 
 SUFFIX = "_tuned"
 HEAD = "# Provenance:"
@@ -91,6 +92,18 @@ def check_name(options: Mapping[str, str], name: str | None) -> None:
         raise UsageError(f"--name {chosen!r}: is no name for a file: letters, digits and _.,+=@- make one")
     if chosen == options["controller"]:
         raise UsageError(f"--name {name}: is the option that is tuned: give another name")
+
+
+def check_place(out: Path, composer: Composer, options: Mapping[str, str], name: str | None) -> None:
+    """Raise UsageError where the name that is asked for is that of another option, or the file of the option to write
+    is somebody else's, or cannot be written."""
+    path = out / ("controller" if len(options) == 1 else "remedies") / f"{name or default_name(options)}.yaml"
+    text = read_text(path)
+    if text is None and name in composer.options(path.parent.name):
+        raise UsageError(f"--name {name}: is an option already: give another name")
+    if text is not None and read_provenance(text) is None:
+        raise UsageError(f"{path}: was not written by `quadexp tune`: give another --name or --out")
+    check_output(path, force=True)
 
 
 def _changed(plain: Mapping[str, Any], tuned: Mapping[str, Any]) -> dict[str, Any]:

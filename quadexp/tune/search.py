@@ -136,8 +136,11 @@ class Search:
         """Of the first cell, before anything is varied."""
         return self._cells[0].config
 
-    def run(self, trials: int, progress: Callable[[int, int], None] = lambda done, total: None) -> list[Trial]:
+    def run(
+        self, trials: int, progress: Callable[[int, int], None] = lambda done, total: None, *, anew: bool = False
+    ) -> list[Trial]:
         """The first `trials` trials, those flown that are not there. progress: numbers of flights done and of all.
+        anew: forget which search was begun in the folder.
 
         Raises QuadexpError where the option as it is cannot be flown, SweepInterrupted on Ctrl-C; what is done is kept.
         """
@@ -145,7 +148,8 @@ class Search:
         with flying(self.store, lambda: f"{len(done)} of {trials} trials done"), _quiet():
             import optuna
 
-            self._check_request()
+            if not anew:
+                self._check_request()
             study = optuna.create_study(direction="minimize")
             study.enqueue_trial({axis.name: axis.start for axis in self.request.axes})
             while len(done) < trials:

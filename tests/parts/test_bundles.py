@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from quadexp.errors import UsageError
+from quadexp.parts.cells import varied
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import world_parts
@@ -41,7 +42,7 @@ def test_their_names():
 
 def test_a_sweep_over_bundles():
     cells = expand([f"world={','.join(BUNDLES)}", "seed=0,1"])
-    assert {cell.config.world for cell in cells} == set(BUNDLES) and {cell.varied for cell in cells} == {""}
+    assert {cell.config.world for cell in cells} == set(BUNDLES) and set(varied(cells)) == {""}
 
 
 MPCS = ["nominal_mpc", "linear_drag_mpc", "gp_mpc", "perfect_mpc", "rls_mpc"]
@@ -112,6 +113,6 @@ def test_what_has_no_horizon_takes_none():
 def test_sweeps_vary_it_and_say_so():
     cells = expand(["horizon=published,precise", "controller=nominal_mpc,gp_mpc", "seed=0,1"])
     assert len(cells) == 8
-    assert {cell.varied for cell in cells} == {"horizon=published", "horizon=precise"}
+    assert set(varied(cells)) == {"horizon=published", "horizon=precise"}
     for cell in cells:
         assert cell.config.controller.first_node == (0.02 if "horizon=precise" in cell.overrides else 0.0)

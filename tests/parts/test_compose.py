@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import digest, flight_entropy
+from quadexp.parts.cells import varied
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.options import NOTHING, OptionFiles, groups
 from quadexp.parts.part import part_class
@@ -128,10 +129,10 @@ class TestExpand:
 
     def test_what_differs_without_a_column_of_its_own_is_kept_with_the_cell(self):
         cells = expand(["controller.nodes=10,20", "controller.horizon=1", "trajectory.speed=4,8"])
-        assert {cell.varied for cell in cells} == {"controller.nodes=10", "controller.nodes=20"}
+        assert set(varied(cells)) == {"controller.nodes=10", "controller.nodes=20"}
 
     @pytest.mark.parametrize(
-        ("grids", "varied"),
+        ("grids", "expected"),
         [
             (["controller: nominal_mpc", "controller: nominal_mpc, controller.nodes: 30"], ["nodes=10", "nodes=30"]),
             (
@@ -146,13 +147,13 @@ class TestExpand:
             (["trajectory: circle", "trajectory: hover, trajectory.duration: 9"], ["", ""]),
         ],
     )
-    def test_a_key_that_one_grid_gives_differs_from_the_default_of_the_others(self, tmp_path, grids, varied):
+    def test_a_key_that_one_grid_gives_differs_from_the_default_of_the_others(self, tmp_path, grids, expected):
         """So that one controller with two settings is not one column."""
         lines = ["# @package _global_", "sweep:", *(f"  - {{{grid}}}" for grid in grids)]
         (tmp_path / "experiment").mkdir()
         (tmp_path / "experiment" / "mine.yaml").write_text("\n".join(lines) + "\n")
-        found = [cell.varied for cell in expand(["experiment=mine"], tmp_path)]
-        assert found == [f"controller.{text}" if text else "" for text in varied]
+        found = varied(expand(["experiment=mine"], tmp_path))
+        assert found == [f"controller.{text}" if text else "" for text in expected]
 
     def test_a_sweep_may_be_a_list_of_grids(self):
         cells = expand(["experiment=torrente_table1", "seed=0"])
@@ -191,7 +192,7 @@ class TestExpand:
         )
         wrong = [(cell.config.controller.name, bool(cell.invalid)) for cell in made]
         assert wrong == [("nominal_mpc", False)] * 2 + [("rls_feedback", True)] * 2 + wrong[:4]
-        assert made[4].varied == "horizon=precise controller.nodes=10" == made[6].varied
+        assert varied(made)[4] == "horizon=precise controller.nodes=10" == varied(made)[6]
 
 
 MISTAKES = {

@@ -9,8 +9,9 @@ from scipy import stats
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
+from quadexp.parts.settings import read_value
 from quadexp.report.draw import records
-from quadexp.report.frame import SweepFrame, read_value, setting_text, unit_of
+from quadexp.report.frame import SweepFrame, setting_text, unit_of
 from quadexp.report.statistics import compute_statistics
 from quadexp.report.view import Axis, automatic, points, view
 from quadexp.sweeps.figures import drawings
@@ -226,7 +227,7 @@ def test_units_are_those_of_the_configuration():
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("wind.velocity", "[4,0,0]", "wind 4 m/s"), ("link.latency", "0.03", "latency 30 ms"),
+        ("wind.velocity", "[4,0,0]", "wind [4,0,0] m/s"), ("link.latency", "0.03", "latency 30 ms"),
         ("controller.horizon", 0.5, "horizon 0.5 s"), ("controller.nodes", 20, "nodes 20"),
         ("vehicle.mass", "1.2", "mass 1.2 kg"), ("wind", "dryden", "wind dryden"),
     ],

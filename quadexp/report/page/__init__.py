@@ -14,7 +14,7 @@ from quadexp.report.document import Section, document
 from quadexp.report.draw import figure_of
 from quadexp.report.page.answer import answer
 from quadexp.report.page.panels import swept_section
-from quadexp.report.page.sections import LOOKED_AT, numbers, origin, portable, records, scoreboard, worst, worst_rows
+from quadexp.report.page.sections import LOOKED_AT, numbers, origin, records, scoreboard, worst, worst_rows
 from quadexp.report.page.source import Comparison, read_comparison
 from quadexp.report.style import save_figure
 from quadexp.writer import check_output, write_text
@@ -40,9 +40,9 @@ def make_report(
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
     swept, left_out, views = swept_section(comparison)
-    words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
+    words = ["quadexp", "report", comparison.place(comparison.root), "--out", comparison.place(out), "--force"]
     words += ["--baseline", baseline] if baseline else []
-    words += ["--figures", portable(Path(figures))] if figures else []
+    words += ["--figures", comparison.place(Path(figures))] if figures else []
     page, left_out = render(comparison, swept, shlex.join(words), left_out)
     write_text(out, page, force=force)
     names = {f"{view.y.removesuffix('_error')}_error_{view.file_name}": view for view in views}

@@ -7,16 +7,16 @@ import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.log.outcome import RULE
 from quadexp.parts.cells import Grid
+from quadexp.parts.override import quoted
+from quadexp.parts.settings import flat
 from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, Section
-from quadexp.report.frame import flat
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.source import TABLED, Comparison, Record
@@ -144,7 +144,7 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> Section:
         why = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
         lost = "" if row["outcome"] == "ok" else why
         lines.append([Cell(label, mark=label), Cell(_flight_title(comparison, row), lost=lost), Cell(largest, (when,))])
-    commands = [f"quadexp simulate {shlex.join(asked)}" for row in rows if (asked := comparison.asked(row))]
+    commands = [*filter(None, map(comparison.command, rows))]
     blocks = [Block(tables={"worst": Table(["controller", "flight", "largest error"], lines)})]
     blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
     return Section("worst", "Worst", "Worst flights", lead, blocks)
@@ -166,7 +166,12 @@ def records(comparison: Comparison) -> list[Record]:
 def origin(comparison: Comparison, flights: Sequence[Record], command: str, left_out: Sequence[str]) -> Section:
     """Where every number comes from, and the commands that make it again. flights: metadata. command: of the page."""
     about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
-    sweep = sweep_command(comparison.grids, portable(comparison.root))
+    grids = [tuple(tuple(map(comparison.anywhere, texts)) for texts in grid) for grid in comparison.grids]
+    models = {row["model"] for row in comparison.rows if row["model"]}
+    found = [comparison.anywhere(f"model={quoted(model)}") for model in models if len(models) == 1 and "+" not in model]
+    # With other paths they are other cells, which the folder of these does not take.
+    place = comparison.place(comparison.root) + ("_again" if found or grids != comparison.grids else "")
+    sweep = sweep_command(grids, place, [*comparison.conf, *found])
     blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
     if rows := settings(flights):
         tables = {"settings": Table(["setting", "value"], rows)}
@@ -213,13 +218,8 @@ def settings(flights: Sequence[Record]) -> list[list[str]]:
     return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
 
 
-def portable(path: Path) -> str:
-    """A path for a page that is passed on: absolute ones by their name alone."""
-    return path.name if path.is_absolute() else path.as_posix()
-
-
-def sweep_command(grids: Sequence[Grid], out: str) -> str:
-    """The sweep in one line: its one grid, or the experiment of its grids; "" if there is neither."""
+def sweep_command(grids: Sequence[Grid], out: str, others: Sequence[str] = ()) -> str:
+    """The sweep in one line: its one grid, or the experiment of its grids; "" if there is neither. others: words."""
     if len(grids) == 1:
         words = []
         for texts in grids[0]:
@@ -228,4 +228,4 @@ def sweep_command(grids: Sequence[Grid], out: str) -> str:
     else:
         named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
         words = sorted(named) if len(named) == 1 else []
-    return f"quadexp evaluate --sweep {shlex.join(words)} --out {shlex.quote(out)}" if words else ""
+    return shlex.join(["quadexp", "evaluate", *others, "--sweep", *words, "--out", out]) if words else ""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
+import os
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +21,8 @@ from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_record
 from quadexp.parts.cells import Combinations, Grid
+from quadexp.parts.override import PATHS, in_grammar
+from quadexp.parts.settings import flat, read_value
 from quadexp.report.checked import Checked, check_flights
 from quadexp.report.frame import RESULTS, read_results
 from quadexp.report.notes import notes
@@ -210,6 +214,37 @@ class Comparison:
         cells = Combinations(self.grids)
         places = (i for i, other in enumerate(self.rows) if other["key"] == row["key"])
         return cells.overrides(next(places)) if len(cells) == len(self.rows) else ()
+
+    def command(self, row: Mapping[str, Any]) -> str:
+        """What flies a row again in any folder; "" where the record of the results does not say."""
+        words = {text.partition("=")[0]: self.anywhere(text) for text in self.asked(row)}
+        config = flat((self.flight_record(row) or {}).get("config", {}))
+        for key in (*PATHS, "controller.models"):
+            if words and config.get(key):
+                words[key] = self._file(key, config[key])
+        out = ["--out", f"runs/{row['key']}.parquet"]  # several may have the same default
+        return shlex.join(["quadexp", "simulate", *self.conf, *words.values(), *out]) if words else ""
+
+    @property
+    def conf(self) -> list[str]:
+        """The user's configuration folders as words of a command."""
+        return [word for folder in self.record.get("conf", ()) for word in ("--conf", folder)]
+
+    def anywhere(self, text: str) -> str:
+        """An override that means the same in any folder: with an absolute path where it names a file."""
+        key, _, value = text.partition("=")
+        path = read_value(value) if key in PATHS else None
+        return self._file(key, path) if path else text
+
+    def _file(self, key: str, path: str | list[str]) -> str:
+        """An override with a path, or a list of them, from the folder in which the sweep was flown."""
+        folder = self.record.get("folder", "")
+        whole = os.path.join(folder, path) if isinstance(path, str) else [os.path.join(folder, each) for each in path]
+        return f"{key}={in_grammar(key, whole)}"
+
+    def place(self, path: Path) -> str:
+        """A path as commands name it; by its name alone where the record of the results says no folder either."""
+        return str(path.absolute()) if "folder" in self.record else path.name
 
     def sampled(self, most: int) -> list[dict[str, Any]]:
         """At most so many rows, evenly chosen."""
