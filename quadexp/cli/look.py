@@ -172,9 +172,9 @@ def plot(
     if not all(names.values()):
         raise UsageError(f"--label {next(name for name in names if not names[name])}: give KEY=TEXT")
     path = check_path(out, force)
-    frame = SweepFrame.read(results)
+    frame = whole = SweepFrame.read(results)
     if where:
-        frame = frame.where(chosen(frame, where))
+        frame = whole.where(chosen(whole, where))
         if not frame.rows:
             raise UsageError(f"--where {where!r}: no flight fulfils it")
     figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
@@ -182,7 +182,7 @@ def plot(
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)
     about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
-    checked = check_flights(frame.root, frame.rows)
+    checked = check_flights(frame.root, frame.rows, whole.rows)
     notes = [figure.caption, *figure.notes, f"{checked.text()}.", *checked.lines()]
     record = {"path": path, **about, "notes": notes, "points": numbers}
     said = [*((figure.caption,) if width else ()), *figure.notes]
