@@ -73,6 +73,8 @@ class SweepResult:
 class SweepInterrupted(QuadexpError):
     """Ctrl-C: what is done is kept."""
 
+    exit_code = 130
+
 
 def run_sweep(
     cells: Sequence[Cell],
