@@ -48,10 +48,11 @@ def test_it_comes_back_within_the_limits(loop):
     assert np.linalg.norm((state - loop.start)[POSITION]) < 0.02  # m
 
 
-def test_it_tracks_a_circle_and_suffers_from_the_air():
+def test_it_tracks_a_circle_without_air_and_stays_on_it_with_drag():
+    """How much of the drag a controller leaves is its own affair: one that knows the air leaves nothing."""
     ideal, drag = (
         qx.simulate("controller=geometric", "trajectory=circle", f"plant={plant}", speed=3, conf=HERE)
         for plant in ("ideal", "simplified")
     )
     assert ideal.outcome == "ok" and ideal.metrics["mean_error"] < 0.01  # m
-    assert drag.metrics["mean_error"] > 5 * ideal.metrics["mean_error"]
+    assert drag.outcome == "ok" and drag.metrics["mean_error"] < 0.5  # m

@@ -1,5 +1,5 @@
 """`python -m quadexp` is the command `quadexp`."""
 
-from quadexp.cli.app import main
+from quadexp.cli import main
 
 main()

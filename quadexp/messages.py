@@ -18,6 +18,7 @@ wrapped once in a CleanStream (quadexp/cli/terminal.py).
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import html as markup
 import json
@@ -99,20 +100,26 @@ def yaml(value: Any) -> str:
 
 class CleanStream:
     """A text stream that passes on no control character. raw: the wrapped stream, for text that this program styles.
+    ignored: errors of writing that end nothing: of messages, which nobody may be there to read.
 
     before: is called before anything is printed.
     """
 
     before: Callable[[], None] | None = None
 
-    def __init__(self, raw: Any) -> None:
-        self.raw = raw
+    def __init__(self, raw: Any, *ignored: type[Exception]) -> None:
+        self.raw, self.ignored = raw, ignored
 
     def write(self, text: str) -> int:
         if CleanStream.before is not None:
             CleanStream.before()
-        self.raw.write(clean(text))
+        with contextlib.suppress(*self.ignored):
+            self.raw.write(clean(text))
         return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(*self.ignored):
+            self.raw.flush()
 
     def writelines(self, lines: Iterable[str]) -> None:
         for text in lines:

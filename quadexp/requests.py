@@ -185,7 +185,8 @@ def _doubts(cells: Sequence[Any]) -> list[str]:
     nodes: dict[Any, Config] = {}
     for config in (cell.config for cell in cells if not cell.invalid):
         if config.trajectory.shipped:  # which is a program of its own: built where it is flown
-            nodes.setdefault((config.trajectory, config.ground, config.vehicle, config.plant), config)
+            shared = (config.trajectory, config.ground, config.vehicle, config.plant)  # by cells that have the same
+            nodes.setdefault(tuple(map(id, shared)), config)
     low = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
     lines = {line: None for line in (*low, *map(heavy_drag, nodes.values())) if line}
     return [*lines][:3]

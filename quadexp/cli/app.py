@@ -17,9 +17,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from quadexp import __version__
-from quadexp.cli import extend, fly, learn, logs, look
+from quadexp.cli import NOTHING, extend, fly, learn, logs, look
 from quadexp.cli.command import Command
-from quadexp.cli.terminal import end, fail, output_failed, prepare
+from quadexp.cli.terminal import end, fail, interrupted, is_interrupted, output_failed, prepare
 
 GROUPS: dict[str, tuple[Command, ...]] = {
     "Fly": (fly.simulate, fly.evaluate, fly.tune, fly.bench),
@@ -134,10 +134,10 @@ def _run() -> int:
     try:
         asked = [COMMANDS[word] for word in sys.argv[1:2] if word in COMMANDS]
         code = application(asked or COMMANDS.values())(standalone_mode=False, prog_name="quadexp")
-        if code == INTERRUPTED:  # Ctrl-C before the command began
-            code = fail("interrupted before anything was done: run the same command again", 1).exit_code
-    except typer.Abort:
-        code = 1
+        if code == INTERRUPTED and is_interrupted():  # before the command began
+            raise KeyboardInterrupt
+    except (typer.Abort, KeyboardInterrupt):
+        code = interrupted(NOTHING).exit_code
     except OSError as error:
         code = output_failed(error).exit_code  # from help or version; the commands themselves are guarded
     except Exception as error:

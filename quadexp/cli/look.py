@@ -46,8 +46,8 @@ def results(
     --verify compares every flight and table with its hashes, rows with their flights, and texts with their rows; exit
     code 1 if something is wrong. The next run of the sweep flies such cells again and writes such tables again.
 
-    --prune removes the cells that are not part of the last sweep or, with KEY=VALUE, those that match; without --yes it
-    only lists them.
+    --prune removes the cells that are not part of the last sweep, nor of one that has not ended, or, with KEY=VALUE,
+    those that match; without --yes it only lists them.
 
     \b
     quadexp results results/table1 --where "controller == gp_mpc and speed > 6" --sort mean_error --limit 10
@@ -91,7 +91,7 @@ def results(
     counts = {outcome: outcomes.count(outcome) for outcome in sorted(set(outcomes))}
     unwanted = sum(not row["wanted"] for row in total)
     said = ", ".join([f"{len(total)} cells", *(f"{count} {outcome}" for outcome, count in counts.items())])
-    said += f"; {unwanted} not of the last sweep (--prune)" if unwanted else ""
+    said += f"; {unwanted} of earlier sweeps (--prune)" if unwanted else ""
     remarks = [f"{said}; {checked.text()}"]
     remarks += [RULE] if counts.keys() - {"ok"} else []
     remarks += flown_by_lines(total) if several else []
@@ -101,13 +101,18 @@ def results(
 
 
 def _prune(folder: Path, filters: Sequence[str], remove: bool) -> Answer:
+    from quadexp.report.tables import flights_table
     from quadexp.sweeps.results import prune
 
     done = prune(folder, filters, remove=remove)
     record = {"keys": done.keys, "bytes": done.size, "removed": done.removed}
     state = "removed" if done.removed else "would be removed (--yes removes them)"
     rows = [{"key": key, "removed": done.removed} for key in done.keys]
-    return Answer(record, rows, [f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}"])
+    lines: list[Any] = [f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}"]
+    if done.keys:
+        names = ("key", *(name for name in COLUMNS if any(value is not None for value in done.frame.column(name))))
+        lines.append(flights_table(done.frame, names))
+    return Answer(record, rows, lines)
 
 
 def _verify(folder: Path) -> Answer:
@@ -172,9 +177,9 @@ def plot(
     if not all(names.values()):
         raise UsageError(f"--label {next(name for name in names if not names[name])}: give KEY=TEXT")
     path = check_path(out, force)
-    frame = SweepFrame.read(results)
+    frame = whole = SweepFrame.read(results)
     if where:
-        frame = frame.where(chosen(frame, where))
+        frame = whole.where(chosen(whole, where))
         if not frame.rows:
             raise UsageError(f"--where {where!r}: no flight fulfils it")
     figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
@@ -182,7 +187,7 @@ def plot(
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)
     about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
-    checked = check_flights(frame.root, frame.rows)
+    checked = check_flights(frame.root, frame.rows, whole.rows)
     notes = [figure.caption, *figure.notes, f"{checked.text()}.", *checked.lines()]
     record = {"path": path, **about, "notes": notes, "points": numbers}
     said = [*((figure.caption,) if width else ()), *figure.notes]

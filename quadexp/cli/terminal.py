@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from typer import Abort, Exit
 
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.cli import leave
+from quadexp.errors import DEVICE, QuadexpError, UsageError
 from quadexp.messages import CleanStream, printable, raw
 from quadexp.progress import Waiting
 
@@ -42,23 +43,31 @@ GO_ON = {
     "validate": f"{AGAIN}, with --force where it had begun to write",
     "report": f"{AGAIN}, with --force where it had begun to write",
 }
-_signals: list[int] = []  # received signals that ask this process to end
+_signals: list[int] = []  # received signals that ask this process to end, until it is said that they did
 _spent: list[bool] = []  # whether the memory was not enough
 
 
 def prepare() -> None:
     """Set up the process before any command: SIGTERM ends it as Ctrl-C does, letters that a terminal cannot show are
-    replaced, and control characters (which a file may contain) are written out."""
-    usual = {signal.SIGTERM: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
-    for number, handler in usual.items():
-        if signal.getsignal(number) is handler:
+    replaced, control characters (which a file may contain) are written out, and a stream that is closed takes what is
+    printed: otherwise the next file that is opened would."""
+    _signals.clear()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, leave):
             signal.signal(number, _interrupt)
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            with contextlib.suppress(OSError):
+                os.fstat(number)
+                continue
+            os.open(os.devnull, os.O_RDWR)  # takes the least number that is free
+            setattr(sys, name, os.fdopen(number, "r" if name == "stdin" else "w"))
     codecs.register_error("quadexp", _plain)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="quadexp")
         sys.stdout = CleanStream(sys.stdout)
     if isinstance(sys.stderr, io.TextIOWrapper):
-        sys.stderr = CleanStream(sys.stderr)
+        sys.stderr = CleanStream(sys.stderr, OSError)
 
 
 def _interrupt(number: int, frame: Any) -> None:
@@ -78,6 +87,10 @@ def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
 def end(code: int) -> NoReturn:
     """End this process. Where the memory was not enough, what libraries would do at the end could crash: it is left."""
     code = flush_output(code)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        if signal.getsignal(number) is _interrupt:
+            signal.signal(number, lambda number, frame: os._exit(code))  # what is left to do would print tracebacks
+    eval("None")  # CPython ends by SIGINT, whatever the code, where one came during the last evaluation of a text
     if _spent:
         os._exit(code)
     sys.exit(code)
@@ -109,7 +122,7 @@ def guarded(command: str) -> Iterator[None]:
         with Waiting(command):
             yield
     except QuadexpError as error:
-        raise fail(error, error.exit_code) from error
+        raise (interrupted(error) if _signals else fail(error, error.exit_code)) from error
     except KeyboardInterrupt as error:
         raise _interrupted(command) from error
     except BrokenPipeError as error:
@@ -117,6 +130,8 @@ def guarded(command: str) -> Iterator[None]:
     except (Exit, Abort):
         raise
     except OSError as error:
+        if error.filename is None and error.errno in DEVICE:  # files are written by writer.py, which names them
+            raise output_failed(error) from None
         raise fail(system_error(error), 1) from error
     except Exception as error:
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
@@ -133,7 +148,19 @@ def guarded(command: str) -> Iterator[None]:
 
 def _interrupted(command: str) -> Exit:
     """End after Ctrl-C or SIGTERM: what is kept, and how to go on."""
-    return fail(f"interrupted: {GO_ON.get(command, AGAIN)}", 1)
+    return interrupted(f"interrupted: {GO_ON.get(command, AGAIN)}")
+
+
+def interrupted(why: object) -> Exit:
+    """End after Ctrl-C or SIGTERM, with the exit code that shells expect: 128 and the number of the signal."""
+    number = _signals[-1] if _signals else signal.SIGINT
+    _signals.clear()
+    return fail(why, 128 + number)
+
+
+def is_interrupted() -> bool:
+    """Whether a signal has come of which nothing was said yet."""
+    return bool(_signals)
 
 
 def system_error(error: OSError) -> str:
@@ -150,7 +177,8 @@ def fail(message: object, code: int) -> Exit:
     text = printable(" ".join(str(message).split()))
     if len(text) > LONGEST:
         text = f"{text[: LONGEST * 2 // 3]} ... {text[-LONGEST // 3 :]}"
-    typer.secho(f"error: {text}", fg="red", file=raw(sys.stderr))
+    with contextlib.suppress(OSError):
+        typer.secho(f"error: {text}", fg="red", file=raw(sys.stderr))
     return Exit(code)
 
 

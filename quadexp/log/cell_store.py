@@ -1,6 +1,7 @@
 """Cells of a sweep on disk: one flight file per cell, named by the hash of everything that decides it.
 
     <results>/cells/<2 hex>/<key>.parquet
+    <results>/cells/asked.json               keys of cells that were asked for and that no table lists yet
 
 A cell is done when its file exists and holds, byte for byte, what was written; a file appears complete or not at all,
 but for a power cut before the sweep's end, after which some may be damaged and are flown again.
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import math
 import os
 from collections.abc import Iterable, Iterator
@@ -21,9 +23,10 @@ from typing import Any
 from quadexp.errors import DataError, UsageError
 from quadexp.log.store import read_record
 from quadexp.names import check_names
-from quadexp.writer import check_output, clean, make_inside, remove, unfollowed
+from quadexp.writer import check_output, clean, make_inside, remove, unfollowed, write_text
 
 MARK = "cells"
+ASKED = "asked.json"
 
 
 class CellStore:
@@ -67,6 +70,35 @@ class CellStore:
         names = (entry.name for folder in self._folders() for entry in os.scandir(folder))
         return {name.removesuffix(".parquet") for name in names if name.endswith(".parquet")}
 
+    def asked(self) -> set[str]:
+        """Keys of the cells that a run asked for which has not ended, or makes no table; raises DataError where their
+        list cannot be read."""
+        path = self.folder / ASKED
+        try:
+            return {str(key) for key in json.loads(path.read_text(encoding="utf-8"))}
+        except FileNotFoundError:
+            return set()
+        except (OSError, ValueError, TypeError) as error:
+            raise DataError(f"{path}: says which flights are still wanted, and cannot be read") from error
+
+    def ask(self, keys: Iterable[str]) -> None:
+        """Note that these cells are asked for, before the first is flown. A list that cannot be read is left as it is:
+        then nothing is pruned."""
+        with contextlib.suppress(DataError):
+            self._write_asked(self.asked().union(keys))
+
+    def listed(self, keys: Iterable[str]) -> None:
+        """Note that a table lists these cells."""
+        with contextlib.suppress(DataError):
+            self._write_asked(self.asked().difference(keys))
+
+    def _write_asked(self, keys: set[str]) -> None:
+        path = self.folder / ASKED
+        if keys:
+            write_text(path, json.dumps(sorted(keys)), inside=self.root)
+        else:
+            remove(path, self.root)
+
     def row(self, key: str, log_period: float = math.inf) -> dict[str, Any]:
         """Result row of a cell; raises as `record` does."""
         return dict(self.record(key, log_period)["row"])
@@ -100,6 +132,8 @@ class CellStore:
         try:
             yield
         except BaseException:
+            if not self.done():
+                remove(self.folder / ASKED, self.root)
             for folder in (*self._folders(), self.folder, self.root):
                 with contextlib.suppress(OSError):  # it holds something
                     if folder != self.folder or os.listdir(self.root) == [MARK]:  # which tells what a folder is

@@ -87,7 +87,7 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
             value[0], value[1], 0.0, error[0], error[1], 0.0, self.linear.residual_std, np.zeros(3),
             int(self.dataset.get("rows", 0)), "blocks", self.linear.loss,
             np.array([*self.linear.freedom, *self.linear.freedom, 0], float), int(self.dataset.get("flights", 0)),
-            vehicle=dict(self.vehicle), dataset=dict(self.dataset),
+            vehicle=dict(self.vehicle), dataset=dict(self.dataset), feature_range=dict(self.feature_range),
         )  # fmt: skip
 
     @property

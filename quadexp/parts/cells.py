@@ -107,15 +107,18 @@ class Cells(Combinations, Sequence[Cell]):
         return cells
 
     def _consistent(self, overrides: Sequence[str]) -> list[str]:
-        """Those overrides that do not contradict the ones before them; options come first, presets of their values
-        next, then values."""
+        """Those overrides that do not contradict the ones before them; options come first, each with the values that it
+        has none without, presets of their values next, then values."""
         kept: list[str] = []
         for text in sorted(overrides, key=lambda text: ("." in _key(text), _key(text) in PRESETS)):
-            try:
-                self._compose([*kept, text])
-            except UsageError:
-                continue
-            kept.append(text)
+            values = [value for value in overrides if value.startswith(f"{_key(text)}.")]
+            for needed in ([], *([value] for value in values), values):
+                try:
+                    self._compose([*kept, text, *needed])
+                except UsageError:
+                    continue
+                kept += [text, *needed]
+                break
         return kept
 
 

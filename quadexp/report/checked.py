@@ -56,8 +56,9 @@ class Checked(NamedTuple):
         return f"{self.looked} of {count(self.flights, 'file')} of flights checked: {what} hold what the table says"
 
 
-def check_flights(root: str | Path, rows: Sequence[Row], most: int = MOST) -> Checked:
-    """Compare rows of results with the files of their flights in the folder `root`."""
+def check_flights(root: str | Path, rows: Sequence[Row], table: Sequence[Row] | None = None, most: int = MOST) -> Checked:
+    """Compare rows of results with the files of their flights in the folder `root`. table: all rows that the table has,
+    where these are some of them."""
     store = CellStore(root)
     flown = [row for row in rows if row["outcome"] not in ("failed", "invalid", "damaged")]
     chosen, there = flown[:: max(1, -(-len(flown) // most))], store.done()
@@ -75,7 +76,7 @@ def check_flights(root: str | Path, rows: Sequence[Row], most: int = MOST) -> Ch
         stored |= errors_none(stored.get("outcome")) | {"key": key}
         if any(_plain(stored.get(name)) != _plain(row.get(name)) for name in COMPARED):
             other.append(key)
-    beside = len(there - {str(row["key"]) for row in rows})
+    beside = len(there - {str(row["key"]) for row in (rows if table is None else table)})
     return Checked(len(chosen), len(flown), missing, unreadable, other, beside)
 
 

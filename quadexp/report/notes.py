@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
     from quadexp.report.statistics import Statistic
     from quadexp.report.winner import Verdict
 
-LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
+LARGE_HEADING_ERROR = math.radians(10.0)  # rad, RMS over a flight
 REPORTED_SHARE = 0.01  # least share of samples outside the data that is reported for a flight
 MOST_CONTESTANTS = 10  # that a kind of note has a line on
 MOST_CAUSES = 3  # of invalid combinations that are named
@@ -139,19 +139,20 @@ def _unknown_world(rows: Sequence[Row]) -> str:
     return f"knows the plant's equations, and nothing of the world around it ({'; '.join(worlds)})" if worlds else ""
 
 
-def _attitude_error(rows: Sequence[Row]) -> str:
-    """Large attitude errors of completed flights."""
-    errors = [(error, row) for error, row in _known(rows, "attitude_rmse") if row["outcome"] == "ok"]
+def _heading_error(rows: Sequence[Row]) -> str:
+    """Large heading errors of completed flights. The tilt is what path and air demand; where it is not, the position
+    shows it."""
+    errors = [(error, row) for error, row in _known(rows, "heading_rmse") if row["outcome"] == "ok"]
     worst, row = max(errors, key=itemgetter(0), default=(0.0, {}))
-    large = sum(error > LARGE_ATTITUDE_ERROR for error, _ in errors)
+    large = sum(error > LARGE_HEADING_ERROR for error, _ in errors)
     if not large:
         return ""
-    above = f"attitude error above {math.degrees(LARGE_ATTITUDE_ERROR):.0f} degrees in {large}"
+    above = f"heading error above {math.degrees(LARGE_HEADING_ERROR):.0f} degrees in {large}"
     return f"{above} of {count(len(errors), 'flight')} (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
 
 
 OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (
-    _outside_data, _reference_residual, _unknown_world, _attitude_error,
+    _outside_data, _reference_residual, _unknown_world, _heading_error,
 )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from quadexp.parts.schema import WORLD
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import METRICS, errors_none, from_columns
-from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
+from quadexp.report.notes import LARGE_HEADING_ERROR, outside_line, range_lines
 from quadexp.report.pairing import grouped
 from quadexp.report.table import Table, records_table
 from quadexp.report.text import number, speed_text
@@ -73,8 +73,8 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         f"outcome     {row['outcome']}{cause}",
         f"error       {errors if row['outcome'] in COMPLETED else 'none: it was not flown to its end'}",
     ]
-    if row["attitude_rmse"] > LARGE_ATTITUDE_ERROR:
-        lines.append("            the attitude is far from the reference's, which an error of position does not show")
+    if (row.get("heading_rmse") or 0.0) > LARGE_HEADING_ERROR:
+        lines.append("            the heading is far from the reference's, which an error of position does not show")
     if (share := metadata.get("yaw_share", 1.0)) < WEAK_YAW:
         left = f"{100 * share:.0f} % of the weight on yaw is left at headings of this path"
         lines.append(f"heading     {left}; controller.attitude_error=body keeps all of it")

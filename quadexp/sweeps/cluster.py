@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import multiprocessing
 import os
 import shlex
 import sys
@@ -36,7 +35,7 @@ from quadexp.parts.part import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, CellFunction, Task, Workers
 from quadexp.sweeps.engine_settings import DaskConfig, JobsConfig
-from quadexp.sweeps.server import SAFE, THREADS, environment
+from quadexp.sweeps.server import SAFE, THREADS, deaf_children, environment, undisturbed
 from quadexp.writer import written
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.
@@ -56,7 +55,7 @@ def open_cluster(config: DaskConfig | JobsConfig, workers: int) -> Iterator[Clie
     workers: number of processes to start. Raises QuadexpError where the cluster cannot be reached.
     """
     if not os.environ.get("QUADEXP_DEBUG"):
-        for name in ("distributed", "dask_jobqueue"):
+        for name in ("distributed", "dask_jobqueue", "asyncio", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     address = getattr(config, "address", None)
     if address and not address.startswith("tls://"):
@@ -68,7 +67,8 @@ def open_cluster(config: DaskConfig | JobsConfig, workers: int) -> Iterator[Clie
         try:
             security = Security() if address else Security.temporary()  # the former as Dask's settings say
             start: Any = _of_jobs if isinstance(config, JobsConfig) else _of_this_machine
-            cluster = address or stack.enter_context(start(config, workers, security))
+            with undisturbed(), deaf_children():  # a cluster that is interrupted while it starts prints tracebacks
+                cluster = address or stack.enter_context(start(config, workers, security))
             client = Client(cluster, security=security, timeout=CONNECT, set_as_default=False)
         except QuadexpError:
             raise
@@ -153,7 +153,6 @@ def run_cell(sweep: Sweep, function: CellFunction, task: Task, inputs: Mapping[s
     if getattr(_own, "limits", None) != (sweep.memory, sweep.folders):
         if hasattr(_own, "processes"):
             _own.processes.stop()
-        multiprocessing.current_process().daemon = False  # which might have no children, under a nanny
         _own.processes = Workers(1, sweep.memory, folders=sweep.folders)
         _own.limits = sweep.memory, sweep.folders
     arguments = function, task, inputs, sweep.directory, get_worker().local_directory

@@ -155,6 +155,7 @@ class Workers:
             folders = own_folders() if self._folders is None else tuple(self._folders)
             context = multiprocessing.get_context("forkserver")
             most = min(self._most, max(calls, self._calls))
+            multiprocessing.current_process().daemon = False  # which might have no children: one of a pool, or a nanny
             with undisturbed():  # processes whose parent ends while they start print long tracebacks
                 start_server([*self._preload, function.__module__])
                 given = self._memory, os.environ.get(PATH), folders

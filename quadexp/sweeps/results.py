@@ -1,8 +1,8 @@
 """What a folder of results holds: list, filter, sort, prune.
 
-The rows of the last sweep stand in its table. Cells that are not in it, left by earlier sweeps into the same folder or
-flown by one that has not ended, are read from their own files; where there is a table, they are not wanted. What is
-removed is chosen by its own file alone.
+The rows of the last sweep stand in its table. Cells that are not in it are read from their own files. Wanted are those
+of the table, and those that a run asked for which has not ended; cells of earlier sweeps into the same folder are not.
+What is removed is chosen by its own file alone.
 """
 
 from __future__ import annotations
@@ -23,18 +23,22 @@ from quadexp.parts.settings import read_value
 from quadexp.report.frame import RESULTS, SweepFrame, chosen
 from quadexp.sweeps.sweep_table import Row, condition, open_results, read_rows, table_row, write_results
 
-WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell
+WANTED = "wanted"  # beside the columns of a result row: whether the last sweep, or one that has not ended, asked for it
 # What a sweep makes of its rows.
 MADE = (RESULTS, "results.csv", "statistics.parquet", "statistics.csv", "table.md", "table.tex", "comparison.tex")
 
 
 @dataclass(frozen=True)
 class Pruned:
-    """keys: of the cells. size: bytes of their files. removed: whether they are gone."""
+    """frame: of the cells. size: bytes of their files. removed: whether they are gone."""
 
-    keys: list[str]
+    frame: SweepFrame
     size: int
     removed: bool
+
+    @property
+    def keys(self) -> list[str]:
+        return [row["key"] for row in self.frame.rows]
 
 
 def select(
@@ -68,40 +72,50 @@ def select(
 
 
 def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False) -> Pruned:
-    """Remove cells: those that the filters name, or without filters those that the last sweep did not ask for.
+    """Remove cells: those that the filters name, or without filters those that are not wanted.
 
     remove: False only says which. The table is written anew where it loses rows.
     """
-    store = open_results(out)
+    store, others = open_results(out), "name the others by KEY=VALUE"
     if not filters and not (store.root / RESULTS).exists():
-        raise UsageError(f"{store.root}: no {RESULTS} says which cells are wanted: name the others by KEY=VALUE")
+        raise UsageError(f"{store.root}: no {RESULTS} says which cells are wanted: {others}")
+    if not filters:
+        try:
+            store.asked()
+        except DataError as error:
+            raise UsageError(f"{error}: {others}") from None
     with store.lock() if remove else contextlib.nullcontext():
         frame, configs = _frame(store, own=True)
-        keys = [row["key"] for row in _filtered(frame, filters or [f"{WANTED}=false"]).rows]
+        frame = _filtered(frame, filters or [f"{WANTED}=false"])
+        keys = [row["key"] for row in frame.rows]
         size = sum(store.path(key).stat().st_size for key in keys)
         if remove and keys:
             store.remove(keys)
             conditions = {digest(condition(configs[key])) for key in keys if "controller" in configs.get(key, {})}
             _shorten_table(store.root, set(keys), conditions)
-    return Pruned(keys, size, remove)
+    return Pruned(frame, size, remove)
 
 
 def _frame(store: CellStore, *, own: bool = False) -> tuple[SweepFrame, dict[str, dict[str, Any]]]:
     """All cells, and key -> settings of those whose own file was read. own: read every file, and list nothing else."""
     path = store.root / RESULTS
     rows, record = read_rows(path) if path.exists() else ([], {})
-    listed = {row["key"]: row for row in rows}
+    listed, there = {row["key"]: row for row in rows}, store.done()
+    try:
+        wanted = {*listed, *store.asked()}
+    except DataError:  # nobody knows: all
+        wanted = {*listed, *there}
     cells: list[Row] = [] if own else [{**row, WANTED: True} for row in rows]
     configs: dict[str, dict[str, Any]] = {}
-    for key in sorted(store.done() if own else store.done() - listed.keys()):
-        row, wanted = listed.get(key, {}), key in listed or not path.exists()
+    for key in sorted(there if own else there - listed.keys()):
+        row = listed.get(key, {})
         try:
             stored = store.record(key)
             configs[key] = stored.get("config") or {}
             row = {**stored["row"], "variant": row.get("variant")}
         except (DataError, UsageError) as error:
-            row, wanted = {"key": key, "outcome": "damaged", "cause": str(error)}, key in listed
-        cells.append({**table_row(row), WANTED: wanted})
+            row = {"key": key, "outcome": "damaged", "cause": str(error)}
+        cells.append({**table_row(row), WANTED: key in wanted or not path.exists()})
     return SweepFrame(cells, store.root, record, configs), configs
 
 

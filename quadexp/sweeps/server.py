@@ -33,12 +33,18 @@ def start_server(preload: Sequence[str] = PRELOAD) -> None:
     multiprocessing.get_context("forkserver").set_forkserver_preload(list(dict.fromkeys(preload)))
     with undisturbed(), same_imports(), environment(dict.fromkeys(THREADS, "1")):
         resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
-        # Inherited: the server and its children end with this process, not by the Ctrl-C that reaches the group.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with deaf_children():
             forkserver.ensure_running()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def deaf_children() -> Iterator[None]:
+    """Processes started inside, by threads too, end with this process, not by the Ctrl-C that reaches the group."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

@@ -74,6 +74,8 @@ class SweepResult:
 class SweepInterrupted(QuadexpError):
     """Ctrl-C: what is done is kept."""
 
+    exit_code = 130
+
 
 def run_sweep(
     cells: Sequence[Cell],
@@ -144,6 +146,7 @@ def run_sweep(
         }  # fmt: skip
         flown(in_order, record)
         statistics, shown, files, altered = write_results(store.root, in_order, record)
+        store.listed(jobs)
     return SweepResult(store.root, in_order, todo, shown, statistics, files, [*notes, *altered])
 
 
@@ -250,6 +253,7 @@ def _fly_missing(
     progress(len(rows), len(jobs))
     if not todo:
         return
+    store.ask(jobs)
     tasks = [Task(job.key, job.cell.config, job.model, str(store.path(job.key))) for job in flying_order(todo)]
     flown: Generator[tuple[str, Any]]
     if not isolate:

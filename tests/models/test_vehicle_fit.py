@@ -51,6 +51,7 @@ def test_linear_drag_and_offsets(model):
     drag = model.linear_drag
     assert drag.drag == pytest.approx(DRAG, abs=0.02) and drag.intercept == pytest.approx(OFFSET, abs=0.02)
     assert model.vehicle == {"name": "known", "fingerprint": "0123456789ab", "mass": None}
+    assert drag.feature_range == model.feature_range != {}  # so that a flight with it says whether it left its data
 
 
 def test_the_linear_model_is_least_squares_axis_by_axis(flights, model):

@@ -121,6 +121,19 @@ class TestExpand:
         found = [(c.config.trajectory.name, c.config.trajectory.speed, c.config.seed) for c in cells]
         assert found[0] == ("circle", 4.0, 0) and found[-1] == ("lemniscate", 8.0, 2) and len(set(found)) == 12
 
+    @pytest.mark.parametrize(
+        "option", ["plant=from_model plant.model=models/a", "wind=file wind.path=w.csv", "controller=pid"]
+    )
+    def test_an_invalid_cell_keeps_the_options_that_do_not_contradict_it(self, option):
+        """Also those with a value that they need: its plant and world are those of the cells beside it."""
+        words = option.split()
+        for order in (words, words[::-1]):
+            cells = expand(["trajectory=hover,circle", "trajectory.speed=4,8", *order])
+            assert [bool(cell.invalid) for cell in cells] == [True] * 2 + [False] * 2
+            for group in ("plant", "wind", "controller"):
+                assert len({getattr(cell.config, group) for cell in cells}) == 1
+            assert all(cell.refused == {cell.overrides[1]} for cell in cells[:2])
+
     def test_globs_see_the_options_and_no_schema(self):
         names = [cell.config.controller.name for cell in expand(["controller=glob(*)"])]
         with session() as composer:

@@ -80,3 +80,15 @@ def test_the_page_says_it_where_its_numbers_begin_and_where_they_come_from(resul
     (line,) = made["checked"]["lines"]
     assert made["path"].read_text(encoding="utf-8").count(line) == 2
     assert "47 hold what the table says" in made["checked"]["text"]
+
+
+def test_flights_that_a_figure_leaves_out_are_of_the_same_sweep(sound, tmp_path):
+    first = read_results(sound)[1][0]
+    for where in (f"controller == {first['controller']}", f"trajectory.speed == {first['speed']}", "seed == 0"):
+        code, _, err = run("plot", sound, "--where", where, "--out", tmp_path / "a.png", "--force")
+        assert code == 0 and "another sweep" not in err, err
+    other = shutil.copytree(sound, tmp_path / "r")
+    (CellStore(other).folder / "ab").mkdir(exist_ok=True)
+    shutil.copy(files(sound)[0], CellStore(other).path("ab" * 10))
+    _, _, err = run("plot", other, "--where", "seed == 0", "--out", tmp_path / "a.png", "--force")
+    assert "1 file of flights in this folder belong to another sweep" in err

@@ -5,12 +5,16 @@ import shutil
 
 import pytest
 
-from quadexp.errors import UsageError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table, write_table
 from quadexp.parts.compose import expand
 from quadexp.sweeps.results import prune, select
+from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.verify import verify_results
 from tests.cli.command import run
+from tests.sweeps.cells import quick_cell
+from tests.sweeps.quick import kill, start, wait_for
 from tests.sweeps.test_sweep import GRID, fly
 
 
@@ -130,7 +134,92 @@ class TestPrune:
             prune(flown, remove=True)
 
 
+def interrupted(out, overrides, flights, error=KeyboardInterrupt, **options):
+    """A sweep that ends so after some flights; keys of what is then there."""
+    left = iter(range(flights))
+
+    def cell(*task):
+        if next(left, None) is None:
+            raise error
+        return quick_cell(*task)
+
+    with pytest.raises((QuadexpError, KeyboardInterrupt, OSError)) as ended:
+        run_sweep(expand(overrides), out, function=cell, isolate=False, **options)
+    if error is KeyboardInterrupt:
+        assert ended.type is SweepInterrupted and "what is done is kept" in str(ended.value)
+    return CellStore(out).done()
+
+
+LARGER = [*GRID[:2], "seed=range(6)"]
+OTHER = ["controller=perfect_mpc", "controller.nodes=5,10", "seed=range(3)"]
+
+
+class TestPruneKeeps:
+    """What a sweep that has not ended reported as kept."""
+
+    @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError("the disk has gone")])
+    def test_an_enlargement_that_was_interrupted(self, flown, error):
+        there = interrupted(flown, LARGER, 5, error)
+        assert len(there) == 17 and prune(flown, remove=True).keys == []
+        assert sum(row["wanted"] for row in select(flown).rows) == 17
+        assert fly(expand(LARGER), flown).flown == 24 - 17
+        assert prune(flown).keys == [] and len(CellStore(flown).done()) == 24
+        assert not verify_results(flown).wrong
+
+    def test_one_that_was_killed(self, tmp_path):
+        out = tmp_path / "r"
+        fly(expand(["seed=range(2)"]), out)
+        process = start(tmp_path, "seed=range(24)")
+        wait_for(process, 6)
+        kill(process)
+        there = CellStore(out).done()
+        assert 6 <= len(there) < 24 and prune(out, remove=True).keys == [] and CellStore(out).done() == there
+
+    def test_two_sweeps_of_which_the_other_ended(self, tmp_path):
+        out = tmp_path / "r"
+        first = interrupted(out, GRID, 5)
+        fly(expand(OTHER), out)
+        fly(expand(["seed=9"]), out, force=True)
+        gone = prune(out, remove=True)
+        assert len(gone.keys) == 6 and len(first) == 5 and first < CellStore(out).done()
+        assert {row["controller"] for row in gone.frame.rows} == {"perfect_mpc"}
+        assert fly(expand(GRID), out, force=True).rows and {*prune(out).keys} & first == set()
+
+    def test_both_of_two_that_were_interrupted(self, tmp_path):
+        out = tmp_path / "r"
+        interrupted(out, GRID, 5)
+        there = interrupted(out, OTHER, 2)
+        fly(expand(["seed=9"]), out)
+        assert prune(out).keys == [] and len(there) == 7
+
+    def test_a_sweep_of_which_nothing_was_flown_leaves_nothing(self, tmp_path):
+        assert interrupted(tmp_path / "r", GRID, 0) == set() and not (tmp_path / "r").exists()
+
+    @pytest.mark.parametrize("content", ["", '["ab12', "7", "\x00"])
+    def test_where_the_list_cannot_be_read_everything(self, flown, content):
+        interrupted(flown, LARGER, 5)
+        (flown / "cells" / "asked.json").write_text(content)
+        code, _, err = run("results", flown, "--prune", "--yes")
+        assert code == 2 and "cannot be read: name the others by KEY=VALUE" in err and err.count("\n") == 1
+        fly(expand(["seed=9"]), flown, force=True)
+        with pytest.raises(UsageError, match="cannot be read"):
+            prune(flown, remove=True)
+        assert all(row["wanted"] for row in select(flown).rows) and len(CellStore(flown).done()) == 18
+        assert len(prune(flown, ["seed=0"], remove=True).keys) == 4
+
+    def test_no_link_is_followed(self, flown, tmp_path):
+        (tmp_path / "mine").write_text("[]")
+        (flown / "cells" / "asked.json").symlink_to(tmp_path / "mine")
+        interrupted(flown, LARGER, 5)
+        assert (tmp_path / "mine").read_text() == "[]" and prune(flown).keys == []
+
+
 class TestCommand:
+    def test_what_goes_is_listed_before(self, flown):
+        fly(expand(["seed=9"]), flown, force=True)
+        _, out, _ = run("results", flown, "--prune")
+        assert "12 cells" in out and all(key in out for key in prune(flown).keys)
+
     def test_prune(self, flown):
         code, out, _ = run("results", str(flown), "seed=1", "--prune")
         assert code == 0 and out.startswith("4 cells") and "--yes" in out
