@@ -15,8 +15,8 @@ the flown one among them (Hemerik & Goeman 2018, TEST 27):
     p_l        share of the g with |sum_i g_i d_li| >= |sum_i d_li|    (Fisher 1935, Design of Experiments; Pitman 1937)
     joint_l    share of the g whose least c_k p_k over all k is at most c_l p_l  (Westfall & Young 1993, minimum p),
                c_l the number of lines of its kind: L for each of L lines, 1 for the mean over all
-    Holm       p_(i) -> max over j <= i of min(1, (m - j + 1) p_(j))             (Holm 1979, Scand. J. Stat. 6(2)), where
-               a pair of contestants counts in m until all of its lines are rejected (Goeman & Solari 2010, Ann. Stat. 38)
+    Holm       p_(i) -> max over j <= i of min(1, (m - j + 1) p_(j))             (Holm 1979, Scand. J. Stat. 6(2)),
+               a pair counts in m until all of its lines are rejected            (Goeman & Solari 2010, Ann. Stat. 38)
 
 What is tested: that it makes no difference which of the two is which, so that at every seed the errors of both could
 as well be exchanged. Then the level is held for errors of any shape and any n, over all lines together, whatever they
@@ -42,7 +42,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import betaincinv, stdtrit
 
-PATTERNS = 1 << 13  # of signs: all there are of 14 seeds, one of each pair of opposite ones; a power of two, so that shares are exact
+PATTERNS = 1 << 13  # of signs, one of two opposite ones: all there are of 14 seeds; a power of two has exact shares
 SAME = 1e-12  # relative difference below which two sums are one
 
 
@@ -119,12 +119,12 @@ def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.n
     """Two-sided p of each of m lines, and of each in view of all of them (`joint`), both (m,); see the module.
 
     differences: (m, n), a column a seed, NaN where a line lacks it. kinds: number of the lines of its kind, (m,), 1
-    unless given. NaN for a line with fewer than two.
+    unless given. NaN for a line without any.
     """
     differences = np.atleast_2d(np.asarray(differences, float))
     alone, joint = np.full((2, len(differences)), math.nan)
     signs, least = _signs(differences.shape[1]), np.full(1, math.inf)
-    tested = np.flatnonzero(np.isfinite(differences).sum(axis=1) > 1)
+    tested = np.flatnonzero(np.isfinite(differences).any(axis=1))
     weights = np.array(kinds or [1] * len(differences))
     for line in tested:
         values = np.nan_to_num(differences[line])
@@ -139,7 +139,7 @@ def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.n
 
 
 def paired_permutation(differences: np.ndarray) -> float:
-    """The p of `sign_flips` of one line, (n,); NaN for fewer than two."""
+    """The p of `sign_flips` of one line, (n,); NaN without differences."""
     return float(sign_flips(differences)[0][0])
 
 
@@ -156,7 +156,7 @@ def _signs(n: int) -> np.ndarray:
 
 def least_p(n: int) -> float:
     """The smallest p that n values can give: two of 2^n patterns, one of those that are tried."""
-    return max(2.0 ** (1 - n), 1 / PATTERNS) if n > 1 else math.nan
+    return max(2.0 ** (1 - n), 1 / PATTERNS) if n > 0 else math.nan
 
 
 def least_seeds(comparisons: int, confidence: float = 0.95) -> int:

@@ -36,32 +36,40 @@ Statement = tuple[Condition, ...]
 class Difference:
     """One contestant against another in a statement.
 
-    seeds, logs: d_i, (n,). ratio: of their errors. by_condition: the same in each. flights: pairs behind it. causes: of
-    those that are left out. varies: whether seeds change anything. p, joint: see the module. comparisons: in view of
-    how many p_holm is.
+    seeds, logs: d_i, (n,). by_condition: ratio of their errors in each. flights: pairs behind it. causes: of those that
+    are left out. p, joint: see the module. comparisons: in view of how many p_holm is.
     """
 
     seeds: np.ndarray
     logs: np.ndarray
-    ratio: Ratio
     by_condition: Mapping[Condition, float]
     flights: int
     causes: Mapping[str, int]
-    varies: bool
-    alpha: float
+    confidence: float
     p: float = math.nan
     joint: float = math.nan
     p_holm: float = math.nan
     comparisons: int = 0
 
+    @cached_property
+    def ratio(self) -> Ratio:
+        """Of their errors."""
+        return log_ratio(self.logs, self.confidence)
+
+    @property
+    def varies(self) -> bool:
+        """Whether a seed changes anything."""
+        return vary(self.logs)
+
     @property
     def apart(self) -> bool:
-        return self.p_holm < self.alpha  # False for NaN
+        return self.p_holm < 1 - self.confidence  # False for NaN
 
     @property
     def testable(self) -> bool:
         """Whether so many seeds can tell two apart."""
-        return self.apart or (not math.isnan(self.p) and self.comparisons * least_p(len(self.logs)) < self.alpha)
+        least = self.comparisons * least_p(len(self.logs))
+        return self.apart or (not math.isnan(self.p) and least < 1 - self.confidence)
 
 
 class Tests:
@@ -84,29 +92,31 @@ class Tests:
         """Of one against other in these conditions: a line, all of a plant and vehicle, or all."""
         statement = tuple(conditions)
         found = self._pair(one, other)[statement]
-        lines = self._count(self._pair(one, other), statement)
         if (pair := frozenset((one, other))) in self._corrected:
-            return replace(found, p_holm=self._corrected[pair][statement], comparisons=lines * len(self._corrected))
-        return replace(found, p_holm=min(1.0, self._times * found.joint), comparisons=lines * self._times)
+            times, p_holm = len(self._corrected), self._corrected[pair][statement]
+        else:
+            times, p_holm = self._times, min(1.0, self._times * found.joint)
+        return replace(found, p_holm=p_holm, comparisons=times * found.comparisons)
 
     @cached_property
     def notes(self) -> list[str]:
         """What bold, *, p and "best" mean in a table, in plain words; or how many seeds it takes to say so."""
-        seeds = max((len(by_seed) for flown in self.groups.conditions.values() for by_seed in flown.values()), default=0)
+        conditions = self.groups.conditions.values()
+        seeds = max((len(by_seed) for flown in conditions for by_seed in flown.values()), default=0)
         if len(self._flew) < 2:
             return []
-        whole, line = (least_seeds(self._times * n, self.confidence) for n in (1, len(self.groups.conditions)))
-        single = f", {line} in a single line" if line > whole else ""
+        whole, line = (least_seeds(self._times * n, self.confidence) for n in (1, len(conditions)))
         if seeds < whole or not self._vary:
-            over = ", so that nothing is bold, * or called best"
-            return [too_few(seeds, whole, self.confidence, over) + (single if seeds < whole else "")]
+            single = f", {line} in a single line" if seeds < whole < line else ""
+            return [too_few(seeds, whole, self.confidence, ", so that nothing is bold, * or called best") + single]
         text = (
             f"bold: the least of its line, told apart from every other there (p < {1 - self.confidence:.2g}), by a"
             f" controller that completed no fewer flights; best: the same over all lines;{self._star} p: of all ways to"
             " exchange the errors of two controllers, seed by seed, on the flights that both completed, the share in"
             f" which they differ as clearly as flown, in view of all lines and of {count(self._times, 'pair')} (Holm)"
         )
-        return [text, *([f"{count(seeds, 'seed')}: nothing is bold or *, which takes{single[1:]}"] if seeds < line else [])]
+        few = [f"{count(seeds, 'seed')}: nothing is bold or *, which takes {line} in a single line"]
+        return [text, *(few if seeds < line else [])]
 
     @property
     def _star(self) -> str:
@@ -138,17 +148,15 @@ class Tests:
         tested = [pair for pair in pairs if not all(math.isnan(of.p) for of in self._pair(*pair).values())]
         joint = np.array([[of.joint for of in self._pair(*pair).values()] for pair in tested])
         corrected = holm(joint).tolist()
-        return {frozenset(pair): dict(zip(self._kinds, p, strict=True)) for pair, p in zip(tested, corrected, strict=True)}
-
-    def _count(self, of_pair: Mapping[Statement, Difference], statement: Statement) -> int:
-        """How many statements of its kind are made on a pair."""
-        kind = self._kinds[statement]
-        return sum(self._kinds[other] == kind and of.varies for other, of in of_pair.items()) or 1
+        return {
+            frozenset(pair): dict(zip(self._kinds, p, strict=True)) for pair, p in zip(tested, corrected, strict=True)
+        }
 
     def _pair(self, one: Contestant, other: Contestant) -> dict[Statement, Difference]:
+        """Every statement, without p_holm; comparisons: how many there are of its kind."""
         if (one, other) in self._pairs:
             return self._pairs[one, other]
-        logs: dict[Condition, dict[int, np.ndarray]] = {}
+        logs: dict[Condition, dict[int, float]] = {}
         causes: dict[Condition, Counter[str]] = {}
         for condition, flown in self.groups.conditions.items():
             if one in flown or other in flown:
@@ -159,22 +167,22 @@ class Tests:
         for line, of in zip(table, of_pair.values(), strict=True):
             if of.varies:
                 line[np.searchsorted(seeds, of.seeds)] = of.logs
-        counts = [self._count(of_pair, statement) for statement in of_pair]
-        for statement, p, joint in zip(list(of_pair), *sign_flips(table, counts), strict=True):
-            of_pair[statement] = replace(of_pair[statement], p=float(p), joint=float(joint))
+        tested = Counter(self._kinds[statement] for statement, of in of_pair.items() if of.varies)
+        counts = [tested[kind] or 1 for kind in self._kinds.values()]
+        for statement, count_of, p, joint in zip(self._kinds, counts, *sign_flips(table, counts), strict=True):
+            found = of_pair[statement]
+            of_pair[statement] = replace(found, p=float(p), joint=float(joint), comparisons=count_of)
         self._pairs[one, other] = of_pair
         return of_pair
 
-    def _logs(
-        self, condition: Condition, one: Contestant, other: Contestant
-    ) -> tuple[dict[int, np.ndarray], Counter[str]]:
-        """Seed -> ln of the errors of both, (2,), and the number of other seeds by cause."""
+    def _logs(self, condition: Condition, one: Contestant, other: Contestant) -> tuple[dict[int, float], Counter[str]]:
+        """Seed -> d_ci, and the number of other seeds by cause."""
         pairs, causes = self.groups.pairs(condition, one, other)
         logs = {}
         for mine, its in pairs:
-            errors = np.array([mine.values[self._place], its.values[self._place]])
-            if np.isfinite(errors).all() and errors.min() > 0:
-                logs[mine.seed] = np.log(errors)
+            own, rival = mine.values[self._place], its.values[self._place]
+            if 0 < own < math.inf and 0 < rival < math.inf:
+                logs[mine.seed] = math.log(own / rival)
             else:
                 causes["without an error above zero"] += 1
         return logs, causes
@@ -182,37 +190,35 @@ class Tests:
     def _difference(
         self,
         statement: Statement,
-        logs: Mapping[Condition, Mapping[int, np.ndarray]],
+        of: Mapping[Condition, Mapping[int, float]],
         causes: Mapping[Condition, Mapping[str, int]],
     ) -> Difference:
-        flights = {(at, seed): both for at in statement for seed, both in logs.get(at, {}).items()}
+        flights = {(at, seed): log for at in statement for seed, log in of.get(at, {}).items()}
         kept = whole(flights) if flights else frozenset()
-        means = seed_means(flights).reshape(-1, 2)
+        logs = seed_means(flights)
         left_out = Counter[str]()
         for at in statement:
             left_out.update(causes.get(at, {}))
         if len(kept) < len(flights):
             left_out["not in every condition"] += len(flights) - len(kept)
         each = grouped((at, flights[at, seed]) for at, seed in kept)
-        apart = {at: np.mean(several, axis=0) for at, several in each.items()}
         return Difference(
             seeds=np.array(sorted({seed for _, seed in kept}), int),
-            logs=means[:, 0] - means[:, 1],
-            ratio=log_ratio(means[:, 0] - means[:, 1], self.confidence),
-            by_condition={at: math.exp(own - its) for at, (own, its) in apart.items()},
+            logs=logs,
+            by_condition={at: math.exp(float(np.mean(several))) for at, several in each.items()},
             flights=len(kept),
             causes=left_out,
-            varies=vary(means[:, 0]) or vary(means[:, 1]),
-            alpha=1 - self.confidence,
+            confidence=self.confidence,
         )
 
 
 def place_texts(conditions: Collection[Condition]) -> dict[Condition, str]:
     """Such as "circle 8 m/s wind.velocity=4", with plant and vehicle where there are several."""
+    worlds = {condition.world for condition in conditions}
+    plants, vehicles = ({world[place] for world in worlds} for place in (0, 1))
     texts = {}
     for at in conditions:
         parts = [at.trajectory, speed_text(at.speed), at.setting]
-        parts += [at.plant] * (len({other.plant for other in conditions}) > 1)
-        parts += [at.vehicle] * (len({other.vehicle for other in conditions}) > 1)
+        parts += [at.plant] * (len(plants) > 1) + [at.vehicle] * (len(vehicles) > 1)
         texts[at] = " ".join(filter(None, parts))
     return texts

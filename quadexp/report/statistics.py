@@ -175,9 +175,15 @@ def compute_statistics(
 ) -> list[Statistic]:
     """The statistics of result rows, metric by metric. baseline: name of a controller."""
     groups = Groups(rows, baseline, metrics)
+    return of_lines([Tests(groups, place, confidence) for place in range(len(metrics))], metrics)
+
+
+def of_lines(tests_of: Sequence[Tests], metrics: Sequence[str]) -> list[Statistic]:
+    """The statistics of every contestant and condition. tests_of: a test for each metric, of the same groups."""
+    groups, confidence = tests_of[0].groups, tests_of[0].confidence
     about: dict[tuple[Condition, Contestant], dict[str, Any]] = {}  # what is the same for every metric
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
-    for condition, among in groups.lines.items():
+    for condition in groups.conditions:
         where = condition._asdict() | {"speed": NAN if condition.speed is None else condition.speed}
         for contestant, flown in groups.flights([condition]).items():
             at, rival = (condition, contestant), groups.baseline(contestant)
@@ -188,9 +194,8 @@ def compute_statistics(
                 pairs[at], causes = groups.pairs(condition, contestant, rival)
                 about[at] |= {"baseline": groups.labels[rival], "left_out": causes_text(causes)}
     statistics: list[Statistic] = []
-    for place, metric in enumerate(metrics):
+    for place, (tests, metric) in enumerate(zip(tests_of, metrics, strict=True)):
         unit = describe(metric, "results").unit
-        tests = Tests(groups, place, confidence)
         best = best_of_lines(tests, place) if metric in COMPARED else {}
         for at, flights in groups.cells.items():
             (condition, contestant), among = at, groups.lines[at[0]]
@@ -342,9 +347,13 @@ class Statistics:
 
 def results_statistics(rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE) -> Statistics:
     """The statistics of result rows: of each metric, line by line and over all conditions."""
-    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
-    return Statistics([*compute_statistics(rows, **options), *pooled], rows, baseline, confidence)
+    metrics = (*COMPARED, *DESCRIBED)
+    groups = Groups(rows, baseline, metrics)
+    tests = [Tests(groups, place, confidence) for place in range(len(metrics))]
+    over_all = [
+        s for test, metric in zip(tests, COMPARED, strict=False) for s in pooled(test, [*groups.conditions], metric)
+    ]
+    return Statistics([*of_lines(tests, metrics), *over_all], rows, baseline, confidence)
 
 
 def statistics_csv(statistics: Sequence[Statistic]) -> str:

@@ -29,10 +29,17 @@ from quadexp.report.metrics import NUMBERS, SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
 from quadexp.report.pairing import (
-    BASELINE, Flights, Groups, condition_of, contestant_labels, contestant_of, is_invalid, setting_pairs,
+    BASELINE,
+    Flights,
+    Groups,
+    condition_of,
+    contestant_labels,
+    contestant_of,
+    is_invalid,
+    setting_pairs,
 )  # fmt: skip
 from quadexp.report.significance import Tests
-from quadexp.report.statistics import CONFIDENCE, KINDS, Statistic, Statistics, compute_statistics, pooled
+from quadexp.report.statistics import CONFIDENCE, KINDS, Statistic, Statistics, of_lines, pooled
 from quadexp.report.table import Table, csv_text
 from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
 from quadexp.report.winner import verdict
@@ -100,8 +107,8 @@ def error_table(
 ) -> Table:
     """The error table of one metric from result rows: counts of completed flights, then a line for each trajectory
     with what else varies, speed and swept settings, with the means."""
-    statistics = compute_statistics(results, metrics=(metric,), baseline=baseline, confidence=confidence)
     tests = Tests(Groups(results, baseline, (metric,)), 0, confidence)
+    statistics = of_lines([tests], (metric,))
     best = [verdict(tests, conditions) for conditions in tests.groups.worlds.values()]
     notes = table_notes(statistics, tests, pooled(tests, list(tests.groups.conditions), metric), best)
     rows = [*map(_row_of, statistics), *filter(is_invalid, results)]

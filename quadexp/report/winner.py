@@ -136,14 +136,13 @@ class Verdict:
         seeds = count(len(nearest.seeds), "seed")
         chance = probability(nearest.p_holm) if nearest.testable else f"{seeds}, too few for a test"
         ratio = f"{value:.3g} times{limits}, {chance}"
+        if self.flew_less:
+            return f"{head}, but others completed more of their flights (nearest: {self.next}, {ratio})"
         if self.alike and not nearest.testable:
             return f"{head}; next: {self.next}, {ratio}"
         if self.alike:
             return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
-        if self.flew_less:
-            return f"{head}, but others completed more of their flights (nearest: {self.next}, {ratio})"
         return f"{head}, the best of {self.ways}, significantly less than the next, {self.next} ({ratio})"
-
 
     def _elsewhere(self) -> str:
         """In how many conditions another one has less error, and where it is the most."""

@@ -38,8 +38,8 @@ METHODS = (
     "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds,"
     " for other seeds, and decide nothing. Differences are taken seed by seed (the same noise for both), on the flights"
     " that both completed, over several conditions as the mean of a seed. One test decides who is told apart, in every"
-    " line and sentence: {} Ratios over several conditions are geometric means, every condition with the same weight; their interval is for"
-    " new seeds, not for new trajectories. Lost flights are counted."
+    " line and sentence: {} Ratios over several conditions are geometric means, every condition with the same weight;"
+    " their interval is for new seeds, not for new trajectories. Lost flights are counted."
 )
 
 
