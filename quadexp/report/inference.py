@@ -21,13 +21,15 @@ the flown one among them (Hemerik & Goeman 2018, TEST 27):
 What is tested: that it makes no difference which of the two is which, so that at every seed the errors of both could
 as well be exchanged. Then the level is held for errors of any shape and any n, over all lines together, whatever they
 have in common. No p is below 2^(1-n): `least_seeds` says how many seeds can show a difference at all. Two contestants
-of equal (geometric) mean error, of which one scatters otherwise than the other, are no such two: for them the level
-holds for many seeds only (Janssen 1997, Stat. Probab. Lett. 36).
+of equal (geometric) mean error, of which one scatters otherwise than the other, are no such two: of log ratios that are
+exponential less their mean, 6 to 11 % of 6 to 14 seeds have p < 0.05; the level holds for many seeds (Janssen 1997,
+Stat. Probab. Lett. 36).
 
-Intervals name nobody. Student's t is exact for normal values; of errors of other shapes a 95 % interval of n values
-contains the mean in COVERAGE. Values that are all the same are copies of one flight, of which a seed changes nothing:
-they have no interval and no p. Paired flights have the same noise, so Cohen's d reaches hundreds; the rank-biserial
-effect is bounded.
+Intervals name nobody. Student's t is exact for normal values. Of 2, 3, 6, 10, 20 values a 95 % interval contains the
+mean of exponential ones in 91, 89, 89, 90, 92 %, of two modes in 64, 75, 97, 94, 96 %, of U-shaped ones (arcsine) in
+89, 89, 94, 95, 95 %, of exp(1.2 normal) in 86, 79, 78, 79, 83 % of the cases. Values that are all the same are copies
+of one flight, of which a seed changes nothing: they have no interval and no p. Paired flights have the same noise, so
+Cohen's d reaches hundreds; the rank-biserial effect is bounded.
 
 The few lines of each are written here, because importing scipy.stats takes as long as a dozen flights.
 """
@@ -115,14 +117,15 @@ def success_interval(successes: int, trials: int, confidence: float = 0.95) -> t
     return low, high
 
 
-def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
-    """Two-sided p of each of m lines, and of each in view of all of them (`joint`), both (m,); see the module.
+def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two-sided p of each of m lines, of each in view of all of them (`joint`), and the least that joint could have
+    been with these sizes of the differences, all (m,); see the module.
 
     differences: (m, n), a column a seed, NaN where a line lacks it. kinds: number of the lines of its kind, (m,), 1
     unless given. NaN for a line without any.
     """
     differences = np.atleast_2d(np.asarray(differences, float))
-    alone, joint = np.full((2, len(differences)), math.nan)
+    alone, joint, attainable = np.full((3, len(differences)), math.nan)
     signs, least = _signs(differences.shape[1]), np.full(1, math.inf)
     tested = np.flatnonzero(np.isfinite(differences).any(axis=1))
     weights = np.array(kinds or [1] * len(differences))
@@ -131,11 +134,12 @@ def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.n
         sums = np.abs(signs @ values) / (float(np.abs(values).sum()) or 1.0)
         sums = np.round(sums / SAME)  # so that sums which differ by rounding are the same
         share = 1 - np.searchsorted(np.sort(sums), sums) / len(sums)
-        alone[line] = share[0]
+        alone[line], attainable[line] = share[0], share.min()
         least = np.minimum(least, weights[line] * share)
     for line in tested:
         joint[line] = np.mean(least <= weights[line] * alone[line])
-    return alone, joint
+        attainable[line] = np.mean(least <= weights[line] * attainable[line])
+    return alone, joint, attainable
 
 
 def paired_permutation(differences: np.ndarray) -> float:

@@ -257,7 +257,7 @@ class Groups:
             cells = {who: self.cells[condition, who] for who in self.conditions[condition]}
             possible = {flown.seed for cell in cells.values() for flown in cell if flown.outcome != "infeasible"}
             for who, cell in cells.items():
-                ended, trials = sum(f.outcome == "ok" for f in cell), sum(f.seed in possible for f in cell)
+                ended, trials = sum(f.complete for f in cell), sum(f.seed in possible for f in cell)
                 counts[who] = counts.get(who, Flights(0, 0)).plus(Flights(ended, trials))
         return counts
 

@@ -25,7 +25,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.report.inference import Ratio, holm, least_p, least_seeds, log_ratio, sign_flips, vary
+from quadexp.report.inference import Ratio, holm, least_seeds, log_ratio, sign_flips, vary
 from quadexp.report.pairing import Condition, Contestant, Groups, grouped, seed_means, whole
 from quadexp.report.text import count, speed_text, too_few
 
@@ -37,7 +37,8 @@ class Difference:
     """One contestant against another in a statement.
 
     seeds, logs: d_i, (n,). by_condition: ratio of their errors in each. flights: pairs behind it. causes: of those that
-    are left out. p, joint: see the module. comparisons: in view of how many p_holm is.
+    are left out. p, joint, p_holm: see the module. comparisons: in view of how many p_holm is, times `least` is the
+    least that it could have been.
     """
 
     seeds: np.ndarray
@@ -48,6 +49,7 @@ class Difference:
     confidence: float
     p: float = math.nan
     joint: float = math.nan
+    least: float = math.nan
     p_holm: float = math.nan
     comparisons: int = 0
 
@@ -68,8 +70,7 @@ class Difference:
     @property
     def testable(self) -> bool:
         """Whether so many seeds can tell two apart."""
-        least = self.comparisons * least_p(len(self.logs))
-        return self.apart or (not math.isnan(self.p) and least < 1 - self.confidence)
+        return self.apart or self.comparisons * self.least < 1 - self.confidence  # False for NaN
 
 
 class Tests:
@@ -169,9 +170,9 @@ class Tests:
                 line[np.searchsorted(seeds, of.seeds)] = of.logs
         tested = Counter(self._kinds[statement] for statement, of in of_pair.items() if of.varies)
         counts = [tested[kind] or 1 for kind in self._kinds.values()]
-        for statement, count_of, p, joint in zip(self._kinds, counts, *sign_flips(table, counts), strict=True):
-            found = of_pair[statement]
-            of_pair[statement] = replace(found, p=float(p), joint=float(joint), comparisons=count_of)
+        for (statement, of), n, *tests in zip(of_pair.items(), counts, *sign_flips(table, counts), strict=True):
+            p, joint, least = map(float, tests)
+            of_pair[statement] = replace(of, p=p, joint=joint, least=least / n, comparisons=n)
         self._pairs[one, other] = of_pair
         return of_pair
 

@@ -257,11 +257,9 @@ def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: fl
 
 def _test(difference: Difference) -> dict[str, Any]:
     """p, and the least p that so many seeds can give; no p for copies of one flight."""
-    fields = {"p": difference.p, "p_holm": difference.p_holm, "units": len(difference.seeds)}
-    if math.isnan(difference.p):
-        return fields
-    least = inference.least_p(len(difference.seeds))
-    return {**fields, "p_least": least, "comparisons": difference.comparisons}
+    tested = 0 if math.isnan(difference.p) else difference.comparisons
+    about = {"units": len(difference.seeds), "p_least": difference.least, "comparisons": tested}
+    return {**about, "p": difference.p, "p_holm": difference.p_holm}
 
 
 def overall(
@@ -293,7 +291,7 @@ def pooled(tests: Tests, conditions: Sequence[Condition], metric: str) -> list[S
                 reduction=_reduction(difference.ratio.value),
                 reduction_low=_reduction(difference.ratio.high),
                 reduction_high=_reduction(difference.ratio.low),
-                between=_between(difference),
+                between=_between(difference) if difference.flights else "",
                 effect=inference.rank_biserial(difference.logs),
                 **_whose(groups, contestant, tests.confidence),
                 **_tally(flown, flights[contestant].trials),
@@ -304,12 +302,11 @@ def pooled(tests: Tests, conditions: Sequence[Condition], metric: str) -> list[S
 
 
 def _between(difference: Difference) -> str:
-    """The least and the largest change in a single condition, and where; "" for one condition."""
-    if len(difference.by_condition) < 2:
-        return ""
-    ends = sorted(difference.by_condition.items(), key=lambda item: -item[1])
+    """The least and the largest change in a single condition, and where; "" where they are the same."""
     places = place_texts(difference.by_condition)
-    return " to ".join(f"{change_text(_reduction(ratio))} in {places[at]}" for at, ratio in (ends[0], ends[-1]))
+    ends = sorted(difference.by_condition, key=lambda at: -difference.by_condition[at])
+    low, high = (change_text(_reduction(difference.by_condition[at])) for at in (ends[0], ends[-1]))
+    return f"{low} in {places[ends[0]]} to {high} in {places[ends[-1]]}" if low != high else ""
 
 
 def _reduction(ratio: float) -> float:
