@@ -33,7 +33,7 @@ RULE = (
     " error over the baseline's are of completed flights, (n): of n only, and who loses the hard ones has"
     " less. Bounds are told the plant's equations and take no rank. settings: as shipped are those of a"
     " publication or, where there is none, of this program; set by hand on seeds that are flown here, they are"
-    " flattered. Bold: the least of a line, without a test. step: median over the instants of the fastest loop, on"
+    " flattered. step: median over the instants of the fastest loop, on"
     " the machine that flew: no part of the rank."
 )
 
@@ -122,24 +122,15 @@ def _line(s: Standing) -> list[str]:
 
 
 def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
-    """Geometric mean error of every entry, a line for each world (or task and world); lost flights beside it.
-
-    The least of a line among ranked entries that lost no more than any other of them is bold.
-    """
+    """Geometric mean error of every entry, a line for each world (or task and world); lost flights beside it."""
     factor, unit = SHOWN[metric]
-    bound = {str(row["entry"]): row["bound"] for row in rows}
+    entries = list(dict.fromkeys(str(row["entry"]) for row in rows))
     texts = []
     for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():
         flights = grouped((str(row["entry"]), row) for row in line)
-        means = {entry: _mean(flights[entry], metric) for entry in bound}
-        ranked = [entry for entry, (error, _) in means.items() if not bound[entry] and math.isfinite(error)]
-        best = min(ranked, key=lambda entry: means[entry][::-1], default=None)
-        cells = [
-            f"**{number(factor * e)}**" if entry == best else number(factor * e) for entry, (e, _) in means.items()
-        ]
-        lost = [f" ({count} lost)" if count else "" for _, count in means.values()]
-        texts.append([*at, *map("".join, zip(cells, lost, strict=True))])
-    return Table([*by, *bound], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
+        means = (_mean(flights[entry], metric) for entry in entries)
+        texts.append([*at, *(number(factor * error) + (f" ({lost} lost)" if lost else "") for error, lost in means)])
+    return Table([*by, *entries], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
 
 
 def _mean(rows: Sequence[Row], metric: str) -> tuple[float, int]:

@@ -50,6 +50,7 @@ MAD_TO_STD = 1.4826
 MAX_ITERATIONS = 200  # of reweighting
 BLOCK_TIMES = 8.0
 FLIGHT_CLUSTERS = 10
+LEAST_FLIGHTS = 3  # of an interval over flights: Student's t of two is 12.7 standard errors, which tells nothing
 MOST_LAGS = 1 << 17  # samples of a stretch; longer stretches are averaged over neighbours first
 LEAST_BLOCKS = 6  # more than coefficients, for any correlation time
 MOST_GROUPS = 40  # of flights that are deleted
@@ -206,16 +207,20 @@ def _over_flights(
     return (count - 1) / count * deviation.T @ deviation, freedom
 
 
-def resampling_weights(flight: np.ndarray, draws: int) -> np.ndarray:
-    """Weight of every block in bootstrap resamples, (draws, blocks). flight: of every block, (blocks,).
+def between_flights(logs: np.ndarray, weights: np.ndarray, confidence: float = 0.95) -> float:
+    """Half the interval of ln of a mean over flights that differ from one another: a random effect of the flight,
 
-    With FLIGHT_CLUSTERS or more, flights are drawn with all their blocks, else blocks.
+        t s sqrt(sum_f h_f^2),    s^2 = sum_f (y_f - mean y)^2 / (G - 1),    h_f = w_f / sum w
+
+    with Student's t of G - 1 degrees of freedom: for flights alike in length the interval of Hartung & Knapp (2001,
+    Stat. Med. 20), in which the scatter between flights, not that within, is what is known of a new one.
+    logs: y_f, ln of the number in each flight, (G,). weights: w_f, of each in the mean, (G,). NaN for fewer than
+    LEAST_FLIGHTS, whose scatter is not known well enough.
     """
-    flights, of_block = np.unique(flight, return_inverse=True)
-    whole = len(flights) >= FLIGHT_CLUSTERS
-    count = len(flights) if whole else len(flight)
-    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), draws).astype(float)
-    return drawn[:, of_block] if whole else drawn
+    if len(logs) < LEAST_FLIGHTS:
+        return float("nan")
+    share = weights / weights.sum()
+    return float(half_width(np.std(logs, ddof=1) * np.sqrt(share @ share), len(logs) - 1, confidence))
 
 
 def autocorrelation_time(series: np.ndarray) -> float:

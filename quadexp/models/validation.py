@@ -5,8 +5,9 @@
 A predictor is a thrust curve and an acceleration beyond it: an identified vehicle gives one for each of its models,
 every other checkpoint one, and "nominal" is the curve alone. RMS of the vector, sqrt(mean ||e||^2), and of each axis.
 Every model is scored as fitted, and with its thrust scale tracked in flight from earlier samples
-(quadexp.models.recorded). Intervals: percentile bootstrap over flights if there are FLIGHT_CLUSTERS or more, otherwise
-over blocks of BLOCK seconds, because neighbouring errors are correlated.
+(quadexp.models.recorded). Intervals are over flights of LEAST_FLIGHTS or more, which differ from one another
+(regression.between_flights, of the RMS or the ratio of each flight, weighted as in that of all). Of fewer they are for
+these flights only: percentile bootstrap over blocks of BLOCK seconds, because neighbouring errors are correlated.
 
 Open loop, from many starts over horizons:
 
@@ -38,7 +39,7 @@ from quadexp.models.base import Model, outside_shares, rms
 from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
 from quadexp.models.recorded import tracked_scale
-from quadexp.models.regression import resampling_weights
+from quadexp.models.regression import between_flights
 from quadexp.models.residual import AXES
 from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.models.terms import TermModel
@@ -160,28 +161,33 @@ def score_rows(results: Sequence[Residuals]) -> list[Row]:
     base = next((result for result in results if result.predictor == NOMINAL), None)
     rows = []
     for result in results:
-        weights = resampling_weights(result.flight[np.unique(result.block, return_index=True)[1]], DRAWS)
         for tracked in (False, True):
             error = result.tracked if tracked else result.error
             row: Row = {"predictor": result.predictor, "thrust_tracked": tracked, "rows": len(error)}
             row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
-            low, high = _limits(weights, result.block, error)
+            low, high = _limits(result, error)
             row |= {"rms": rms(error), "rms_low": low, "rms_high": high, "outside": result.outside}
             if base is not None and len(base.error) == len(error):
                 alike = base.tracked if tracked else base.error
                 for name, other in (("share", base.error), ("share_alike", alike)):
-                    low, high = _limits(weights, result.block, error, other)
+                    low, high = _limits(result, error, other)
                     row |= {name: rms(error) / rms(other), f"{name}_low": low, f"{name}_high": high}
             rows.append(row)
     return rows
 
 
-def _limits(weights: np.ndarray, block: np.ndarray, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
-    """Ends of the interval of the RMS of errors (k, 3), or of its ratio to that of others; weights: of the blocks."""
-    squares = weights @ np.bincount(block, np.sum(error**2, axis=1))
-    number = weights @ (np.bincount(block) if base is None else np.bincount(block, np.sum(base**2, axis=1)))
-    tail = 50 * (1 - CONFIDENCE)
-    return np.percentile(np.sqrt(squares / number), [tail, 100 - tail]).tolist()
+def _limits(result: Residuals, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
+    """Ends of the interval of the RMS of errors (k, 3) of a result's samples, or of its ratio to that of others."""
+    squares = np.sum(error**2, axis=1)
+    others = np.ones(len(error)) if base is None else np.sum(base**2, axis=1)
+    above, below = (np.maximum(np.bincount(result.flight, x), 1e-24) for x in (squares, others))
+    half = between_flights(0.5 * np.log(above / below), below, CONFIDENCE)
+    if not np.isnan(half):
+        return (np.sqrt(above.sum() / below.sum()) * np.exp([-half, half])).tolist()
+    above, below = (np.bincount(result.block, x) for x in (squares, others))
+    count, tail = len(above), 50 * (1 - CONFIDENCE)
+    weights = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
+    return np.percentile(np.sqrt((weights @ above) / (weights @ below)), [tail, 100 - tail]).tolist()
 
 
 def band_rows(results: Sequence[Residuals]) -> list[Row]:

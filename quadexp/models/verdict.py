@@ -8,9 +8,10 @@ Neighbouring rows of a flight are correlated, so whole flights are held out: a s
 error. For the same reason the comparison with linear drag, fitted to the same rows, is paired over flights: with
 g_f and d_f the RMSEs of model and drag on held-out flight f, per axis,
 
-    ratio = exp(mean_f log(g_f / d_f)),     95 % interval by Student's t over the flights
+    ratio = exp(mean_f log(g_f / d_f)),     95 % interval over the flights (regression.between_flights)
 
-better: the whole interval is below 1. worse: it is above 1. open: neither, or one held-out flight only.
+better: the whole interval is below 1. worse: it is above 1. open: neither. few: fewer than LEAST_FLIGHTS are held out,
+of which no interval tells anything; the text says how to hold out as many.
 
 The noise of the data is estimated as half the variogram of a flight's residual r at LAG rows,
 
@@ -23,7 +24,8 @@ counts as noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -34,14 +36,19 @@ from quadexp.models.base import AXIS, Callback, Model, Prediction, outside_share
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.recorded import has_thrust_scale, with_common_scale
-from quadexp.models.regression import half_width
+from quadexp.models.regression import LEAST_FLIGHTS, between_flights
 from quadexp.models.terms import MEANS, fit_term_mean
 
 Row = dict[str, Any]
 ACCELERATION = list(AXIS)
 LAG = 2
 CONFIDENCE = 0.95
-WORDS = {"better": "BETTER than linear drag", "worse": "WORSE than linear drag", "open": "NOT SHOWN TO BE BETTER"}
+WORDS = {
+    "better": "BETTER than linear drag",
+    "worse": "WORSE than linear drag",
+    "open": "NOT SHOWN TO BE BETTER",
+    "few": "TOO FEW FLIGHTS TO TELL",
+}
 
 
 class Fit(NamedTuple):
@@ -149,7 +156,7 @@ def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
 
 
 class Ratio(NamedTuple):
-    """Ratio of two RMSEs paired over flights, with its 95 % interval (NaN with one flight)."""
+    """Ratio of two RMSEs paired over flights, with its 95 % interval (NaN for fewer than LEAST_FLIGHTS)."""
 
     value: float
     low: float
@@ -158,6 +165,8 @@ class Ratio(NamedTuple):
 
     @property
     def verdict(self) -> str:
+        if np.isnan(self.low):
+            return "few"
         return "better" if self.high < 1 else "worse" if self.low > 1 else "open"
 
     def record(self) -> dict[str, Any]:
@@ -167,7 +176,7 @@ class Ratio(NamedTuple):
 
     def __str__(self) -> str:
         if np.isnan(self.low):
-            return f"{self.value:.3g} (one held-out flight: no interval)"
+            return f"{self.value:.3g} (no interval)"
         return f"{self.value:.3g} [{self.low:.3g}, {self.high:.3g}]"
 
 
@@ -177,9 +186,8 @@ def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ra
     for index in np.unique(flight):
         mean, base = (max(float(np.mean(values[flight == index] ** 2)), 1e-24) for values in (error, other))
         logs.append(0.5 * np.log(mean / base))
-    n, middle = len(logs), float(np.mean(logs))
-    half = float(half_width(np.std(logs, ddof=1), n - 1, CONFIDENCE)) / np.sqrt(n) if n > 1 else np.nan
-    return Ratio(float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half)), n)
+    middle, half = float(np.mean(logs)), between_flights(np.array(logs), np.ones(len(logs)), CONFIDENCE)
+    return Ratio(float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half)), len(logs))
 
 
 def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> float:
@@ -194,8 +202,9 @@ def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> fl
 
 
 def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict[str, Any]:
-    """Comparison that `fit-gp` reports, JSON-able: flights, outputs {a_x: {...}} and, for recorded flights, identified
-    [...]: the same for the terms of `quadexp identify`, fitted to the same rows. model: fitted to train."""
+    """Comparison that `fit-gp` reports, JSON-able: flights (held out), of (how many), duration of these (s), outputs
+    {a_x: {...}} and, for recorded flights, identified [...]: the same for the terms of `quadexp identify`, fitted to
+    the same rows. model: fitted to train."""
     flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
     of_drag, predictions = target - baseline(train, intervals=False).acceleration(test), model.predict(test)
     of_model = of_drag.copy()
@@ -208,7 +217,9 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
             "rmse": rmse, "drag_rmse": rms(errors[1]), "noise": floor,
             "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))),
         }  # fmt: skip
-    report: dict[str, Any] = {"outputs": outputs, "flights": len(np.unique(flight))}
+    report: dict[str, Any] = {"outputs": outputs, "flights": len(test.flights)}
+    report["of"] = len(train.flights) + len(test.flights)
+    report["duration"] = float(sum(np.sum(data.columns["dt"]) for data in (train, test)))
     if not has_thrust_scale(train):
         return report
     others = {"linear drag": of_drag}
@@ -227,7 +238,8 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
 def verdict_lines(report: dict[str, Any]) -> list[str]:
     """The comparison as text."""
     flights = "1 held-out flight" if report["flights"] == 1 else f"{report['flights']} held-out flights"
-    lines = [
+    lines = _more_lines(report) if report["flights"] < LEAST_FLIGHTS else []
+    lines += [
         f"verdict on {flights}: RMSE relative to linear drag's, paired over flights, 95 % interval",
         "  (noise: from the variogram of the residual at a lag of two rows, an upper bound)",
     ]
@@ -255,3 +267,15 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
         name = f"{best['model']} of `quadexp identify` ({best['text']})"
         lines.append(f"  not shown to be better than {name}, the simpler model")
     return lines
+
+
+def _more_lines(report: Mapping[str, Any]) -> list[str]:
+    """How to hold out as many flights as a verdict takes."""
+    held_out, every = report["flights"], max(report["of"], 2 * LEAST_FLIGHTS + 1)  # most are still fitted
+    said = f"{held_out} held-out flight{'s are' if held_out > 1 else ' is'} too few to tell, {LEAST_FLIGHTS} the least"
+    share = math.ceil(100 * LEAST_FLIGHTS / every) / 100
+    if every == report["of"]:
+        return [f"{said}: gp.holdout={share:g} holds out {LEAST_FLIGHTS} of these {every}"]
+    duration = math.ceil(report["duration"] * every / report["of"] / 10) * 10
+    more = "add flights" if report.get("identified") else f"collect.duration={duration}"
+    return [f"{said}: collect {every} in all ({more}), and gp.holdout={share:g} holds out {LEAST_FLIGHTS} of them"]

@@ -2,10 +2,11 @@
 
 Of two, b is compared with a: difference = b - a, relative = 100 (b - a) / a (%). Several are put side by side.
 
-Flights of results are paired by condition, contestant and seed. Errors are over the flights that all contestants
-completed in all of them (pairing.py): b is compared with a as a contestant is with a baseline in statistics.py, by a
-mean ratio over the seeds with its interval and a paired permutation test; b is "not distinguishable" if that is not
-significant, and "n seeds cannot tell" where it could not be.
+Flights of results are paired by condition, contestant and seed. Of two, a contestant's errors are over the flights that
+it completed in both, whoever else did: b is compared with a as a contestant is with a baseline in statistics.py, by a
+mean ratio over the seeds with its interval and the test of inference.py, over all conditions, corrected by Holm over
+the contestants; b is "not distinguishable" if that is not significant, and "n seeds cannot tell" where it could not be.
+Of several, means are over the flights that all contestants completed in all of them (pairing.py).
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,9 +27,10 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata
 from quadexp.parts.settings import flat
 from quadexp.report.frame import read_results
+from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
 from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
-from quadexp.report.statistics import Statistic, corrected, overall
+from quadexp.report.statistics import Statistic, overall
 from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES
@@ -272,8 +275,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     same = sum(
         all(x[n] == y[n] or (x[n] != x[n] and y[n] != y[n]) for n in ("outcome", *EXACT)) for x, y in cells.values()
     )
-    common_cells = {key for key in cells if key[1] in compared and key[::2] in shared}
-    metrics = _contestants(cells, labels, common_cells, records[0])
+    metrics = _contestants(cells, labels, records[0])
     lines += [*_setting_lines(settings), "", f"outcome  {changed}"]
     lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
     report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
@@ -316,24 +318,26 @@ def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) 
 
 
 def _contestants(
-    cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], shared: Set[Key], record: Mapping[str, Any]
+    cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], record: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """For each contestant: completed flights, means of a and b over the shared flights, and b against a."""
+    """For each contestant: completed flights, means of a and b over those that it completed in both, b against a."""
     metric, confidence = record.get("metric", "mean_error"), record.get("confidence", 0.95)
     pooled: list[Statistic] = []
     records: list[dict[str, Any]] = []
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
-        kept = {key: pair for key, pair in pairs.items() if key in shared or not all(map(is_flown, pair))}
-        sides = [(at, side, row) for (at, *_), pair in kept.items() for side, row in zip("ab", pair, strict=True)]
+        sides = [(at, side, row) for (at, *_), pair in pairs.items() for side, row in zip("ab", pair, strict=True)]
         rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
         pooled += overall(rows, metric=metric, baseline="a", confidence=confidence)
-        beyond = f"{len(pairs) - len(kept)} not completed by all" if len(kept) < len(pairs) else ""
-        means = (_mean([pair[i] for key, pair in pairs.items() if key in shared], metric) for i in (0, 1))
+        completed = [p for p in pairs.values() if all(is_flown(row) and math.isfinite(row[metric]) for row in p)]
+        means = (_mean([pair[i] for pair in completed], metric) for i in (0, 1))
         flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
-        left_out = ", ".join(filter(None, (pooled[-1].left_out, beyond)))
-        records.append({"label": label, "cells": len(pairs), "flown": flown, **change(*means), "left_out": left_out})
-    for line, s in zip(records, corrected(pooled), strict=True):
+        about = {"label": label, "cells": len(pairs), "flown": flown, "left_out": pooled[-1].left_out}
+        records.append(about | change(*means))
+    corrected = holm(np.array([s.p for s in pooled]))
+    tests = int(np.count_nonzero(~np.isnan(corrected)))
+    for line, s, p_holm in zip(records, pooled, corrected.tolist(), strict=True):
+        s = replace(s, p_holm=p_holm, comparisons=tests)
         line |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
         line |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
         line["distinguishable"] = s.significant

@@ -4,19 +4,32 @@ With n values x_i, mean m, standard deviation s, confidence 1 - alpha, and paire
 
     mean       m +- t s / sqrt(n), Student's t with n - 1 degrees of freedom
     reduction  100 (1 - mean x / mean b), the same with x_i - (mean x / mean b) b_i in place of x_i (delta method)
-    ratio      exp(m), exp(m +- t s / sqrt(n)) of x_i = ln of a ratio; its p is that of m = 0 by the t test
+    ratio      exp(m), exp(m +- t s / sqrt(n)) of x_i = ln of a ratio
     share      q of Beta at alpha / 2 and 1 - alpha / 2                (Clopper & Pearson 1934, Biometrika 26(4))
-    p          share of the 2^n sign patterns g with |sum g_i d_i| >= |sum d_i|  (Fisher 1935, Design of Experiments)
     effect     (R- - R+) / (R- + R+), R the rank sums of |d_i| by sign of d_i    (Kerby 2014, Compr. Psychol. 3)
-    Holm       p_(i) -> max over j <= i of min(1, (m - j + 1) p_(j))             (Holm 1979, Scand. J. Stat. 6(2))
 
-Values that are all the same are copies of one flight, of which a seed changes nothing: they have no interval and no p.
+One test decides what is told apart, everywhere. d_li is the difference of two contestants at seed i in line l of a
+table (or over several lines), g a pattern of n signs, all 2^n of them for n <= 14, otherwise PATTERNS drawn ones with
+the flown one among them (Hemerik & Goeman 2018, TEST 27):
 
-The permutation test needs no distribution: it holds its level for every n, and cannot give less than 2^(1-n), so that
-`least_seeds` says how many can show a difference at all. Unlike Wilcoxon's, it tests the difference of means that the
-tables show. Student's t holds its level for normal values; for a skewed error such as exp(normal / 2) the 95 % interval
-of 6 to 20 values contains the mean in 92 to 93 % of the cases, and a bootstrap (BCa, widened to t's level) does no
-better. Paired flights have the same noise, so Cohen's d reaches hundreds; the rank-biserial effect is bounded.
+    p_l        share of the g with |sum_i g_i d_li| >= |sum_i d_li|    (Fisher 1935, Design of Experiments; Pitman 1937)
+    joint_l    share of the g whose least c_k p_k over all k is at most c_l p_l  (Westfall & Young 1993, minimum p),
+               c_l the number of lines of its kind: L for each of L lines, 1 for the mean over all
+    Holm       p_(i) -> max over j <= i of min(1, (m - j + 1) p_(j))             (Holm 1979, Scand. J. Stat. 6(2)),
+               a pair counts in m until all of its lines are rejected            (Goeman & Solari 2010, Ann. Stat. 38)
+
+What is tested: that it makes no difference which of the two is which, so that at every seed the errors of both could
+as well be exchanged. Then the level is held for errors of any shape and any n, over all lines together, whatever they
+have in common. No p is below 2^(1-n): `least_seeds` says how many seeds can show a difference at all. Two contestants
+of equal (geometric) mean error, of which one scatters otherwise than the other, are no such two: of log ratios that are
+exponential less their mean, 6 to 11 % of 6 to 14 seeds have p < 0.05; the level holds for many seeds (Janssen 1997,
+Stat. Probab. Lett. 36).
+
+Intervals name nobody. Student's t is exact for normal values. Of 2, 3, 6, 10, 20 values a 95 % interval contains the
+mean of exponential ones in 91, 89, 89, 90, 92 %, of two modes in 64, 75, 97, 94, 96 %, of U-shaped ones (arcsine) in
+89, 89, 94, 95, 95 %, of exp(1.2 normal) in 86, 79, 78, 79, 83 % of the cases. Values that are all the same are copies
+of one flight, of which a seed changes nothing: they have no interval and no p. Paired flights have the same noise, so
+Cohen's d reaches hundreds; the rank-biserial effect is bounded.
 
 The few lines of each are written here, because importing scipy.stats takes as long as a dozen flights.
 """
@@ -25,12 +38,13 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import betaincinv, ndtr, stdtr, stdtrit
+from scipy.special import betaincinv, stdtrit
 
-MOST_EXACT = 30  # values whose 2^n sign patterns are counted; beyond, their sum is normal
+PATTERNS = 1 << 13  # of signs, one of two opposite ones: all there are of 14 seeds; a power of two has exact shares
 SAME = 1e-12  # relative difference below which two sums are one
 
 
@@ -73,12 +87,11 @@ def reduction_interval(values: np.ndarray, baseline: np.ndarray, confidence: flo
 
 
 class Ratio(NamedTuple):
-    """Ratio of two errors, its limits and the p of a ratio of one; NaN where there is none."""
+    """Ratio of two errors and its limits; NaN where there is none."""
 
     value: float = math.nan
     low: float = math.nan
     high: float = math.nan
-    p: float = math.nan
 
 
 NO_RATIO = Ratio()
@@ -89,11 +102,8 @@ def log_ratio(logs: np.ndarray, confidence: float = 0.95) -> Ratio:
     logs = np.asarray(logs, float)
     if not len(logs):
         return NO_RATIO
-    mean, (low, high, method) = float(np.mean(logs)), mean_interval(logs, confidence)
-    if method == "none":
-        return Ratio(math.exp(mean))
-    statistic = abs(mean) / float(np.std(logs, ddof=1)) * math.sqrt(len(logs))
-    return Ratio(math.exp(mean), math.exp(low), math.exp(high), 2 * float(stdtr(len(logs) - 1, -statistic)))
+    low, high, _ = mean_interval(logs, confidence)
+    return Ratio(math.exp(float(np.mean(logs))), math.exp(low), math.exp(high))
 
 
 @functools.lru_cache(maxsize=4096)
@@ -107,35 +117,50 @@ def success_interval(successes: int, trials: int, confidence: float = 0.95) -> t
     return low, high
 
 
-def paired_permutation(differences: np.ndarray) -> float:
-    """Two-sided p of the hypothesis that each difference has either sign equally often, (n,); NaN without differences.
+def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two-sided p of each of m lines, of each in view of all of them (`joint`), and the least that joint could have
+    been with these sizes of the differences, all (m,); see the module.
 
-    Exact up to 30 values; beyond by the normal limit.
+    differences: (m, n), a column a seed, NaN where a line lacks it. kinds: number of the lines of its kind, (m,), 1
+    unless given. NaN for a line without any.
     """
-    differences = np.asarray(differences, float)
-    n = len(differences)
-    if n == 0:
-        return math.nan
-    differences = differences / (float(np.abs(differences).sum()) or 1.0)
-    observed = abs(float(differences.sum())) - SAME
-    if observed <= 0:
-        return 1.0
-    if n > MOST_EXACT:
-        return 2 * float(ndtr(-observed / math.sqrt(float(np.sum(differences**2)))))
-    # Sums over the sign patterns of each half of the pairs; every pattern of all is one of either half.
-    left, right = _signed_sums(differences[: n // 2]), np.sort(_signed_sums(differences[n // 2 :]))
-    above = len(right) * len(left) - int(np.searchsorted(right, observed - left, side="left").sum())
-    return 2 * above / 2.0**n
+    differences = np.atleast_2d(np.asarray(differences, float))
+    alone, joint, attainable = np.full((3, len(differences)), math.nan)
+    signs, least = _signs(differences.shape[1]), np.full(1, math.inf)
+    tested = np.flatnonzero(np.isfinite(differences).any(axis=1))
+    weights = np.array(kinds or [1] * len(differences))
+    for line in tested:
+        values = np.nan_to_num(differences[line])
+        sums = np.abs(signs @ values) / (float(np.abs(values).sum()) or 1.0)
+        sums = np.round(sums / SAME)  # so that sums which differ by rounding are the same
+        share = 1 - np.searchsorted(np.sort(sums), sums) / len(sums)
+        alone[line], attainable[line] = share[0], share.min()
+        least = np.minimum(least, weights[line] * share)
+    for line in tested:
+        joint[line] = np.mean(least <= weights[line] * alone[line])
+        attainable[line] = np.mean(least <= weights[line] * attainable[line])
+    return alone, joint, attainable
 
 
-def _signed_sums(values: np.ndarray) -> np.ndarray:
-    """Sum of the values for every pattern of signs, (2^n,)."""
-    return functools.reduce(lambda sums, value: np.concatenate([sums - value, sums + value]), values, np.zeros(1))
+def paired_permutation(differences: np.ndarray) -> float:
+    """The p of `sign_flips` of one line, (n,); NaN without differences."""
+    return float(sign_flips(differences)[0][0])
+
+
+@functools.lru_cache(maxsize=32)
+def _signs(n: int) -> np.ndarray:
+    """Patterns of n signs, (k, n), the flown one first. Opposite ones have sums of one size: the first sign stays."""
+    if 1 << max(n - 1, 0) <= PATTERNS:
+        numbers = np.arange(1 << max(n - 1, 0))
+        return 1.0 - 2.0 * (numbers[:, None] >> np.arange(n)[::-1] & 1)
+    drawn = np.random.default_rng(n).choice([-1.0, 1.0], (PATTERNS, n))
+    drawn[0] = 1.0
+    return drawn
 
 
 def least_p(n: int) -> float:
-    """The smallest p that n values can give: two of 2^n patterns."""
-    return 2.0 ** (1 - n) if n > 0 else math.nan
+    """The smallest p that n values can give: two of 2^n patterns, one of those that are tried."""
+    return max(2.0 ** (1 - n), 1 / PATTERNS) if n > 0 else math.nan
 
 
 def least_seeds(comparisons: int, confidence: float = 0.95) -> int:
@@ -157,11 +182,15 @@ def rank_biserial(differences: np.ndarray) -> float:
 
 
 def holm(p: np.ndarray) -> np.ndarray:
-    """p-values corrected by Holm's step-down procedure, (m,); NaN stays NaN and does not count."""
+    """p-values corrected by Holm's step-down procedure, (m,) of m comparisons, or (m, lines) of `joint` p of m pairs in
+    several lines; NaN stays NaN and does not count. See the module."""
     p = np.asarray(p, float)
-    adjusted = np.full(p.shape, math.nan)
-    known = np.flatnonzero(~np.isnan(p))
-    order = known[np.argsort(p[known], kind="stable")]
-    factors = len(order) - np.arange(len(order))
-    adjusted[order] = np.maximum.accumulate(np.minimum(1.0, factors * p[order]))
-    return adjusted
+    table = p[:, None] if p.ndim == 1 else p
+    tested = table[~np.isnan(table).all(axis=1)]
+    m = len(tested)
+    # The levels at which 0, 1, .. m - 1 of the pairs are rejected in all of their lines, and count no more.
+    levels = np.maximum.accumulate([0.0, *(m - np.arange(m)) * np.sort(np.nanmax(tested, axis=1, initial=0.0))])
+    adjusted = np.where(np.isnan(table), math.nan, 1.0)
+    for rejected, level in enumerate(levels[:m]):
+        adjusted = np.minimum(adjusted, np.maximum(level, (m - rejected) * table))
+    return adjusted.reshape(p.shape)

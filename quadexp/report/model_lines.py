@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.regression import FLIGHT_CLUSTERS, LEAST_FLIGHTS
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.report.table import Table
 
@@ -68,12 +68,7 @@ def _linear_drag(rows: Sequence[Row], form: str) -> str:
 def model_lines(model: VehicleModel) -> list[str]:
     """Thrust curve and coefficients, +- half the 95 % interval, and its scope (quadexp.models.regression)."""
     flights = model.dataset.get("flights", 0)
-    scope = (
-        f"over {flights} flights"
-        if flights >= FLIGHT_CLUSTERS
-        else "of these flights only, from blocks of time: what differs from flight to flight is not in it"
-        f" ({FLIGHT_CLUSTERS} flights or more show that)"
-    )
+    scope = _scope(flights, FLIGHT_CLUSTERS)
     lines = [f"intervals   +- is half the 95 % interval {scope}", f"thrust      {model.thrust}"]
     for kind, terms in model.models.items():
         for axis in "xyz":
@@ -81,6 +76,14 @@ def model_lines(model: VehicleModel) -> list[str]:
             text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in rows)
             lines.append(f"{kind.replace('_', ' ') if axis == 'x' else '':<14}{axis}: {text}")
     return lines
+
+
+def _scope(flights: int, least: int) -> str:
+    """What an interval is of."""
+    if flights >= least:
+        return f"over {flights} flights"
+    only = "of these flights only, from blocks of time: what differs from flight to flight is not in it"
+    return f"{only} ({least} flights or more show that)"
 
 
 def _curve_lines(curves: Sequence[Row], model: VehicleModel) -> list[str]:
@@ -137,7 +140,7 @@ def validation_lines(report: Row) -> list[str]:
     flights, rows = report["flights"], report["rows"]
     how = "each by models refitted to the others" if report["leave_one_out"] else "by the models as they are"
     lines = [*report["notes"], f"{len(flights)} flights, {rows[0]['rows']} samples, {how}", ""]
-    lines += _one_step_lines(rows)
+    lines += _one_step_lines(rows, len(flights))
     if report.get("nominal"):
         lines.append(f"nominal: the thrust curve {report['nominal']}, as fitted beside drag, without the drag")
     lines += [*_least_lines(rows), "", *_band_lines(report["bands"])]
@@ -174,7 +177,7 @@ def _percent(row: Row, key: str) -> str:
     return f"{100 * row[key]:.1f} %" if row.get(key) is not None else ""
 
 
-def _one_step_lines(rows: Sequence[Row]) -> list[str]:
+def _one_step_lines(rows: Sequence[Row], flights: int) -> list[str]:
     """A line per predictor: axes and vector as fitted, then vector and shares with the thrust scale tracked.
 
     The shares are of nominal as fitted, and of nominal with its scale tracked too.
@@ -192,7 +195,7 @@ def _one_step_lines(rows: Sequence[Row]) -> list[str]:
         cells += vector(tracked[row["predictor"]], "share", "share_alike")
         lines.append([*cells, *([_percent(row, "outside")] if outside else [])])
     heads = ["", "x", "y", "z", "vector", "interval", "of nominal", "vector", "interval", "of nominal", "of tracked"]
-    title = "residual of the specific force, RMS (m/s^2), 95 % interval by block or flight"
+    title = f"residual of the specific force, RMS (m/s^2); 95 % interval {_scope(flights, LEAST_FLIGHTS)}"
     groups = {1: "as fitted", 7: "thrust scale tracked"}
     return Table(heads + ["outside the fit"] * outside, lines, title, groups=groups).lines()
 

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 from quadexp.log.outcome import RULE, UNFLOWN
 from quadexp.report.checked import programs_text
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, grouped, is_bound, is_invalid
-from quadexp.report.text import count, speed_text, too_few
+from quadexp.report.text import count, speed_text
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
+    from quadexp.report.significance import Tests
     from quadexp.report.statistics import Statistic
     from quadexp.report.winner import Verdict
 
@@ -32,35 +33,18 @@ Row = Mapping[str, Any]
 
 
 def table_notes(
-    statistics: Sequence[Statistic], pooled: Sequence[Statistic], best: Sequence[Verdict] = ()
+    statistics: Sequence[Statistic], tests: Tests, pooled: Sequence[Statistic] = (), best: Sequence[Verdict] = ()
 ) -> tuple[str, ...]:
     """What the numbers of a table are, who is best, and each contestant against the baseline over all conditions."""
-    from quadexp.report.inference import least_seeds
-
-    confidence = statistics[0].confidence
-    alpha, contestants = 1 - confidence, len({s.contestant for s in statistics})
     seeds = sorted({s.seeds for s in statistics})
     over = count(seeds[0], "seed") if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
     lost = any(s.failures for s in statistics)
     line = f"mean over {'the flights of a line that all completed, of ' if lost else ''}{over}"
     if any(s.common_interval == "t" for s in statistics):
-        line += f" [{100 * confidence:g} % interval: Student's t]"
-    if contestants > 1:
-        of = "a trajectory and speed, whatever the settings" if any(s.variant for s in statistics) else "a line"
-        line += f"; bold: least error of {of}, significantly less than every other (p < {alpha:.2g}, corrected for the"
-        line += " choice among them and for the lines), if no other completed more flights"
-        line += "; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else ""
-        line += "" if any(s.best for s in statistics) else "; here: none"
-    lines = [line]
-    if tested := [s for s in statistics if s.comparisons]:
-        comparisons, pairs = tested[0].comparisons, max(s.pairs for s in tested)
-        over, least = count(comparisons, "comparison"), least_seeds(comparisons, confidence)
-        if pairs >= least:
-            test = f"p < {alpha:.2g}, paired permutation test, Holm over {over}"
-            lines.append(f"* differs from {tested[0].baseline}: {test}")
-        else:
-            lines.append(too_few(pairs, least, confidence, f" in a line, over {over}"))
-    elif not any(s.baseline for s in statistics) and contestants > 1:
+        line += f" [{100 * statistics[0].confidence:g} % interval: Student's t]"
+    line += "; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else ""
+    lines = [line, *tests.notes]
+    if not any(s.baseline for s in statistics) and len({s.contestant for s in statistics}) > 1:
         lines.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
     lines += [RULE] if lost else []
     if any(s.n > s.common for s in statistics):

@@ -8,7 +8,7 @@
     compared    contestants with k > 0
     common      the flights (condition, seed) that all compared contestants completed, made whole; as long as there are
                 none, the contestants with the smallest k are removed from the comparison
-    pair        two flights of one condition and seed: they have the same noise
+    pair        two flights of one condition and seed, which both completed, whoever else did: they have the same noise
     unit        a seed. Conditions that differ only in the world, the grid of a controller or a remedy share every gust
                 of a seed, so that their flights are no sample: the value of a seed is its mean over the conditions, and
                 intervals, p and counts are over the seeds. So they are for conditions with noise of their own (another
@@ -18,9 +18,10 @@
                 are not, the condition or the seed that lacks the largest share of them is left out, until they are: a
                 condition with two common flights decides nothing
 
-Means, intervals and tests that stand beside each other are over the common flights, so they are of the same paths and
-noise. The mean over all own flights is printed beside them, with its count. The contestants with the smallest share of
-completed flights are never marked as best.
+Means that stand beside each other are over the common flights, so they are of the same paths and noise, with the mean
+over all own flights and its count beside them. What is said of two contestants (difference, ratio, test, best) is over
+the pairs of these two (significance.py): a third one that loses flights takes nothing from them. The contestants with
+the smallest share of completed flights are never marked as best.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 Row = Mapping[str, Any]
 World = tuple[str, str]  # plant, vehicle
+BASELINE = "nominal_mpc"
 BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked
 
 _BEFORE_KEY = re.compile(r" (?=[\w./@]+=)")  # values may hold blanks
@@ -200,6 +202,11 @@ class Flown(NamedTuple):
     outcome: str
     values: tuple[float, ...]
 
+    @property
+    def complete(self) -> bool:
+        """Whether it has an error to compare."""
+        return self.outcome == "ok" and math.isfinite(self.values[0])
+
 
 class Common(NamedTuple):
     """Who is compared, and condition -> seeds of the common flights, for all conditions the same."""
@@ -252,7 +259,7 @@ class Groups:
             cells = {who: self.cells[condition, who] for who in self.conditions[condition]}
             possible = {flown.seed for cell in cells.values() for flown in cell if flown.outcome != "infeasible"}
             for who, cell in cells.items():
-                ended, trials = sum(f.outcome == "ok" for f in cell), sum(f.seed in possible for f in cell)
+                ended, trials = sum(f.complete for f in cell), sum(f.seed in possible for f in cell)
                 counts[who] = counts.get(who, Flights(0, 0)).plus(Flights(ended, trials))
         return counts
 
@@ -261,7 +268,7 @@ class Groups:
         ended: dict[Contestant, set[tuple[Condition, int]]] = {}
         for condition in conditions:
             for contestant, by_seed in self.conditions[condition].items():
-                good = [seed for seed, same in by_seed.items() if all(flown.outcome == "ok" for flown in same)]
+                good = [seed for seed, same in by_seed.items() if all(flown.complete for flown in same)]
                 ended.setdefault(contestant, set()).update((condition, seed) for seed in good)
         compared, shared = common(ended)
         return Common(tuple(compared), {at: frozenset(seeds) for at, seeds in grouped(shared).items()})
@@ -283,13 +290,9 @@ class Groups:
         return alike[0] if len(alike) == 1 and contestant not in self._baselines else None
 
     def pairs(
-        self, condition: Condition, contestant: Contestant, rival: Contestant, among: Common | None = None
+        self, condition: Condition, contestant: Contestant, rival: Contestant
     ) -> tuple[list[tuple[Flown, Flown]], Counter[str]]:
-        """Flights of the same seed that both completed, and the number of other seeds by cause.
-
-        among: take only the common flights, if both contestants are among the compared ones.
-        """
-        shared = among.seeds.get(condition, frozenset()) if among and {contestant, rival} <= {*among.compared} else None
+        """Flights of the same seed that both completed, whoever else did, and the number of other seeds by cause."""
         flights, rivals = (self.conditions[condition].get(who, {}) for who in (contestant, rival))
         name = self.labels[rival]
         pairs: list[tuple[Flown, Flown]] = []
@@ -306,8 +309,6 @@ class Groups:
                 causes[outcome + also] += 1
             elif its[0].outcome != "ok":
                 causes[f"{its[0].outcome} by {name}"] += 1
-            elif shared is not None and seed not in shared:
-                causes["not completed by all"] += 1
             else:
                 pairs.append((mine[0], its[0]))
         return pairs, causes

@@ -2,17 +2,13 @@
 
 Two means: `mean` over the contestant's own completed flights, and `common_mean` over the common flights, which tables
 show. Flights that were not completed are counted by outcome, and lower the success rate. A contestant is compared with
-the baseline seed by seed, difference = contestant - baseline, over the common flights; the others are counted in
-`left_out` by cause. p-values are corrected for all comparisons of one metric. Equations: inference.py; common flights,
-conditions and pairs: pairing.py; who is best: winner.py.
+the baseline seed by seed, difference = contestant - baseline, over the flights that both completed; the others are
+counted in `left_out` by cause. Intervals: inference.py; common flights, conditions and pairs: pairing.py; every p, and
+over how many comparisons it is corrected: significance.py; who is best: winner.py.
 
 Over all conditions (`overall`) errors differ tenfold, so the logarithms of their ratios are averaged over the
-conditions of a seed, and the seeds are the values (pairing.py):
-
-    reduction = 100 (1 - ratio), the ratio of inference.py
-    p: paired permutation of the logarithms, corrected by Holm for the number of contestants
-
-The interval is for new seeds of these conditions, not for new trajectories.
+conditions of a seed, and the seeds are the values: reduction = 100 (1 - ratio), the ratio of inference.py. The interval
+is for new seeds of these conditions, not for new trajectories; `between` says what it is in the single conditions.
 """
 
 from __future__ import annotations
@@ -21,7 +17,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -31,14 +27,14 @@ from quadexp.log.outcome import FAILURES
 from quadexp.log.schema import describe
 from quadexp.report import inference
 from quadexp.report.metrics import SHOWN
-from quadexp.report.pairing import Condition, Contestant, Flights, Flown, Groups, Row, causes_text, seed_means, whole
+from quadexp.report.pairing import BASELINE, Condition, Contestant, Flights, Flown, Groups, Row, causes_text
+from quadexp.report.significance import Difference, Tests, place_texts
 from quadexp.report.table import csv_text
-from quadexp.report.text import count, probability, too_few
+from quadexp.report.text import count, probability
 from quadexp.report.winner import best_of_lines
 
 COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
 DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share")  # no comparison: they are not paired by noise
-BASELINE = "nominal_mpc"
 CONFIDENCE = 0.95
 NAN = math.nan
 
@@ -52,13 +48,13 @@ class Statistic:
     differences, positive if smaller than the baseline.
 
     seeds: cells requested. trials: those that at least one contestant could fly. n: flights in the mean. common:
-    flights in the common mean, 0 if it is not compared. best_p: see winner.best_of_lines, corrected for the number of
-    lines, NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low,
-    high]. p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed:
-    m/s, NaN for a trajectory without one.
+    flights in the common mean, 0 if it is not compared. best_p: see winner.best_of_lines, NaN if it is not the best of
+    its line. baseline: label of the baseline, "" for none. interval: method of [low, high]. p, p_holm, comparisons: see
+    significance.Difference. p_least: the smallest p that so many pairs can give. speed: m/s, NaN for a trajectory
+    without one.
 
     conditions, units: over all conditions, number of those with pairs, and of their seeds, which are the values.
-    own_reduction, own_pairs: over all flights that both completed.
+    between: the least and the largest reduction of a single condition, in words.
     """
 
     metric: str
@@ -113,8 +109,7 @@ class Statistic:
     p_holm: float = NAN
     p_least: float = NAN
     comparisons: int = 0
-    own_pairs: int = 0
-    own_reduction: float = NAN
+    between: str = ""
 
     @property
     def is_overall(self) -> bool:
@@ -145,28 +140,30 @@ class Statistic:
     @property
     def testable(self) -> bool:
         """Whether so many seeds can show a difference."""
-        return self.comparisons * self.p_least < 1 - self.confidence
+        return self.significant or self.comparisons * self.p_least < 1 - self.confidence
 
     @property
     def chance(self) -> str:
-        """Seeds and p, such as "5 seeds, p = 0.13", or "2 seeds cannot show p < 0.05: at least 6 are needed"."""
-        if self.testable:
-            return f"{count(self.units, 'seed')}, {probability(self.p_holm)}"
-        return too_few(self.units, inference.least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
+        """Seeds and p, such as "5 seeds, p = 0.13", or "2 seeds, too few for a test"."""
+        seeds = count(self.units, "seed")
+        return f"{seeds}, {probability(self.p_holm)}" if self.testable else f"{seeds}, too few for a test"
 
     def text(self) -> str:
-        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p < 0.0001)"."""
+        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p = 0.0002), 97.1 %
+        less in lemniscate 8 m/s to 99.1 % less in circle 4 m/s"."""
         if not self.pairs:
             return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
-        low, high = self.reduction_low, self.reduction_high
-        word, low, high = ("less", low, high) if self.reduction >= 0 else ("more", -high, -low)
-        limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
+        change = change_text(self.reduction, self.reduction_low, self.reduction_high, f"than {self.baseline}")
         about = self.chance + (f"; left out: {self.left_out}" if self.left_out else "")
-        if self.own_pairs > self.pairs:
-            change = f"{abs(self.own_reduction):.1f} % {'less' if self.own_reduction >= 0 else 'more'}"
-            about += f"; over all {self.own_pairs} that both completed: {change}"
         over = count(self.conditions, "condition")
-        return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
+        return f"{self.label}: {change} over {over} ({about})" + (f", {self.between}" if self.between else "")
+
+
+def change_text(reduction: float, low: float = NAN, high: float = NAN, than: str = "") -> str:
+    """Such as "98.7 % [98.6, 98.8] less than nominal_mpc"."""
+    word, low, high = ("less", low, high) if reduction >= 0 else ("more", -high, -low)
+    limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
+    return f"{abs(reduction):.1f} %{limits} {word} {than}".rstrip()
 
 
 def compute_statistics(
@@ -178,9 +175,15 @@ def compute_statistics(
 ) -> list[Statistic]:
     """The statistics of result rows, metric by metric. baseline: name of a controller."""
     groups = Groups(rows, baseline, metrics)
+    return of_lines([Tests(groups, place, confidence) for place in range(len(metrics))], metrics)
+
+
+def of_lines(tests_of: Sequence[Tests], metrics: Sequence[str]) -> list[Statistic]:
+    """The statistics of every contestant and condition. tests_of: a test for each metric, of the same groups."""
+    groups, confidence = tests_of[0].groups, tests_of[0].confidence
     about: dict[tuple[Condition, Contestant], dict[str, Any]] = {}  # what is the same for every metric
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
-    for condition, among in groups.lines.items():
+    for condition in groups.conditions:
         where = condition._asdict() | {"speed": NAN if condition.speed is None else condition.speed}
         for contestant, flown in groups.flights([condition]).items():
             at, rival = (condition, contestant), groups.baseline(contestant)
@@ -188,12 +191,12 @@ def compute_statistics(
             about[at] = {**where, **_whose(groups, contestant, confidence), **_tally(groups.cells[at], flown.trials)}
             about[at] |= {"success_low": low, "success_high": high}
             if rival is not None:
-                pairs[at], causes = groups.pairs(condition, contestant, rival, among)
+                pairs[at], causes = groups.pairs(condition, contestant, rival)
                 about[at] |= {"baseline": groups.labels[rival], "left_out": causes_text(causes)}
     statistics: list[Statistic] = []
-    for place, metric in enumerate(metrics):
-        of_metric, unit = [], describe(metric, "results").unit
-        best = best_of_lines(groups, place, confidence) if metric in COMPARED else {}
+    for place, (tests, metric) in enumerate(zip(tests_of, metrics, strict=True)):
+        unit = describe(metric, "results").unit
+        best = best_of_lines(tests, place) if metric in COMPARED else {}
         for at, flights in groups.cells.items():
             (condition, contestant), among = at, groups.lines[at[0]]
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
@@ -206,21 +209,11 @@ def compute_statistics(
             fields |= {"common" if name == "n" else f"common_{name}": value for name, value in common.items()}
             if metric not in COMPARED:
                 fields |= {"baseline": "", "left_out": ""}
-            elif pairs.get(at):
+            elif pairs.get(at) and (rival := groups.baseline(contestant)) is not None:
                 fields |= _comparison(pairs[at], place, confidence)
-            of_metric.append(Statistic(metric=metric, unit=unit, best_p=best.get(at, NAN), **fields))
-        statistics += corrected(of_metric)
+                fields |= _test(tests.difference(contestant, rival, [condition]))
+            statistics.append(Statistic(metric=metric, unit=unit, best_p=best.get(at, NAN), **fields))
     return statistics
-
-
-def corrected(statistics: Sequence[Statistic]) -> list[Statistic]:
-    """The same, with p by Holm over those that have one."""
-    corrected = inference.holm(np.array([statistic.p for statistic in statistics]))
-    tests = int(np.count_nonzero(~np.isnan(corrected)))
-    return [
-        statistic if math.isnan(p) else replace(statistic, p_holm=float(p), comparisons=tests)
-        for statistic, p in zip(statistics, corrected, strict=True)
-    ]
 
 
 def _whose(groups: Groups, contestant: Contestant, confidence: float) -> dict[str, Any]:
@@ -258,78 +251,62 @@ def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: fl
         "reduction": _reduction(float(np.mean(values)) / base) if base > 0 else NAN,
         "reduction_low": relative.low,
         "reduction_high": relative.high,
-        **_test(differences, inference.vary(values) or inference.vary(others)),
+        "effect": inference.rank_biserial(differences),
     }
 
 
-def _test(differences: np.ndarray, varying: bool) -> dict[str, Any]:
-    """Effect and p of the differences of some seeds, (n,), and the least p that so many can give; no p for copies of
-    one flight."""
-    effect = {"effect": inference.rank_biserial(differences)}
-    if len(differences) < 2 or not varying:
-        return effect
-    return {**effect, "p": inference.paired_permutation(differences), "p_least": inference.least_p(len(differences))}
+def _test(difference: Difference) -> dict[str, Any]:
+    """p, and the least p that so many seeds can give; no p for copies of one flight."""
+    tested = 0 if math.isnan(difference.p) else difference.comparisons
+    about = {"units": len(difference.seeds), "p_least": difference.least, "comparisons": tested}
+    return {**about, "p": difference.p, "p_holm": difference.p_holm}
 
 
 def overall(
     rows: Sequence[Row], *, metric: str = "mean_error", baseline: str = BASELINE, confidence: float = CONFIDENCE
 ) -> list[Statistic]:
-    """Every contestant that has a baseline; see the module's equations."""
+    """Every contestant that has a baseline, over all conditions."""
     groups = Groups(rows, baseline, (metric,))
-    among = {world: groups.common(conditions) for world, conditions in groups.worlds.items()}
-    flights = {condition: groups.flights([condition]) for condition in groups.conditions}
-    pooled = []
-    for contestant in groups.contestants:
+    return pooled(Tests(groups, 0, confidence), list(groups.conditions), metric)
+
+
+def pooled(tests: Tests, conditions: Sequence[Condition], metric: str) -> list[Statistic]:
+    """Every contestant that has a baseline, over all conditions, or all of a plant and vehicle; see the module."""
+    groups, unit = tests.groups, describe(metric, "results").unit
+    flights = groups.flights(conditions)
+    statistics = []
+    for contestant in flights:
         if (rival := groups.baseline(contestant)) is None:
             continue
-        logs: dict[tuple[Condition, int], float] = {}
-        every: list[float] = []  # the mean of each condition, also beyond the common flights
-        own_pairs = trials = 0
-        causes: Counter[str] = Counter()
-        for condition in dict.fromkeys(at for at, who in groups.cells if who in (contestant, rival)):
-            pairs, left_out = groups.pairs(condition, contestant, rival, among[condition.world])
-            trials += flights[condition].get(contestant, Flights(0, 0)).trials
-            causes.update(left_out)
-            by_seed = _logs(pairs)
-            if len(by_seed) < len(pairs):
-                causes["without an error above zero"] += len(pairs) - len(by_seed)
-            logs |= {(condition, seed): log for seed, log in by_seed.items()}
-            if beyond := _logs(groups.pairs(condition, contestant, rival)[0]):
-                every.append(float(np.mean([*beyond.values()])))
-                own_pairs += len(beyond)
-        kept = whole(logs.keys()) if logs else frozenset()
-        if len(kept) < len(logs):
-            causes["not in every condition"] += len(logs) - len(kept)
-        means = seed_means(logs)
-        ratio = inference.log_ratio(means, confidence)  # NaN without pairs
-        flown = [flight for (_, who), cell in groups.cells.items() if who == contestant for flight in cell]
-        pooled.append(
+        difference = tests.difference(contestant, rival, conditions)
+        flown = [flight for at in conditions for flight in groups.cells.get((at, contestant), ())]
+        statistics.append(
             Statistic(
                 metric=metric,
-                unit=describe(metric, "results").unit,
+                unit=unit,
                 baseline=groups.labels[rival],
-                left_out=causes_text(causes),
-                conditions=len({condition for condition, _ in kept}),
-                pairs=len(kept),
-                units=len(means),
-                own_pairs=own_pairs,
-                own_reduction=_reduction(math.exp(np.mean(every))) if every else NAN,
-                reduction=_reduction(ratio.value),
-                reduction_low=_reduction(ratio.high),
-                reduction_high=_reduction(ratio.low),
-                **_whose(groups, contestant, confidence),
-                **_tally(flown, trials),
-                **_test(means, inference.vary(means)),
+                left_out=causes_text(difference.causes),
+                conditions=len(difference.by_condition),
+                pairs=difference.flights,
+                reduction=_reduction(difference.ratio.value),
+                reduction_low=_reduction(difference.ratio.high),
+                reduction_high=_reduction(difference.ratio.low),
+                between=_between(difference) if difference.flights else "",
+                effect=inference.rank_biserial(difference.logs),
+                **_whose(groups, contestant, tests.confidence),
+                **_tally(flown, flights[contestant].trials),
+                **_test(difference),
             )
         )
-    tests = sum(not math.isnan(statistic.p) for statistic in pooled) or sum(statistic.pairs > 0 for statistic in pooled)
-    return [replace(statistic, comparisons=tests) for statistic in corrected(pooled)]
+    return statistics
 
 
-def _logs(pairs: Sequence[tuple[Flown, Flown]]) -> dict[int, float]:
-    """Seed -> logarithm of the ratio of the first metric, of the pairs that have one."""
-    errors = {flown.seed: (flown.values[0], other.values[0]) for flown, other in pairs}
-    return {seed: math.log(error / other) for seed, (error, other) in errors.items() if error > 0 and other > 0}
+def _between(difference: Difference) -> str:
+    """The least and the largest change in a single condition, and where; "" where they are the same."""
+    places = place_texts(difference.by_condition)
+    ends = sorted(difference.by_condition, key=lambda at: -difference.by_condition[at])
+    low, high = (change_text(_reduction(difference.by_condition[at])) for at in (ends[0], ends[-1]))
+    return f"{low} in {places[ends[0]]} to {high} in {places[ends[-1]]}" if low != high else ""
 
 
 def _reduction(ratio: float) -> float:
@@ -367,9 +344,13 @@ class Statistics:
 
 def results_statistics(rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE) -> Statistics:
     """The statistics of result rows: of each metric, line by line and over all conditions."""
-    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
-    return Statistics([*compute_statistics(rows, **options), *pooled], rows, baseline, confidence)
+    metrics = (*COMPARED, *DESCRIBED)
+    groups = Groups(rows, baseline, metrics)
+    tests = [Tests(groups, place, confidence) for place in range(len(metrics))]
+    over_all = [
+        s for test, metric in zip(tests, COMPARED, strict=False) for s in pooled(test, [*groups.conditions], metric)
+    ]
+    return Statistics([*of_lines(tests, metrics), *over_all], rows, baseline, confidence)
 
 
 def statistics_csv(statistics: Sequence[Statistic]) -> str:

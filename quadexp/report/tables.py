@@ -30,11 +30,21 @@ from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_colum
 from quadexp.report.metrics import NUMBERS, SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
-from quadexp.report.pairing import Flights, condition_of, contestant_labels, contestant_of, is_invalid, setting_pairs
-from quadexp.report.statistics import BASELINE, CONFIDENCE, KINDS, Statistic, Statistics, compute_statistics, overall
+from quadexp.report.pairing import (
+    BASELINE,
+    Flights,
+    Groups,
+    condition_of,
+    contestant_labels,
+    contestant_of,
+    is_invalid,
+    setting_pairs,
+)  # fmt: skip
+from quadexp.report.significance import Tests
+from quadexp.report.statistics import CONFIDENCE, KINDS, Statistic, Statistics, of_lines, pooled
 from quadexp.report.table import Table, csv_text
 from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
-from quadexp.report.winner import verdicts
+from quadexp.report.winner import verdict
 from quadexp.writer import write_text
 
 MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
@@ -99,10 +109,10 @@ def error_table(
 ) -> Table:
     """The error table of one metric from result rows: counts of completed flights, then a line for each trajectory
     with what else varies, speed and swept settings, with the means."""
-    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    statistics = compute_statistics(results, metrics=(metric,), **options)
-    best = verdicts(results, metric=metric, confidence=confidence)
-    notes = table_notes(statistics, overall(results, metric=metric, **options), best)
+    tests = Tests(Groups(results, baseline, (metric,)), 0, confidence)
+    statistics = of_lines([tests], (metric,))
+    best = [verdict(tests, conditions) for conditions in tests.groups.worlds.values()]
+    notes = table_notes(statistics, tests, pooled(tests, list(tests.groups.conditions), metric), best)
     rows = [*map(_row_of, statistics), *filter(is_invalid, results)]
     settings = [dict(setting_pairs(row.get("variant"))) for row in rows]
     every = dict.fromkeys(key for pairs in settings for key in pairs)
@@ -146,7 +156,7 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     metric = statistics[0].metric
     factor, unit = SHOWN[metric]
     heading = ["trajectory", "speed (m/s)", "controller", "seeds", f"difference ({unit})"]
-    heading += ["reduction (%)", "effect", "p", "p (Holm)", "left out"]
+    heading += ["reduction (%)", "effect", "p", "p (corrected)", "left out"]
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
     rows = []
     for s, label in zip(statistics, column_labels([*map(_row_of, statistics)]), strict=True):
@@ -163,9 +173,8 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
         return None
     baselines = dict.fromkeys(s.baseline for s in statistics if s.baseline)
     note = (
-        "difference: contestant less baseline over the seeds; reduction: positive where better; effect: matched-pairs"
-        " rank-biserial in [-1, 1]; p: paired permutation test, then corrected by Holm over"
-        f" {max(s.comparisons for s in statistics)} comparisons"
+        "over the seeds that both completed; difference: contestant less baseline; reduction: positive where better;"
+        " effect: matched-pairs rank-biserial in [-1, 1]; p: of the line alone, and corrected as below the error table"
     )
     title = f"{TITLES[metric]} against {', '.join(baselines)}"
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))

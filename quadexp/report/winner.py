@@ -1,15 +1,11 @@
-"""The best contestant: the one with the least error over the common flights, if all others differ significantly.
+"""The best contestant: the one with the least error, if it is told apart from every other one.
 
-    least      the smallest L_k = mean_i mean_c ln x_kci, over the conditions c and then over the seeds i (pairing.py)
-    ratio      exp(L_j - L_least) of another to the least, paired, with its interval and p over the seeds (see
-               inference.log_ratio)
-    p          k max_j p_j, at most 1, for k ranked contestants; corrected by Holm over the lines of a table
-    best       p < 1 - confidence = alpha, and no contestant completed a larger share of its flights
+    least      of the ranked contestants, who has less error than every other on the flights that these two completed,
+               ln x averaged over the conditions and then over the seeds
+    best       told apart from every other (significance.py), and no contestant completed a larger share of its flights
 
-The least of k is chosen after the fact, so each p_j is multiplied by k (Bonferroni). This keeps the error rate for any
-correlation: to be named falsely, one of k must beat an equal or better one, with a probability of alpha / (2 k) at
-most: alpha / 2 for the verdict over all conditions, alpha / 2 for the marks in a table, alpha together. Bounds
-(perfect_*, oracle_*) are not ranked.
+A contestant that completed fewer flights than the least, so few that no test is possible, does not stand in the way
+where it has more error on those that both completed, or none. Bounds (perfect_*, oracle_*) are not ranked.
 """
 
 from __future__ import annotations
@@ -20,57 +16,66 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.report.inference import NO_RATIO, Ratio, holm, log_ratio
-from quadexp.report.pairing import Common, Condition, Contestant, Groups, Row, flew_least, is_bound, seed_means
-from quadexp.report.text import count, probability
+from quadexp.report.pairing import BASELINE, Condition, Contestant, Flights, Groups, Row, flew_least, is_bound
+from quadexp.report.significance import Difference, Tests, place_texts
+from quadexp.report.text import count, listed, probability
 
 
 def rank(
-    groups: Groups, among: Common, conditions: Sequence[Condition], place: int, confidence: float
-) -> tuple[Contestant | None, dict[Contestant, Ratio], float]:
-    """Of those who flew in these conditions, bounds aside, by one metric over the common flights: the one with the
-    least error, None without any; the ratios of all others to it, the nearest first; and p, see the module."""
-    flew = dict.fromkeys(who for condition in conditions for who in groups.conditions[condition])
-    ranked = [who for who in flew if who in among.compared and not is_bound(who.controller)]
-    logs = dict(zip(ranked, _logs(groups, among, ranked, place), strict=True)) if ranked else {}
-    if not logs or not len(logs[ranked[0]]):
-        return None, {}, math.nan
-    first, *others = sorted(ranked, key=lambda who: float(np.mean(logs[who])))
-    ratios = {other: log_ratio(logs[other] - logs[first], confidence) for other in others}
-    p = [ratio.p for ratio in ratios.values()]
-    return first, ratios, min(1.0, len(ranked) * max(p)) if p and not np.isnan(p).any() else math.nan
+    tests: Tests, conditions: Sequence[Condition]
+) -> tuple[Contestant | None, dict[Contestant, Difference], dict[Contestant, Flights]]:
+    """Of those who completed a flight in these conditions, bounds aside: the one with the least error, None without
+    any; all others against it, the nearest first; and how many flights each of all completed."""
+    flights = tests.groups.flights(conditions)
+    ranked = [who for who, flown in flights.items() if flown.ended and not is_bound(who.controller)]
+    least, *others = sorted(ranked, key=lambda who: -flights[who].share) or [None]
+    for other in others:
+        if tests.difference(other, least, conditions).ratio.value < 1:
+            least = other
+    against = {who: tests.difference(who, least, conditions) for who in ranked if least is not None and who != least}
+    nearest = sorted(against.items(), key=lambda item: (math.isnan(item[1].ratio.value), item[1].ratio.value))
+    return least, dict(nearest), flights
 
 
-def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> np.ndarray:
-    """ln of the error of each, (who, seeds), without flights in which one of them has no error above zero."""
-    logs: dict[tuple[Condition, int], np.ndarray] = {}
-    for condition, seeds in among.seeds.items():
-        errors = np.array([groups.values(condition, contestant, place, seeds) for contestant in who]).T
-        kept = (np.isfinite(errors) & (errors > 0)).all(axis=1)
-        flown = ((condition, seed) for seed in np.array(sorted(seeds))[kept].tolist())
-        logs |= zip(flown, np.log(errors[kept]), strict=True)
-    return seed_means(logs).reshape(-1, len(who)).T
+def is_behind(difference: Difference, flights: Flights, of_least: Flights) -> bool:
+    """Whether a contestant does not stand in the way of the least being called best; see the module."""
+    less = difference.ratio.value < 1
+    if difference.testable or not flights.share < of_least.share:
+        return difference.apart and not less
+    return not less
 
 
-def best_of_lines(groups: Groups, place: int, confidence: float) -> dict[tuple[Condition, Contestant], float]:
-    """(condition, contestant) that may be marked as best of its line -> p that it is not, by Holm over the lines.
+def best_of_lines(tests: Tests, place: int) -> dict[tuple[Condition, Contestant], float]:
+    """(condition, contestant) that is the best of its line -> the largest p that it is not.
 
     Those with the smallest share of completed flights on a plant and vehicle are not marked there."""
+    groups = tests.groups
     barred = {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}
-    p: dict[tuple[Condition, Contestant], float] = {}
-    for condition, among in groups.lines.items():
-        least, ratios, chance = rank(groups, among, [condition], place, confidence)
-        if least is None or least in barred[condition.world] or not _flew_most(groups, least, [condition]):
+    best: dict[tuple[Condition, Contestant], float] = {}
+    for condition in groups.conditions:
+        least, against, flights = rank(tests, [condition])
+        if least is None or not against or least in barred[condition.world] or not _flew_most(least, flights):
             continue
-        seeds = among.seeds[condition]
-        means = {who: float(np.mean(groups.values(condition, who, place, seeds))) for who in (least, *ratios)}
-        if means[least] <= min(means.values()):  # the table shows means, not logarithms
-            p[condition, least] = chance
-    return dict(zip(p, holm(np.array([*p.values()])).tolist(), strict=True))
+        tested = [of.p_holm for of in against.values() if of.testable]
+        behind = (is_behind(of, flights[who], flights[least]) for who, of in against.items())
+        if tested and all(behind) and _has_least_mean(groups, condition, least, against, place):
+            best[condition, least] = max(tested)
+    return best
 
 
-def _flew_most(groups: Groups, who: Contestant, conditions: Sequence[Condition]) -> bool:
-    flights = groups.flights(conditions)
+def _has_least_mean(
+    groups: Groups, condition: Condition, least: Contestant, others: Mapping[Contestant, Difference], place: int
+) -> bool:
+    """Whether the mean itself, which a table shows, is the least too, on the flights of each pair."""
+    for other, difference in others.items():
+        seeds = frozenset(difference.seeds.tolist())
+        own, its = (groups.values(condition, who, place, seeds) for who in (least, other))
+        if len(own) and not np.mean(own) <= np.mean(its):
+            return False
+    return True
+
+
+def _flew_most(who: Contestant, flights: Mapping[Contestant, Flights]) -> bool:
     return all(not other.share > flights[who].share for other in flights.values())
 
 
@@ -78,88 +83,103 @@ def _flew_most(groups: Groups, who: Contestant, conditions: Sequence[Condition])
 class Verdict:
     """The contestant with the least error of one metric on one plant and vehicle, over all conditions. All by label.
 
-    common: number of common flights, of `units` seeds. least: "" if nobody is compared. ratios: of all other ranked
-    contestants to it, the nearest first. flew_less: another one completed a larger share of its flights. bound: the
-    first bound that is compared, and not ranked; the least has `bound_ratio` times its error.
+    where: the plant and vehicle, "" where there is one only. common: number of common flights. least: "" if nobody is
+    compared. against: all other ranked contestants against it, the nearest first. alike: those that are not told apart
+    from it. aside: those that completed too few flights for a test. flew_less: another one completed a larger share of
+    its flights. bound: the first bound that flew, which is not ranked; the least against it. compared: by their means.
     """
 
-    confidence: float
+    where: str
     common: int
-    units: int
     least: str
-    ratios: Mapping[str, Ratio]
-    p: float
+    against: Mapping[str, Difference]
+    alike: Sequence[str]
+    aside: Sequence[str]
     flew_less: bool
     bound: str
-    bound_ratio: Ratio
+    of_bound: Difference | None
     compared: Sequence[str]
 
     @property
     def ways(self) -> int:
-        """Number of ranked contestants."""
-        return len(self.ratios) + bool(self.least)
-
-    @property
-    def alike(self) -> list[str]:
-        """Those that are not distinguishable from the least."""
-        return [who for who, ratio in self.ratios.items() if not self.ways * ratio.p < 1 - self.confidence]
+        """Number of ranked contestants that can be compared."""
+        return len(self.against) + bool(self.least) - len(self.aside)
 
     @property
     def next(self) -> str:
         """The nearest one, of those that are alike if there are any."""
-        return next(iter([*self.alike, *self.ratios]), "")
-
-    @property
-    def ratio(self) -> Ratio:
-        """Of the nearest one to the least."""
-        return self.ratios.get(self.next, NO_RATIO)
+        return next(iter([*self.alike, *(who for who in self.against if who not in self.aside)]), self.least)
 
     @property
     def best(self) -> bool:
-        """Whether `least` differs significantly from all others and no contestant flew more."""
+        """Whether `least` is told apart from all others and no contestant flew more."""
         return self.ways > 1 and not self.alike and not self.flew_less
 
     def text(self) -> str:
         """Such as "least over the 20 flights that all completed: gp_mpc, the best of 3, ..."."""
-        if not self.ways > 1:
+        if not self.against:
             return ""
-        over = f"over the {count(self.common, 'flight')} that all completed"
-        head = f"least {over}{', bounds aside' if self.bound else ''}: {self.least}"
-        value, low, high, _ = self.ratio
+        flights = sorted({difference.flights for difference in self.against.values()})
+        over = f"the {count(flights[-1], 'flight')} that all completed"
+        if len(flights) > 1:
+            over = f"the {flights[0]} to {flights[-1]} flights that it and each other completed"
+        bound = ", bounds aside" if self.bound else ""
+        head = f"least over {over}{f' in {self.where}' if self.where else ''}{bound}: {self.least}"
+        if self.aside:
+            head += f" ({listed(self.aside)} aside: too few flights completed for a test)"
+        head += self._elsewhere()
+        if self.next == self.least:
+            return head
+        nearest = self.against[self.next]
+        value, low, high = nearest.ratio
         limits = "" if math.isnan(low) else f" [{low:.3g}, {high:.3g}]"
-        chance = probability(self.p) or f"{count(self.units, 'seed')} cannot tell"
+        seeds = count(len(nearest.seeds), "seed")
+        chance = probability(nearest.p_holm) if nearest.testable else f"{seeds}, too few for a test"
         ratio = f"{value:.3g} times{limits}, {chance}"
-        if self.alike:
-            return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
         if self.flew_less:
             return f"{head}, but others completed more of their flights (nearest: {self.next}, {ratio})"
+        if self.alike and not nearest.testable:
+            return f"{head}; next: {self.next}, {ratio}"
+        if self.alike:
+            return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
         return f"{head}, the best of {self.ways}, significantly less than the next, {self.next} ({ratio})"
 
+    def _elsewhere(self) -> str:
+        """In how many conditions another one has less error, and where it is the most."""
+        ratios = {(who, at): x for who, of in self.against.items() for at, x in of.by_condition.items() if x < 1}
+        if not ratios:
+            return ""
+        who, at = min(ratios, key=ratios.__getitem__)
+        every = {place for of in self.against.values() for place in of.by_condition}
+        less = len({place for _, place in ratios})
+        most = f"{who}: {ratios[who, at]:.3g} times in {place_texts(every)[at]}"
+        return f", less by others in {less} of {count(len(every), 'condition')} ({most})"
 
-def verdict(groups: Groups, conditions: Sequence[Condition], confidence: float) -> Verdict:
-    """Over these conditions, by the first metric of the groups."""
-    among, label = groups.common(conditions), groups.labels
-    least, ratios, p = rank(groups, among, conditions, 0, confidence)
-    bound = next((who for who in among.compared if least is not None and is_bound(who.controller)), None)
-    bound_ratio = NO_RATIO
-    if least is not None and bound is not None:
-        logs, others = _logs(groups, among, [least, bound], 0)
-        bound_ratio = log_ratio(logs - others, confidence)
+
+def verdict(tests: Tests, conditions: Sequence[Condition]) -> Verdict:
+    """Over these conditions, of one plant and vehicle."""
+    groups, label = tests.groups, tests.groups.labels
+    least, against, flights = rank(tests, conditions)
+    among = groups.common(conditions)
+    bound = next((who for who, flown in flights.items() if least and flown.ended and is_bound(who.controller)), None)
+    behind = {who: least and is_behind(of, flights[who], flights[least]) for who, of in against.items()}
     return Verdict(
-        confidence=confidence,
+        where=" ".join(conditions[0].world) if len(groups.worlds) > 1 else "",
         common=among.flights,
-        units=among.units,
         least=label[least] if least else "",
-        ratios={label[who]: ratio for who, ratio in ratios.items()},
-        p=p,
-        flew_less=least is not None and not _flew_most(groups, least, conditions),
+        against={label[who]: difference for who, difference in against.items()},
+        alike=[label[who] for who in against if not behind[who]],
+        aside=[label[who] for who, of in against.items() if behind[who] and not of.testable],
+        flew_less=least is not None and not _flew_most(least, flights),
         bound=label[bound] if bound else "",
-        bound_ratio=bound_ratio,
+        of_bound=tests.difference(least, bound, conditions) if least and bound else None,
         compared=[label[who] for who in among.compared],
     )
 
 
-def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: float = 0.95) -> list[Verdict]:
+def verdicts(
+    rows: Sequence[Row], *, metric: str = "mean_error", baseline: str = BASELINE, confidence: float = 0.95
+) -> list[Verdict]:
     """One verdict for every plant and vehicle."""
-    groups = Groups(rows, "", (metric,))
-    return [verdict(groups, conditions, confidence) for conditions in groups.worlds.values()]
+    tests = Tests(Groups(rows, baseline, (metric,)), 0, confidence)
+    return [verdict(tests, conditions) for conditions in tests.groups.worlds.values()]

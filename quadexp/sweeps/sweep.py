@@ -29,7 +29,8 @@ from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.checked import differing_libraries, flown_by, program_name, programs_text
 from quadexp.report.frame import RESULTS
-from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistics
+from quadexp.report.pairing import BASELINE
+from quadexp.report.statistics import CONFIDENCE, Statistics
 from quadexp.report.table import Table
 from quadexp.sweeps.engine import (
     CellFailed,

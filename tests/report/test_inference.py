@@ -95,15 +95,15 @@ class TestPermutation:
         assert paired_permutation(np.zeros(4)) == 1.0 and math.isnan(paired_permutation([]))
 
     def test_all_of_one_sign_has_the_least_p(self):
-        for n in (2, 5, 9, 30):
+        for n in (2, 5, 9, 14):
             assert paired_permutation(-np.arange(1.0, n + 1)) == least_p(n) == 2 / 2**n
+        assert paired_permutation(-np.arange(1.0, 31)) == least_p(30) == 1 / inference.PATTERNS  # of drawn patterns
 
-    def test_the_normal_limit_agrees_with_counting(self, monkeypatch):
-        differences = np.random.default_rng(13).normal(0.1, 1, 28)
-        exact = paired_permutation(differences)
+    def test_drawn_patterns_agree_with_all(self):
+        differences = np.random.default_rng(13).normal(0.3, 1, 18)
+        exact = enumerated_p(differences)
         assert 0.01 < exact < 0.5
-        monkeypatch.setattr(inference, "MOST_EXACT", 20)
-        assert paired_permutation(differences) == pytest.approx(exact, rel=0.1)
+        assert abs(paired_permutation(differences) - exact) < 4 * math.sqrt(exact / inference.PATTERNS)
 
     def test_it_errs_as_often_as_it_says(self):
         rng = np.random.default_rng(19)

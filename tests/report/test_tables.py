@@ -33,13 +33,13 @@ def cells(rows, metric="mean_error"):
 
 
 def test_mean_over_seeds_in_millimetres_and_the_best_marked():
-    rows = [row(seed=0, error=0.2), row(seed=1, error=0.3)]
-    rows += [row("gp_mpc", seed=0, error=0.004), row("gp_mpc", seed=1, error=0.00601)]
+    rows = [row(seed=s, error=error) for s, error in enumerate([0.2, 0.3, 0.2, 0.3, 0.2, 0.3])]
+    rows += [row("gp_mpc", seed=s, error=error) for s, error in enumerate([0.004, 0.00601] * 3)]
     table = error_table(rows)
     assert table.columns == ["trajectory", "m/s", "nominal_mpc", "gp_mpc"]
-    assert table.rows[0] == ["flown", "", "2 of 2", "2 of 2"] and len(table.rows) == 2
+    assert table.rows[0] == ["flown", "", "6 of 6", "6 of 6"] and len(table.rows) == 2
     nominal, gp = (statistic(rows, name) for name in ("nominal_mpc", "gp_mpc"))
-    assert nominal.common_mean == pytest.approx(0.25) and nominal.common_std == pytest.approx(0.05 * math.sqrt(2))
+    assert nominal.common_mean == pytest.approx(0.25) and nominal.common_std == pytest.approx(0.05 * math.sqrt(6 / 5))
     assert gp.best and not nominal.best and gp.common_mean == pytest.approx(0.005005)
     assert cells(rows) == [["circle", "8", cell_text(nominal), cell_text(gp)]]
     assert statistic(rows, "nominal_mpc", "rmse").common_mean == pytest.approx(0.3)
@@ -144,10 +144,12 @@ class TestIntervals:
         latex = table.latex()
         assert rf"\textbf{{{mean}}} {text}$^*$" in latex and r"flown &  & 6 of 7 & 7 of 7 \\" in latex
         assert r"trajectory & m/s & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
-        assert r"- \* differs from nominal_mpc: p < 0.05" in table.markdown()
-        assert table.notes[0].startswith(
-            "mean over the flights of a line that all completed, of 7 seeds [95 % interval: Student's t]; bold:"
+        assert r"\*: told apart from nominal_mpc;" in table.markdown()
+        mean_note, test, *_ = table.notes
+        assert (
+            mean_note == "mean over the flights of a line that all completed, of 7 seeds [95 % interval: Student's t]"
         )
+        assert test.startswith("bold: the least of its line, told apart from every other there (p < 0.05)")
 
     def test_a_controller_that_loses_flights_is_not_the_best_and_who_has_the_larger_error_is_not_either(self):
         rows = [row(seed=seed, error=0.2) for seed in range(4)]
@@ -158,5 +160,5 @@ class TestIntervals:
     def test_the_note_says_how_many_seeds_a_significant_line_takes(self):
         rows = [row(seed=s, error=0.2 + 0.01 * s) for s in range(5)] + [row("gp_mpc", seed=s) for s in range(5)]
         assert error_table(rows).notes[1] == (
-            "5 seeds cannot show p < 0.05 in a line, over 1 comparison: at least 6 are needed"
+            "5 seeds cannot show p < 0.05, so that nothing is bold, * or called best: at least 6 are needed"
         )

@@ -1,6 +1,7 @@
 """The question and its answer, made from the numbers: who flew, what is gained, who is best, and real time.
 
-The sentences on errors are those below the tables (winner.Verdict, statistics.Statistic), of the main world. A gain is
+The sentences on errors are those below the tables (winner.Verdict, statistics.Statistic), of every plant and vehicle;
+what a gain is in the single conditions stands with it, and what was flown and takes no part is counted. A gain is
 credited to knowing the aerodynamics only between controllers that differ in nothing else (source.AIR).
 """
 
@@ -10,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from quadexp.report.page.source import Comparison
-from quadexp.report.pairing import grouped
+from quadexp.report.pairing import World, grouped
 from quadexp.report.tables import TITLES
 from quadexp.report.text import count, duration, listed, number, percent, shown, typeset
 
@@ -49,8 +50,9 @@ def answer(comparison: Comparison) -> Answer:
 
 
 def _flown(comparison: Comparison) -> str:
-    """How many flights each controller completed."""
-    counts = {label: comparison.success(label) for label in comparison.order}
+    """How many flights each controller completed, wherever it flew."""
+    counts = {comparison.labels[who]: n for who, n in comparison.groups.flights(comparison.conditions).items()}
+    counts = {label: counts[label] for label in comparison.look}
     trials = sum(flights.trials for flights in counts.values())
     if all(flights.ended == flights.trials for flights in counts.values()):
         return f"All {trials} flights were completed." if trials > 1 else "The flight was completed." if trials else ""
@@ -72,17 +74,47 @@ def _gain(comparison: Comparison) -> str:
         why = "No two of them completed the same flight" if flew else "No flight was completed"
         return f"{why}, so there is no error to compare."
     each = listed([f"{label} {number(error)} {unit}" for label, error in list(errors.items())[:MOST_COUNTS]])
-    sentences = [_capital(f"{metric}: {each}."), _capital(f"{text}." if (text := verdict.text()) else "")]
-    pooled = comparison.overall.get(comparison.rival)
-    if pooled is not None and pooled.pairs:
-        credit = "Knowing the aerodynamics: " if comparison.of_the_air else ""
-        sentences.append(f"{credit}{pooled.text()}.")
-    if verdict.bound and math.isfinite(verdict.bound_ratio[0]):
-        ratio, low, high, p = verdict.bound_ratio
+    where = f" in {_world(comparison.world)}" if len(comparison.worlds) > 1 else ""
+    sentences = [_capital(f"{metric}{where}: {each}."), *_verdicts(comparison), _against(comparison)]
+    if verdict.of_bound is not None and math.isfinite(verdict.of_bound.ratio.value):
+        ratio, low, high = verdict.of_bound.ratio
         limits = f" [{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
-        alike = "" if p < 1 - comparison.confidence else ", so they are not distinguishable"
+        alike = ", so they are not distinguishable" if verdict.of_bound.testable and not verdict.of_bound.apart else ""
         sentences.append(f"The error of {verdict.least} is {ratio:.3g} times{limits} that of {verdict.bound}{alike}.")
     return " ".join(filter(None, sentences))
+
+
+def _verdicts(comparison: Comparison) -> list[str]:
+    """Who has the least error in each plant and vehicle."""
+    texts = [_capital(f"{text}.") for verdict in comparison.verdicts.values() if (text := verdict.text())]
+    hidden = len(texts) - MOST_COUNTS
+    return [*texts[:MOST_COUNTS], f"{hidden} more of this kind are below the tables."] if hidden > 1 else texts
+
+
+def _against(comparison: Comparison) -> str:
+    """The gain of whom the answer compares with the baseline, in each plant and vehicle, the largest first where there
+    are many; and the flights that are not in it."""
+    found = {world: of[comparison.rival] for world, of in comparison.by_world.items() if comparison.rival in of}
+    texts = {world: s for world, s in found.items() if s.pairs}
+    if not texts:
+        return ""
+    credit = "Knowing the aerodynamics: " if comparison.of_the_air else ""
+    if len(comparison.worlds) == 1:
+        return f"{credit}{texts[comparison.world].text()}."
+    shown = sorted(texts, key=lambda world: -texts[world].reduction)
+    hidden = shown[MOST_COUNTS - 1 : -1] if len(shown) > MOST_COUNTS else []
+    parts = [f"in {_world(world)}, {texts[world].text()}" for world in shown if world not in hidden]
+    if hidden:
+        parts.insert(-1, f"between these in {len(hidden)} more worlds")
+    missing = [world for world in comparison.worlds if world not in texts]
+    flights = sum((row["plant"], row["vehicle"]) in missing for row in comparison.rows)
+    names = listed([_world(world) for world in missing[:MOST_COUNTS]])
+    left_out = f" Not in it: {count(flights, 'flight')} in {names}, where they have no pair." if missing else ""
+    return f"{_capital(credit + '; '.join(parts))}.{left_out}"
+
+
+def _world(world: World) -> str:
+    return " ".join(world)
 
 
 def _in_time(comparison: Comparison) -> str:
@@ -113,16 +145,19 @@ def _sure(comparison: Comparison) -> str:
     seeds = count(pooled.units, "seed")
     if not pooled.testable:
         return f"How sure: not at all yet. {seeds} cannot tell chance from a difference: fly more seeds."
+    where = f" in {_world(comparison.world)}" if len(comparison.worlds) > 1 else ""
+    unsure = [_world(w) for w, of in comparison.by_world.items() if rival in of and not of[rival].significant]
+    others = f" It is not sure in {listed(unsure)}." if where and pooled.significant and unsure else ""
     chance = (
         f"If {rival} and {base} were equally good, chance alone would make a difference like this one"
-        f" {odds(pooled.p_holm)} (in {seeds}, both with the same noise)."
+        f" {odds(pooled.p_holm)} (in {seeds}{where}, both with the same noise)."
     )
     if not pooled.significant:
         return f"How sure: not sure. {chance}"
     ends = [percent(abs(end))[0] for end in sorted((pooled.reduction_low, pooled.reduction_high), key=abs)]
-    where = f"lie between {ends[0]} and {ends[1]}" if ends[0] != ends[1] else f"again be {ends[0]}"
-    again = f"With other seeds the difference would {where}, {comparison.confidence:.0%} of the time."
-    return f"How sure: {'very' if pooled.p_holm < VERY_SURE else 'fairly'}. {chance} {again}"
+    limits = f"lie between {ends[0]} and {ends[1]}" if ends[0] != ends[1] else f"again be {ends[0]}"
+    again = f"With other seeds the difference would {limits}, {comparison.confidence:.0%} of the time."
+    return f"How sure: {'very' if pooled.p_holm < VERY_SURE else 'fairly'}. {chance} {again}{others}"
 
 
 def odds(p: float) -> str:
@@ -145,14 +180,17 @@ def _note(comparison: Comparison) -> str:
     parts = [
         f"Geometric means over {over}; {comparison.confidence:.0%} intervals, p by a paired permutation test (Holm)."
     ]
-    parts += ["Other plants and vehicles are in the tables."] if len(comparison.worlds) > 1 else []
+    if others := len(comparison.rows) - len(comparison.main_rows):
+        worlds = [_world(world) for world in comparison.by_world][1:]
+        named = listed(worlds if len(worlds) <= MOST_COUNTS else [*worlds[:MOST_COUNTS], "others"])
+        parts.append(f"Not in these means, and in their own sentences: {count(others, 'flight')} in {named}.")
     alone = [label for label in comparison.order if label not in verdict.compared]
     if alone and verdict.common:
         parts.append(f"Not compared, because they completed too few flights: {listed(alone)}.")
-    bad = [row["outcome"].replace("_", " ") for row in comparison.main_rows if row["outcome"] != "ok"]
+    bad = [row["outcome"].replace("_", " ") for row in comparison.rows if row["outcome"] != "ok"]
     if bad:
         kinds = listed(list(dict.fromkeys(bad)))
-        parts.append(f"{len(bad)} of {len(comparison.main_rows)} flights were not completed ({kinds}).")
+        parts.append(f"{len(bad)} of {len(comparison.rows)} flights were not completed ({kinds}).")
     return " ".join(parts)
 
 

@@ -20,7 +20,8 @@ from quadexp.report.document import Block, Cell, Section
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.source import TABLED, Comparison, Record
-from quadexp.report.pairing import Condition, condition_of, grouped
+from quadexp.report.pairing import Condition, Groups, condition_of, grouped
+from quadexp.report.significance import Tests
 from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
@@ -34,11 +35,11 @@ MOST_VALUES = 12  # of a setting
 ENDS = ("failed", "solver_failed", "lost", "left_corridor", "infeasible", "ok")  # the worst first
 
 METHODS = (
-    "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds."
-    " Differences are taken seed by seed (the same noise for all), over several conditions as the mean of"
-    " a seed; p-values come from a paired permutation test of the seeds, corrected by Holm over all comparisons."
-    " Ratios over several conditions are geometric means, every condition with the same weight; their interval is for"
-    " new seeds, not for new trajectories. Lost flights are counted."
+    "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds,"
+    " for other seeds, and decide nothing. Differences are taken seed by seed (the same noise for both), on the flights"
+    " that both completed, over several conditions as the mean of a seed. One test decides who is told apart, in every"
+    " line and sentence: {} Ratios over several conditions are geometric means, every condition with the same weight;"
+    " their interval is for new seeds, not for new trajectories. Lost flights are counted."
 )
 
 
@@ -83,8 +84,8 @@ def numbers(comparison: Comparison) -> Section:
     blocks = [_number_block(comparison, metric) for metric in metrics if comparison.statistics.of(metric)]
     lead = (
         f"Means over the flights of a line that all compared controllers completed, with {comparison.confidence:.0%}"
-        " intervals in brackets; bold: the best of a line, if it differs significantly from all others and nobody"
-        " completed more. Beside them: the mean over all own completed flights (own), and the number of lost flights."
+        " intervals in brackets. Beside them: the mean over all own completed flights (own), and the number of lost"
+        " flights."
     )
     return Section("tables", "Numbers", "Numbers", lead, blocks)
 
@@ -101,7 +102,8 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     tables: dict[str, Table] = {metric: replace(table, columns=heads, rows=table.rows[1:], notes=())}
     if (differences := comparison_table(statistics)) is not None:
         tables[f"{metric}-differences"] = differences
-    return Block(TITLES[metric], metric, tables=tables, notes=table_notes(statistics, ()))
+    tests = Tests(Groups(comparison.rows, comparison.baseline, (metric,)), 0, comparison.confidence)
+    return Block(TITLES[metric], metric, tables=tables, notes=table_notes(statistics, tests))
 
 
 def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, Any]]:
@@ -176,7 +178,8 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     if rows := settings(flights):
         tables = {"settings": Table(["setting", "value"], rows)}
         blocks.append(Block("Settings of the flights, those that differ first", tables=tables, folded=True))
-    blocks.append(Block("Statistical methods", lead=METHODS.format(f"{comparison.confidence:.0%}"), folded=True))
+    test = " ".join(f"{note}." for note in comparison.tests.notes)
+    blocks.append(Block("Statistical methods", lead=METHODS.format(f"{comparison.confidence:.0%}", test), folded=True))
     lead = "Data, versions and commands that make every figure again."
     return Section("provenance", "Provenance", "Provenance", lead, blocks)
 

@@ -38,7 +38,8 @@ from quadexp.report.pairing import (
     is_bound,
     is_invalid,
 )  # fmt: skip
-from quadexp.report.statistics import CONFIDENCE, Statistic, Statistics, overall, results_statistics
+from quadexp.report.significance import Tests
+from quadexp.report.statistics import CONFIDENCE, Statistic, Statistics, pooled, results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdict
@@ -57,7 +58,8 @@ BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
 class Comparison:
     """Results with their statistics. metric: the main one. baseline: a controller's name. notes: on the rows.
 
-    Answer, scoreboard and ranking are of one plant and vehicle, the main `world`. A label is a contestant's name.
+    Scoreboard and ranking are of one plant and vehicle, the main `world`; the answer is of each. A label is a
+    contestant's name.
     """
 
     root: Path
@@ -115,21 +117,38 @@ class Comparison:
         """The rows of the main world."""
         return [row for row in self.rows if (row["plant"], row["vehicle"]) == self.world]
 
-    @cached_property
+    @property
     def overall(self) -> dict[str, Statistic]:
         """Label -> comparison with the baseline over all conditions of the main world."""
-        options: Any = {"metric": self.metric, "baseline": self.baseline, "confidence": self.confidence}
-        return {self.labels[s.contestant]: s for s in overall(self.main_rows, **options)}
+        return self.by_world[self.world]
+
+    @cached_property
+    def by_world(self) -> dict[World, dict[str, Statistic]]:
+        """Plant and vehicle -> label -> comparison with the baseline over all conditions there; the main one first."""
+        worlds = dict.fromkeys((self.world, *self.worlds))
+        return {
+            world: {s.label: s for s in pooled(self.tests, self.groups.worlds[world], self.metric)} for world in worlds
+        }
 
     @cached_property
     def groups(self) -> Groups:
-        """The flights of the main world, with the main metric."""
-        return Groups(self.main_rows, self.baseline, (self.metric,), self.labels)
+        """All flights, with the main metric."""
+        return Groups(self.rows, self.baseline, (self.metric,), self.labels)
 
     @cached_property
+    def tests(self) -> Tests:
+        """Of the main metric, as below the tables."""
+        return Tests(self.groups, 0, self.confidence)
+
+    @cached_property
+    def verdicts(self) -> dict[World, Verdict]:
+        """Plant and vehicle -> who has the least error there."""
+        return {world: verdict(self.tests, self.groups.worlds[world]) for world in self.by_world}
+
+    @property
     def verdict(self) -> Verdict:
         """Who has the least error in the main world."""
-        return verdict(self.groups, self.groups.worlds[self.world], self.confidence)
+        return self.verdicts[self.world]
 
     def geometric_mean(self, label: str, *, own: bool = False) -> float:
         """Over the conditions, of the mean errors over the common flights, SI; NaN for a label that is not compared.
@@ -143,7 +162,9 @@ class Comparison:
         means: dict[tuple[str, bool], list[float]] = {(x, own): [] for x in self.contestants for own in (False, True)}
         among = self.groups.common(self.groups.worlds[self.world])
         for (condition, contestant), flights in self.groups.cells.items():
-            completed = {f.seed for f in flights if f.outcome == "ok"}
+            if condition.world != self.world:
+                continue
+            completed = {f.seed for f in flights if f.complete}
             common = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset()
             for own, seeds in ((False, completed & common), (True, completed)):
                 values = self.groups.values(condition, contestant, 0, seeds)

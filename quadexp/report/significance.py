@@ -1,0 +1,225 @@
+"""Who is told apart from whom: the one test behind every mark, p-value, "best" and "cannot tell" of a table.
+
+    d_ci       ln of the error of one contestant over that of another, in condition c at seed i, of the flights that
+               this pair completed, whoever else did
+    statement  on a pair: in a line (one condition), over the lines of a plant and vehicle, or over all lines
+    d_i        mean of d_ci over the conditions of a statement, whole (pairing.py)
+    p          of the d_i by sign flips; joint over all statements on the pair (inference.sign_flips)
+    p_holm     of a pair with the baseline, by Holm over these m pairs; of any other pair n joint, n = max(m, k - 1)
+               for k contestants
+
+A pair is told apart in a statement where p_holm < alpha. The family are all statements that a table of one metric can
+make: that some contestant differs from the baseline, in any line or over all of them, is said falsely with a
+probability of alpha at most. So is that one is the best of k (winner.py), which is looked for after the fact: one of k
+must beat an equal or better one, and there are k that can, with a probability of alpha / (2 n) each. That bound is for
+lines led by the same equals, or by at most n different pairs of equals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from quadexp.report.inference import Ratio, holm, least_seeds, log_ratio, sign_flips, vary
+from quadexp.report.pairing import Condition, Contestant, Groups, grouped, seed_means, whole
+from quadexp.report.text import count, speed_text, too_few
+
+Statement = tuple[Condition, ...]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One contestant against another in a statement.
+
+    seeds, logs: d_i, (n,). by_condition: ratio of their errors in each. flights: pairs behind it. causes: of those that
+    are left out. p, joint, p_holm: see the module. comparisons: in view of how many p_holm is, times `least` is the
+    least that it could have been.
+    """
+
+    seeds: np.ndarray
+    logs: np.ndarray
+    by_condition: Mapping[Condition, float]
+    flights: int
+    causes: Mapping[str, int]
+    confidence: float
+    p: float = math.nan
+    joint: float = math.nan
+    least: float = math.nan
+    p_holm: float = math.nan
+    comparisons: int = 0
+
+    @cached_property
+    def ratio(self) -> Ratio:
+        """Of their errors."""
+        return log_ratio(self.logs, self.confidence)
+
+    @property
+    def varies(self) -> bool:
+        """Whether a seed changes anything."""
+        return vary(self.logs)
+
+    @property
+    def apart(self) -> bool:
+        return self.p_holm < 1 - self.confidence  # False for NaN
+
+    @property
+    def testable(self) -> bool:
+        """Whether so many seeds can tell two apart."""
+        return self.apart or self.comparisons * self.least < 1 - self.confidence  # False for NaN
+
+
+class Tests:
+    """The test of every pair of contestants of a table, by one metric. place: of the metric in the groups."""
+
+    def __init__(self, groups: Groups, place: int = 0, confidence: float = 0.95) -> None:
+        self.groups, self.confidence, self._place = groups, confidence, place
+        kinds = (
+            [(condition,) for condition in groups.conditions],
+            [tuple(conditions) for conditions in groups.worlds.values()],
+            [tuple(groups.conditions)],
+        )
+        self._kinds: dict[Statement, int] = {}
+        for kind, statements in enumerate(kinds):
+            for statement in statements:
+                self._kinds.setdefault(statement, kind)
+        self._pairs: dict[tuple[Contestant, Contestant], dict[Statement, Difference]] = {}
+
+    def difference(self, one: Contestant, other: Contestant, conditions: Iterable[Condition]) -> Difference:
+        """Of one against other in these conditions: a line, all of a plant and vehicle, or all."""
+        statement = tuple(conditions)
+        found = self._pair(one, other)[statement]
+        if (pair := frozenset((one, other))) in self._corrected:
+            times, p_holm = len(self._corrected), self._corrected[pair][statement]
+        else:
+            times, p_holm = self._times, min(1.0, self._times * found.joint)
+        return replace(found, p_holm=p_holm, comparisons=times * found.comparisons)
+
+    @cached_property
+    def notes(self) -> list[str]:
+        """What bold, *, p and "best" mean in a table, in plain words; or how many seeds it takes to say so."""
+        conditions = self.groups.conditions.values()
+        seeds = max((len(by_seed) for flown in conditions for by_seed in flown.values()), default=0)
+        if len(self._flew) < 2:
+            return []
+        whole, line = (least_seeds(self._times * n, self.confidence) for n in (1, len(conditions)))
+        if seeds < whole or not self._vary:
+            single = f", {line} in a single line" if seeds < whole < line else ""
+            return [too_few(seeds, whole, self.confidence, ", so that nothing is bold, * or called best") + single]
+        text = (
+            f"bold: the least of its line, told apart from every other there (p < {1 - self.confidence:.2g}), by a"
+            f" controller that completed no fewer flights; best: the same over all lines;{self._star} p: of all ways to"
+            " exchange the errors of two controllers, seed by seed, on the flights that both completed, the share in"
+            f" which they differ as clearly as flown, in view of all lines and of {count(self._times, 'pair')} (Holm)"
+        )
+        few = [f"{count(seeds, 'seed')}: nothing is bold or *, which takes {line} in a single line"]
+        return [text, *(few if seeds < line else [])]
+
+    @property
+    def _star(self) -> str:
+        baselines = dict.fromkeys(self.groups.baseline(who) for who in self.groups.contestants)
+        names = [self.groups.labels[who].partition(" ")[0] for who in baselines if who is not None]
+        return f" *: told apart from {names[0]};" if names else ""
+
+    @property
+    def _vary(self) -> bool:
+        """Whether seeds change anything for the first who flew against any other."""
+        first, *others = self._flew
+        return any(of.varies for who in others for of in self._pair(who, first).values())
+
+    @cached_property
+    def _flew(self) -> list[Contestant]:
+        """The contestants that completed a flight."""
+        flew = (who for (_, who), cell in self.groups.cells.items() if any(flown.complete for flown in cell))
+        return list(dict.fromkeys(flew))
+
+    @property
+    def _times(self) -> int:
+        """For how many pairs a p is corrected, of a pair without the baseline."""
+        return max(len(self._corrected), len(self._flew) - 1)
+
+    @cached_property
+    def _corrected(self) -> dict[frozenset[Contestant], dict[Statement, float]]:
+        """The p_holm of every pair with the baseline that can be tested."""
+        pairs = [(who, rival) for who in self.groups.contestants if (rival := self.groups.baseline(who)) is not None]
+        tested = [pair for pair in pairs if not all(math.isnan(of.p) for of in self._pair(*pair).values())]
+        joint = np.array([[of.joint for of in self._pair(*pair).values()] for pair in tested])
+        corrected = holm(joint).tolist()
+        return {
+            frozenset(pair): dict(zip(self._kinds, p, strict=True)) for pair, p in zip(tested, corrected, strict=True)
+        }
+
+    def _pair(self, one: Contestant, other: Contestant) -> dict[Statement, Difference]:
+        """Every statement, without p_holm; comparisons: how many there are of its kind."""
+        if (one, other) in self._pairs:
+            return self._pairs[one, other]
+        logs: dict[Condition, dict[int, float]] = {}
+        causes: dict[Condition, Counter[str]] = {}
+        for condition, flown in self.groups.conditions.items():
+            if one in flown or other in flown:
+                logs[condition], causes[condition] = self._logs(condition, one, other)
+        of_pair = {statement: self._difference(statement, logs, causes) for statement in self._kinds}
+        seeds = sorted({int(seed) for of in of_pair.values() for seed in of.seeds})
+        table = np.full((len(of_pair), len(seeds)), math.nan)
+        for line, of in zip(table, of_pair.values(), strict=True):
+            if of.varies:
+                line[np.searchsorted(seeds, of.seeds)] = of.logs
+        tested = Counter(self._kinds[statement] for statement, of in of_pair.items() if of.varies)
+        counts = [tested[kind] or 1 for kind in self._kinds.values()]
+        for (statement, of), n, *tests in zip(of_pair.items(), counts, *sign_flips(table, counts), strict=True):
+            p, joint, least = map(float, tests)
+            of_pair[statement] = replace(of, p=p, joint=joint, least=least / n, comparisons=n)
+        self._pairs[one, other] = of_pair
+        return of_pair
+
+    def _logs(self, condition: Condition, one: Contestant, other: Contestant) -> tuple[dict[int, float], Counter[str]]:
+        """Seed -> d_ci, and the number of other seeds by cause."""
+        pairs, causes = self.groups.pairs(condition, one, other)
+        logs = {}
+        for mine, its in pairs:
+            own, rival = mine.values[self._place], its.values[self._place]
+            if 0 < own < math.inf and 0 < rival < math.inf:
+                logs[mine.seed] = math.log(own / rival)
+            else:
+                causes["without an error above zero"] += 1
+        return logs, causes
+
+    def _difference(
+        self,
+        statement: Statement,
+        of: Mapping[Condition, Mapping[int, float]],
+        causes: Mapping[Condition, Mapping[str, int]],
+    ) -> Difference:
+        flights = {(at, seed): log for at in statement for seed, log in of.get(at, {}).items()}
+        kept = whole(flights) if flights else frozenset()
+        logs = seed_means(flights)
+        left_out = Counter[str]()
+        for at in statement:
+            left_out.update(causes.get(at, {}))
+        if len(kept) < len(flights):
+            left_out["not in every condition"] += len(flights) - len(kept)
+        each = grouped((at, flights[at, seed]) for at, seed in kept)
+        return Difference(
+            seeds=np.array(sorted({seed for _, seed in kept}), int),
+            logs=logs,
+            by_condition={at: math.exp(float(np.mean(several))) for at, several in each.items()},
+            flights=len(kept),
+            causes=left_out,
+            confidence=self.confidence,
+        )
+
+
+def place_texts(conditions: Collection[Condition]) -> dict[Condition, str]:
+    """Such as "circle 8 m/s wind.velocity=4", with plant and vehicle where there are several."""
+    worlds = {condition.world for condition in conditions}
+    plants, vehicles = ({world[place] for world in worlds} for place in (0, 1))
+    texts = {}
+    for at in conditions:
+        parts = [at.trajectory, speed_text(at.speed), at.setting]
+        parts += [at.plant] * (len(plants) > 1) + [at.vehicle] * (len(vehicles) > 1)
+        texts[at] = " ".join(filter(None, parts))
+    return texts
