@@ -162,7 +162,7 @@ def varied(cells: Sequence[Cell]) -> list[str]:
             values.setdefault(key, set()).add(canonical_text(read_value(text)))
     keys = [key for key, several in values.items() if len(several) > 1]
     for groups, columns in SCOPES:
-        different = {}
+        different: dict[tuple[Any, ...], Cell] = {}
         for cell in cells:
             if not cell.invalid:
                 different.setdefault((columns(cell.config), settings.identity(cell, groups)), cell)

@@ -8,7 +8,8 @@ Keys are chosen by what was swept where nobody says:
 
 A place is one value of every key that the figure shows (x, lines, panels). Its mean is over the common flights, by the
 one rule of every table (pairing.py): places that differ in keys of the controller stand beside each other, and are over
-the flights that all of them completed. Settings that the figure does not show are averaged, seed by seed:
+the flights that all of them completed. The settings of who flies are never averaged: they have lines or panels.
+Settings of the world that the figure does not show are averaged, seed by seed:
 
     mean      over the seeds, of the mean over the other settings of that seed
     interval  of the mean over the seeds, as in tables (inference.mean_interval); of a share, where each flight has a

@@ -36,7 +36,8 @@ HISTORY = "history.parquet"
 @dataclass(frozen=True)
 class Tuned:
     """trials: all, the first one as it was. best: place of the best. choice: overrides that choose what was found.
-    flown: what flies it, in any folder. option: its file. record: for --json. lines: what is printed. axes: what was varied."""
+    flown: what flies it, in any folder. option: its file. record: for --json. lines: what is printed. axes: what was
+    varied."""
 
     trials: Sequence[Trial]
     best: int
