@@ -39,6 +39,7 @@ SHORT = 12  # hex digits of a hash that people read
 SETTLED = 2_000_000_000  # ns after a change within which another one may leave the same times: the coarsest disks
 LARGEST = 32_000_000  # bytes of a package whose content is compared; of a larger one the version is
 _IMPORT = re.compile(rb"""import(?:\b[ \t]*(\([^)]*\)|[^\n;]*)|(?:_module|__)\(\s*["']([.\w]+)["'])""")
+_TEXT = re.compile(rb"[\"']([^\"'\n]{1,255})[\"']")
 _COMMENT = re.compile(rb"#[^\n]*")
 
 
@@ -114,6 +115,21 @@ def _absolute(name: str, package: str) -> str:
         return name
     parts = package.split(".")
     return ".".join([*parts[: len(parts) + 1 - dots], *filter(None, [rest])])
+
+
+def named_files(path: Path) -> dict[str, Path]:
+    """Files, by their names, that strings in a Python file name, beside it or where this process stands; and folders of
+    data beside it: those without modules and options."""
+    named = {}
+    for text in {text.decode(errors="replace") for text in _TEXT.findall(path.read_bytes())}:
+        beside = os.path.join(path.parent, text)
+        for name, place in ((text, beside), (f"./{text}", text)):
+            if os.path.isfile(place) and not place.endswith(".py"):
+                named[name] = Path(place)
+        if os.path.isdir(beside) and path.parent in Path(os.path.normpath(beside)).parents:
+            suffixes = {file.suffix for file in folder_files(Path(beside))}
+            named |= {} if suffixes & {".py", ".yaml"} else {text: Path(beside)}
+    return named
 
 
 def follow(names: Iterable[str], locate: Callable[[str], Path | None]) -> tuple[dict[str, Path], set[str]]:
@@ -202,15 +218,18 @@ def identity() -> dict[str, str]:
 
 # ------------------------------------------------------------------------------------------------------ other packages
 def numeric_versions(packages: Iterable[str]) -> dict[str, str]:
-    """Versions of those among some packages, by import name, that every row names."""
+    """Versions of those among some packages, by import name, that can change a number."""
     names = {MODULES.get(package, package): package for package in PACKAGES}
-    return {names[name]: versions().get(names[name], "") for name in packages if name in names}
+    return {name: versions().get(names[name], "") for name in packages if name in names}
 
 
 def package_identity(name: str) -> str:
     """Hash of the content of an installed package or module; the version of a large one, "" where there is none. It is
     not imported."""
-    spec = importlib.util.find_spec(name)
+    try:
+        spec = importlib.util.find_spec(name)
+    except ValueError:  # of a module that was made without one
+        return ""
     places = spec.submodule_search_locations or [spec.origin] if spec else []
     hashes, size = [], 0
     for place in (Path(place) for place in places if place):

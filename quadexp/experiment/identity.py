@@ -1,27 +1,56 @@
-"""What decides a flight: its settings, their hash, its noise, and the content of every file that it reads."""
+"""What decides a flight, in one place: `flight_identity`.
+
+    settings   the recorded ones of every part, the seed                                  `record`
+    content    of every file that is read: checkpoints, wind, paths, whatever a user's part names       `inputs`
+    code       a user's classes and all modules behind them; packages that not every flight imports     `inputs`
+    program    the sources of this package behind this flight, and the libraries that they import       `program`
+
+The first three make the key of a cell (sweeps/plan.py). A cell of another program is told apart when it is recalled, so
+that its user can keep it. What is kept within a process, and what a worker compares with the driver, is told by the
+same (`part_identity`).
+"""
 
 from __future__ import annotations
 
 import hashlib
-import inspect
+import itertools
 import json
-from collections.abc import Iterable
+import os
+import platform
+import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.models.base import model_class
-from quadexp.parts.part import TARGET, imported
-from quadexp.parts.schema import WORLD, Config, remedies, world_parts
+from quadexp.parts.part import TARGET, Part, imported
+from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
+from quadexp.parts.user_modules import OWN, modules_of
 from quadexp.physics.vehicle import FORMER_NAMES
+from quadexp.provenance import (
+    FLYING,
+    content_hash,
+    files_hash,
+    folder_files,
+    named_files,
+    numeric_versions,
+    package_folder,
+    package_identity,
+    program_of,
+    shipped_modules,
+    sources,
+)
 
 # Groups that determine one flight, together with the world, the remedies, model and seed.
 FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
 # Keys that plants of some kinds had, and the values that flights of today stand for: hashes and noise stay.
 FORMER_KEYS = {"simplified": {"payload": 0.0}, "blade_element": {"payload": 0.0}}
 MODEL_FILE = "model.json"
+_CLASSES = itertools.count()
 MAKER = "quadexp identify FLIGHT... --out models/NAME"  # of a model that is flown as the truth
 
 
@@ -35,13 +64,15 @@ def digest(value: Any) -> str:
     return hashlib.sha256(canonical(value).encode()).hexdigest()[:20]
 
 
+def flying_parts(config: Config) -> dict[str, Part]:
+    """The parts that determine one flight, by group; those of the world and remedies that do nothing are left out."""
+    return {group: getattr(config, group) for group in FLIGHT_GROUPS} | world_parts(config) | remedies(config)
+
+
 def flight_record(config: Config) -> dict[str, Any]:
-    """The part of a configuration that determines one flight, as a dictionary; parts of the world and remedies
-    that do nothing are left out."""
-    nodes = {group: getattr(config, group).recorded() for group in FLIGHT_GROUPS}
+    """The part of a configuration that determines one flight, as a dictionary."""
+    nodes = {group: part.recorded() for group, part in flying_parts(config).items()}
     nodes["plant"] |= FORMER_KEYS.get(nodes["plant"].get("kind", ""), {})
-    nodes |= {group: part.recorded() for group, part in world_parts(config).items() if group not in nodes}
-    nodes |= {group: part.recorded() for group, part in remedies(config).items()}
     return {**nodes, "model": config.model, "seed": config.seed}
 
 
@@ -136,12 +167,7 @@ def unused_model(configs: Iterable[Config]) -> str:
     return f"{names} {verb}: model={next(iter(without.values()))} is not used"
 
 
-# ----------------------------------------------------------------------------------------------------- files it reads
-def content_hash(path: str | Path) -> str:
-    """sha256 of a file."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
+# ------------------------------------------------------------------------------------------- files, code and packages
 def model_hash(path: str) -> str:
     """Content hash of a checkpoint that is taken as the truth; UsageError where there is none."""
     file = Path(path) / MODEL_FILE
@@ -150,34 +176,132 @@ def model_hash(path: str) -> str:
     return content_hash(file)
 
 
-def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
-    """Content hash of every file that a flight reads."""
-    hashes = {"model": model.sha256} if model else {}
-    hashes |= source_hashes(config)
-    if hasattr(config.plant, "model"):
-        hashes["plant"] = model_hash(config.plant.model)
-    for group, path in input_files(config).items():
-        if not Path(path).is_file():
-            raise UsageError(f"{group}.path={path}: no such file")
-        hashes[group] = content_hash(path)
-    return hashes
+class Decides(NamedTuple):
+    """What decides a part besides its settings. inputs: hashes by name. modules: of this package, that it is made of.
+    packages: others that a user's modules import."""
+
+    inputs: dict[str, str]
+    modules: frozenset[str]
+    packages: frozenset[str] = frozenset()
 
 
-def input_files(config: Config) -> dict[str, str]:
-    """Files besides checkpoints that a flight reads, by the group whose key `path` names them."""
-    named = {group: getattr(getattr(config, group), "path", None) for group in ("trajectory", *WORLD)}
-    return {group: path for group, path in named.items() if path is not None}
+def decides(group: str, part: Part) -> Decides:
+    """The files that a part reads, and of a user's own part its class, all of the user's modules behind it, the files
+    that these or its settings name, and the packages that they import.
+
+    Raises UsageError where a file is missing.
+    """
+    inputs = {}
+    if hasattr(part, "path"):
+        if not Path(part.path).is_file():
+            raise UsageError(f"{group}.path={part.path}: no such file")
+        inputs[group] = content_hash(part.path)
+    if part.shipped:
+        if group == "plant" and hasattr(part, "model"):
+            inputs[group] = model_hash(part.model)
+        return Decides(inputs, frozenset({type(part).__module__}))
+    if hasattr(part, TARGET):
+        imported(group, getattr(part, TARGET))
+    target = getattr(part, TARGET, f"{type(part).__module__}.{type(part).__qualname__}")
+    inputs[f"{group} class"] = target
+    behind = {kind.__module__: kind for kind in type(part).__mro__} | {target.rpartition(".")[0]: type(part)}
+    modules, elsewhere, files = modules_of(behind)
+    inputs |= {f"{group} module {name}": content for name, content in modules.items()}
+    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {OWN}
+    for name in behind.keys() & elsewhere:
+        if name.partition(".")[0] in tops:
+            inputs[f"{group} module {name}"] = _outside(behind[name])
+    named = {text: place for path in files.values() for text, place in named_files(path).items()}
+    settings = {key: value for key, value in part.recorded().items() if key != "name"}
+    named |= {text: Path(text) for text in _texts(settings) if _is_data(text)}
+    inputs |= {f"{group} file {text}": _content(place) for text, place in named.items()}
+    shipped = frozenset(name for name in elsewhere if name.startswith(f"{OWN}."))
+    return Decides(inputs, shipped, frozenset(tops - {name.partition(".")[0] for name in behind}))
 
 
-def source_hashes(config: Config) -> dict[str, str]:
-    """sha256 of the file of every part that is a user's own, by "<group> source": one that was edited is flown anew."""
-    hashes = {}
-    for group in ("plant", "trajectory", "controller", *WORLD, *remedies(config)):
-        part = getattr(config, group)
-        named = getattr(part, TARGET, None)
-        if part.shipped:
-            continue
-        module = inspect.getmodule(type(part) if named is None else imported(group, named))
-        file = getattr(module, "__file__", None)
-        hashes[f"{group} source"] = content_hash(file) if file else ""
-    return hashes
+def part_identity(group: str, part: Part) -> list[Any]:
+    """What decides a part, as plain data."""
+    return [part.recorded(), decides(group, part).inputs]
+
+
+@cache
+def _outside(kind: type) -> str:
+    """Of a class that lies in none of the user's folders: the content of its file, or a number that is its own."""
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    return content_hash(file) if file else f"class {next(_CLASSES)}"
+
+
+def _is_data(text: str) -> bool:
+    """Whether a text names a file, or a folder that this process does not stand in."""
+    return os.path.isfile(text) or (os.path.isdir(text) and not Path.cwd().is_relative_to(Path(text).resolve()))
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in plain data."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, (list, tuple, dict)):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _texts(item)
+
+
+def _content(path: Path) -> str:
+    return files_hash(folder_files(path), path) if path.is_dir() else content_hash(path)
+
+
+# ------------------------------------------------------------------------------------------------------------- a flight
+@dataclass(frozen=True)
+class FlightIdentity:
+    """What decides a flight; see the module. model: the checkpoint of its controller."""
+
+    record: dict[str, Any]
+    model: ModelFile | None
+    inputs: dict[str, str]
+    program: str
+
+    @property
+    def code(self) -> str:
+        """What a row says of its program: `program`, bound to the sources that it names."""
+        return digest([sources(), self.program])
+
+
+def flight_identity(
+    config: Config, model: ModelFile | None = None, known: dict[Any, Any] | None = None
+) -> FlightIdentity:
+    """What decides a flight, as files are now. model: the checkpoint; None: found by the configuration. known: what was
+    found of parts of other flights of the same plan.
+
+    Raises UsageError where a file that it needs does not exist.
+    """
+    known = {} if known is None else known
+    record, parts = flight_record(config), flying_parts(config)
+    place = id(config.controller), config.model
+    if model is None and place not in known:
+        known[place] = config.controller, find_model(config)
+    model = model or known[place][1]
+    if model is None:
+        record["model"] = None  # a checkpoint that is not used decides nothing
+    inputs = {"model": model.sha256} if model else {}
+    modules, packages = {FLYING}, set[str]()
+    if model or "model" in record["plant"]:
+        modules |= {name for name in shipped_modules(package_folder()) if name.startswith(f"{OWN}.models.")}
+    for group, part in parts.items():
+        if (group, id(part)) not in known:
+            known[group, id(part)] = part, decides(group, part)
+        of_part: Decides = known[group, id(part)][1]
+        inputs |= of_part.inputs
+        modules |= of_part.modules
+        packages |= of_part.packages
+    program, others = _program(frozenset(modules), frozenset(packages))
+    inputs |= {f"package {name}": package_identity(name) for name in others}
+    return FlightIdentity(record, model, inputs, program)
+
+
+@cache
+def _program(modules: frozenset[str], packages: frozenset[str]) -> tuple[str, frozenset[str]]:
+    """Hash of the sources of this package and of the libraries that some modules are made of; and the packages that not
+    every flight imports. packages: that a user's modules import."""
+    program, always = program_of(modules), program_of(frozenset({FLYING})).packages
+    libraries = numeric_versions(program.packages | packages)
+    others = (program.packages - always) | packages
+    return digest([program.sources, platform.python_version(), libraries]), others - numeric_versions(others).keys()

@@ -36,9 +36,10 @@ from typing import Any, NamedTuple
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
 from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name, refuse_former
-from quadexp.parts.part import TARGET, Part, part_class, plugin_folders
+from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
+from quadexp.parts.user_modules import plugin_folders
 
 SHEETS = "options"  # folder of the sheets, in a folder of configuration
 NOTHING = "nothing"  # the sheet of the options that do nothing, for each of which `none` stands
