@@ -18,7 +18,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -50,6 +50,7 @@ FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
 # Keys that plants of some kinds had, and the values that flights of today stand for: hashes and noise stay.
 FORMER_KEYS = {"simplified": {"payload": 0.0}, "blade_element": {"payload": 0.0}}
 MODEL_FILE = "model.json"
+FITTING = (f"{OWN}.experiment.collect", f"{OWN}.experiment.fit")  # make a model of flights
 _CLASSES = itertools.count()
 MAKER = "quadexp identify FLIGHT... --out models/NAME"  # of a model that is flown as the truth
 
@@ -69,9 +70,9 @@ def flying_parts(config: Config) -> dict[str, Part]:
     return {group: getattr(config, group) for group in FLIGHT_GROUPS} | world_parts(config) | remedies(config)
 
 
-def flight_record(config: Config) -> dict[str, Any]:
-    """The part of a configuration that determines one flight, as a dictionary."""
-    nodes = {group: part.recorded() for group, part in flying_parts(config).items()}
+def flight_record(config: Config, parts: Mapping[str, Part] | None = None) -> dict[str, Any]:
+    """The part of a configuration that determines one flight, as a dictionary. parts: see flying_parts."""
+    nodes = {group: part.recorded() for group, part in (parts or flying_parts(config)).items()}
     nodes["plant"] |= FORMER_KEYS.get(nodes["plant"].get("kind", ""), {})
     return {**nodes, "model": config.model, "seed": config.seed}
 
@@ -260,21 +261,27 @@ class FlightIdentity:
     program: str
 
     @property
+    def digest(self) -> str:
+        """Hash of all of it."""
+        return digest([self.record, self.inputs, self.program])
+
+    @property
     def code(self) -> str:
         """What a row says of its program: `program`, bound to the sources that it names."""
         return digest([sources(), self.program])
 
 
 def flight_identity(
-    config: Config, model: ModelFile | None = None, known: dict[Any, Any] | None = None
+    config: Config, model: ModelFile | None = None, known: dict[Any, Any] | None = None, *, fitted: bool = False
 ) -> FlightIdentity:
     """What decides a flight, as files are now. model: the checkpoint; None: found by the configuration. known: what was
-    found of parts of other flights of the same plan.
+    found of parts of other flights of the same plan. fitted: of a model that is fitted to such flights.
 
     Raises UsageError where a file that it needs does not exist.
     """
     known = {} if known is None else known
-    record, parts = flight_record(config), flying_parts(config)
+    parts = flying_parts(config)
+    record = flight_record(config, parts)
     place = id(config.controller), config.model
     if model is None and place not in known:
         known[place] = config.controller, find_model(config)
@@ -282,9 +289,7 @@ def flight_identity(
     if model is None:
         record["model"] = None  # a checkpoint that is not used decides nothing
     inputs = {"model": model.sha256} if model else {}
-    modules, packages = {FLYING}, set[str]()
-    if model or "model" in record["plant"]:
-        modules |= {name for name in shipped_modules(package_folder()) if name.startswith(f"{OWN}.models.")}
+    modules, packages = {FLYING, *(FITTING if fitted else ())}, set[str]()
     for group, part in parts.items():
         if (group, id(part)) not in known:
             known[group, id(part)] = part, decides(group, part)
@@ -292,16 +297,26 @@ def flight_identity(
         inputs |= of_part.inputs
         modules |= of_part.modules
         packages |= of_part.packages
-    program, others = _program(frozenset(modules), frozenset(packages))
-    inputs |= {f"package {name}": package_identity(name) for name in others}
+    models = {name for name in shipped_modules(package_folder()) if name.startswith(f"{OWN}.models.")}
+    modules |= models if fitted else set()  # one is imported by the kind that a checkpoint names
+    readers = models if model or "model" in record["plant"] else set[str]()
+    program, others = _program(frozenset(modules), frozenset(readers), frozenset(packages))
+    for name in others:
+        if name not in known:
+            known[name] = package_identity(name)
+        inputs[f"package {name}"] = known[name]
     return FlightIdentity(record, model, inputs, program)
 
 
 @cache
-def _program(modules: frozenset[str], packages: frozenset[str]) -> tuple[str, frozenset[str]]:
+def _program(
+    modules: frozenset[str], readers: frozenset[str], packages: frozenset[str]
+) -> tuple[str, frozenset[str]]:
     """Hash of the sources of this package and of the libraries that some modules are made of; and the packages that not
-    every flight imports. packages: that a user's modules import."""
+    every flight imports. readers: of a checkpoint; what they import for a fit decides no flight. packages: that a
+    user's modules import."""
     program, always = program_of(modules), program_of(frozenset({FLYING})).packages
+    behind = [program_of(modules | readers).sources, platform.python_version()]
     libraries = numeric_versions(program.packages | packages)
     others = (program.packages - always) | packages
-    return digest([program.sources, platform.python_version(), libraries]), others - numeric_versions(others).keys()
+    return digest([*behind, libraries]), others - numeric_versions(others).keys()

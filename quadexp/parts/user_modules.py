@@ -93,6 +93,7 @@ def _plugin_places() -> dict[str, Path]:
     return places
 
 
+@functools.cache
 def _entry_points() -> EntryPoints:
     from importlib.metadata import entry_points  # which takes as long as all the rest of `quadexp --help`
 
