@@ -169,6 +169,12 @@ def shipped_modules(folder: Path) -> dict[str, Path]:
 
 
 @cache
+def model_modules(folder: Path) -> frozenset[str]:
+    """Modules of models; one is imported by the kind that a checkpoint names."""
+    return frozenset(name for name in shipped_modules(folder) if name.startswith("quadexp.models."))
+
+
+@cache
 def _kernels(folder: Path) -> dict[Path, list[Path]]:
     """Module -> files of C beside it that it names."""
     kernels: dict[Path, list[Path]] = {}

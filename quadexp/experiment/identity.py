@@ -36,12 +36,12 @@ from quadexp.provenance import (
     content_hash,
     files_hash,
     folder_files,
+    model_modules,
     named_files,
     numeric_versions,
     package_folder,
     package_identity,
     program_of,
-    shipped_modules,
     sources,
 )
 
@@ -169,21 +169,19 @@ def unused_model(configs: Iterable[Config]) -> str:
 
 
 # ------------------------------------------------------------------------------------------- files, code and packages
-def model_hash(path: str) -> str:
-    """Content hash of a checkpoint that is taken as the truth; UsageError where there is none."""
-    file = Path(path) / MODEL_FILE
-    if not file.is_file():
-        raise UsageError(f"plant.model={path}: no checkpoint there; make one: {MAKER}")
-    return content_hash(file)
-
-
 class Decides(NamedTuple):
-    """What decides a part besides its settings. inputs: hashes by name. modules: of this package, that it is made of.
-    packages: others that a user's modules import."""
+    """What decides a part besides its settings. files: by name. texts: what stands for those that were executed, and for
+    what lies in no file. modules: of this package, that it is made of. packages: others that a user's modules import.
+    """
 
-    inputs: dict[str, str]
+    files: dict[str, Path]
+    texts: dict[str, str]
     modules: frozenset[str]
     packages: frozenset[str] = frozenset()
+
+    def inputs(self) -> dict[str, str]:
+        """Hashes by name."""
+        return {name: _content(path) for name, path in self.files.items()} | self.texts
 
 
 def decides(group: str, part: Part) -> Decides:
@@ -192,37 +190,44 @@ def decides(group: str, part: Part) -> Decides:
 
     Raises UsageError where a file is missing.
     """
-    inputs = {}
-    if hasattr(part, "path"):
-        if not Path(part.path).is_file():
-            raise UsageError(f"{group}.path={part.path}: no such file")
-        inputs[group] = content_hash(part.path)
     if part.shipped:
-        if group == "plant" and hasattr(part, "model"):
-            inputs[group] = model_hash(part.model)
-        return Decides(inputs, frozenset({type(part).__module__}))
+        return Decides(_shipped_files(group, part), {}, frozenset({type(part).__module__}))
     if hasattr(part, TARGET):
         imported(group, getattr(part, TARGET))
     target = getattr(part, TARGET, f"{type(part).__module__}.{type(part).__qualname__}")
-    inputs[f"{group} class"] = target
     behind = {kind.__module__: kind for kind in type(part).__mro__} | {target.rpartition(".")[0]: type(part)}
-    modules, elsewhere, files = modules_of(behind)
-    inputs |= {f"{group} module {name}": content for name, content in modules.items()}
+    code, elsewhere, modules = modules_of(behind)
+    texts = {f"{group} class": target} | {f"{group} module {name}": content for name, content in code.items()}
     tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {OWN}
-    for name in behind.keys() & elsewhere:
-        if name.partition(".")[0] in tops:
-            inputs[f"{group} module {name}"] = _outside(behind[name])
-    named = {text: place for path in files.values() for text, place in named_files(path).items()}
+    outside = {name for name in behind if name in elsewhere and name.partition(".")[0] in tops}
+    texts |= {f"{group} module {name}": _outside(behind[name]) for name in outside}
     settings = {key: value for key, value in part.recorded().items() if key != "name"}
-    named |= {text: Path(text) for text in _texts(settings) if _is_data(text)}
-    inputs |= {f"{group} file {text}": _content(place) for text, place in named.items()}
+    named = {text: Path(text) for text in _texts(settings) if _is_data(text)}
+    for path in modules.values():
+        named |= named_files(path)
+    files = {f"{group} module {name}": path for name, path in modules.items()}
+    files |= {f"{group} file {text}": place for text, place in named.items()}
     shipped = frozenset(name for name in elsewhere if name.startswith(f"{OWN}."))
-    return Decides(inputs, shipped, frozenset(tops - {name.partition(".")[0] for name in behind}))
+    return Decides(files, texts, shipped, frozenset(tops - {name.partition(".")[0] for name in outside}))
+
+
+def _shipped_files(group: str, part: Part) -> dict[str, Path]:
+    """Files that a part of this program reads, a checkpoint only where it is taken as the truth."""
+    if hasattr(part, "path"):
+        if not Path(part.path).is_file():
+            raise UsageError(f"{group}.path={part.path}: no such file")
+        return {group: Path(part.path)}
+    if group != "plant" or not hasattr(part, "model"):
+        return {}
+    file = Path(part.model) / MODEL_FILE
+    if not file.is_file():
+        raise UsageError(f"plant.model={part.model}: no checkpoint there; make one: {MAKER}")
+    return {group: file}
 
 
 def part_identity(group: str, part: Part) -> list[Any]:
     """What decides a part, as plain data."""
-    return [part.recorded(), decides(group, part).inputs]
+    return [part.recorded(), decides(group, part).inputs()]
 
 
 @cache
@@ -253,11 +258,12 @@ def _content(path: Path) -> str:
 # ------------------------------------------------------------------------------------------------------------- a flight
 @dataclass(frozen=True)
 class FlightIdentity:
-    """What decides a flight; see the module. model: the checkpoint of its controller."""
+    """What decides a flight; see the module. model: the checkpoint of its controller. files: hashes by path."""
 
     record: dict[str, Any]
     model: ModelFile | None
     inputs: dict[str, str]
+    files: dict[str, str]
     program: str
 
     @property
@@ -289,33 +295,35 @@ def flight_identity(
     if model is None:
         record["model"] = None  # a checkpoint that is not used decides nothing
     inputs = {"model": model.sha256} if model else {}
+    files = {f"{file.path}/{MODEL_FILE}": file.sha256 for file in model.files} if model else {}
     modules, packages = {FLYING, *(FITTING if fitted else ())}, set[str]()
     for group, part in parts.items():
         if (group, id(part)) not in known:
-            known[group, id(part)] = part, decides(group, part)
-        of_part: Decides = known[group, id(part)][1]
-        inputs |= of_part.inputs
+            deciding = decides(group, part)
+            known[group, id(part)] = part, deciding, deciding.inputs()
+        _, of_part, contents = known[group, id(part)]
+        inputs |= contents
+        files |= {str(path): contents[name] for name, path in of_part.files.items() if path.is_file()}
         modules |= of_part.modules
         packages |= of_part.packages
-    models = {name for name in shipped_modules(package_folder()) if name.startswith(f"{OWN}.models.")}
-    modules |= models if fitted else set()  # one is imported by the kind that a checkpoint names
-    readers = models if model or "model" in record["plant"] else set[str]()
-    program, others = _program(frozenset(modules), frozenset(readers), frozenset(packages))
+    modules |= model_modules(package_folder()) if fitted else set()
+    with_model = bool(model) or "model" in record["plant"]
+    program, others = _program(frozenset(modules), frozenset(packages), with_model)
     for name in others:
         if name not in known:
             known[name] = package_identity(name)
         inputs[f"package {name}"] = known[name]
-    return FlightIdentity(record, model, inputs, program)
+    places = {os.path.abspath(path): content for path, content in files.items()}
+    return FlightIdentity(record, model, inputs, places, program)
 
 
 @cache
-def _program(
-    modules: frozenset[str], readers: frozenset[str], packages: frozenset[str]
-) -> tuple[str, frozenset[str]]:
+def _program(modules: frozenset[str], packages: frozenset[str], with_model: bool) -> tuple[str, frozenset[str]]:
     """Hash of the sources of this package and of the libraries that some modules are made of; and the packages that not
-    every flight imports. readers: of a checkpoint; what they import for a fit decides no flight. packages: that a
-    user's modules import."""
+    every flight imports. packages: that a user's modules import. with_model: whether a checkpoint is read, by the
+    module that it names; what this one imports for a fit decides no flight."""
     program, always = program_of(modules), program_of(frozenset({FLYING})).packages
+    readers = model_modules(package_folder()) if with_model else set()
     behind = [program_of(modules | readers).sources, platform.python_version()]
     libraries = numeric_versions(program.packages | packages)
     others = (program.packages - always) | packages

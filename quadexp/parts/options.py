@@ -40,6 +40,7 @@ from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import plugin_folders
+from quadexp.provenance import content_hash
 
 SHEETS = "options"  # folder of the sheets, in a folder of configuration
 NOTHING = "nothing"  # the sheet of the options that do nothing, for each of which `none` stands
@@ -253,8 +254,7 @@ def entries(folder: Path) -> dict[str, Entry]:
     """
     options: dict[str, Entry] = {}
     for sheet in sorted((folder / SHEETS).glob("*.yaml")):
-        state = sheet.stat()
-        for name, entry in _entries_of(sheet, state.st_mtime_ns, state.st_size).items():
+        for name, entry in _entries_of(sheet, content_hash(sheet)).items():
             if name in options:
                 raise UsageError(f"{sheet}: {name}: stands in {options[name].sheet.name} too")
             options[name] = entry
@@ -262,7 +262,7 @@ def entries(folder: Path) -> dict[str, Entry]:
 
 
 @functools.cache
-def _entries_of(sheet: Path, modified: int, size: int) -> dict[str, Entry]:
+def _entries_of(sheet: Path, content: str) -> dict[str, Entry]:
     options: dict[str, Entry] = {}
     groups = (*PARTS, *PRESETS, *BUNDLES)
     for group, stated in read_mapping(sheet).items():

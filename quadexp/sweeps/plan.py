@@ -26,7 +26,7 @@ STRUCTURE = ("kind", "residual", "nodes", "backend", "variant", "_target_")  # c
 class Job:
     """A cell to fly. key: of its file. condition: hash of what was asked for, whatever the files it reads contain.
     model: the checkpoint that its controller uses. invalid: why its settings contradict each other, "" where they do
-    not; it is not flown then. inputs, program: see identity.FlightIdentity."""
+    not; it is not flown then. inputs, files, program: see identity.FlightIdentity."""
 
     key: str
     condition: str
@@ -34,6 +34,7 @@ class Job:
     model: ModelFile | None
     invalid: str = ""
     inputs: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
     program: str = ""
 
 
@@ -55,7 +56,7 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
         key = cell_key(identity.record, identity.inputs)
         if key not in jobs:
             asked = digest(condition(identity.record))
-            jobs[key] = Job(key, asked, cell, identity.model, "", identity.inputs, identity.program)
+            jobs[key] = Job(key, asked, cell, identity.model, "", identity.inputs, identity.files, identity.program)
     return jobs
 
 

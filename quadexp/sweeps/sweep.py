@@ -136,6 +136,7 @@ def run_sweep(
         record = {
             "metric": metric, "baseline": baseline, "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
+            "files": {path: text for job in jobs.values() for path, text in job.files.items()},
             "conditions": sorted({job.condition for job in jobs.values()}),
             "without_flight": {key: list(jobs[key].cell.overrides) for key in unflown},
             "flown_by": flown_by(in_order), "provenance": provenance(),

@@ -56,7 +56,7 @@ def test_a_class_and_an_option_are_a_part(own):
     with pytest.raises(UsageError, match="trajectory.lenght: no such key; did you mean trajectory.length"):
         compose(["trajectory=wait", "trajectory.lenght=2"], folder)
     module = type(config.trajectory).__module__
-    assert [*flight_identity(config).inputs] == ["trajectory class", f"trajectory module {module}"]
+    assert {*flight_identity(config).inputs} == {"trajectory class", f"trajectory module {module}"}
 
 
 @pytest.mark.parametrize(
