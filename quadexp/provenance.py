@@ -34,7 +34,7 @@ MODULES = {
 }  # import names that differ from the package name
 
 FLYING = "quadexp.experiment.evaluate"  # flies a cell and makes its row
-ROOMS = ("control", "physics", "reference", "world")  # where the parts of a flight are, which are imported by name
+ROOMS = ("control", "models", "physics", "reference", "world")  # what configurations and checkpoints name is in these
 SHORT = 12  # hex digits of a hash that people read
 SETTLED = 2_000_000_000  # ns after a change within which another one may leave the same times: the coarsest disks
 LARGEST = 32_000_000  # bytes of a package whose content is compared; of a larger one the version is

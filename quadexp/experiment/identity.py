@@ -170,9 +170,9 @@ def unused_model(configs: Iterable[Config]) -> str:
 
 # ------------------------------------------------------------------------------------------- files, code and packages
 class Decides(NamedTuple):
-    """What decides a part besides its settings. files: by name. texts: what stands for those that were executed, and for
-    what lies in no file. modules: of this package, that it is made of. packages: others that a user's modules import.
-    """
+    """What decides a part besides its settings. files: by name. texts: what stands for those that were executed, and
+    for what lies in no file. modules: of this package, that it is made of. packages: others that a user's modules
+    import."""
 
     files: dict[str, Path]
     texts: dict[str, str]

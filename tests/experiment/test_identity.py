@@ -215,7 +215,8 @@ class TestOneProcess:
         assert flown_height(place(folder, 3.0)) == 3.0
 
     def test_what_is_taken_as_the_truth_is_what_controllers_believe(self, tmp_path):
-        asked = ["plant=from_model", f"plant.model={tmp_path}/m", "controller=perfect_mpc", "trajectory=ellipse"]
+        step = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.1", "plant.backend=interpreted"]
+        asked = ["plant=from_model", f"plant.model={tmp_path}/m", "controller=perfect_mpc", *step]
         errors = []
         for drag in (0.3, 1.5):
             make_checkpoint(tmp_path / "m", drag)
