@@ -17,7 +17,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.experiment.identity import MODEL_FILE, digest, find_model, flight_identity
+from quadexp.experiment.identity import MODEL_FILE, digest, find_model, identity_with
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
@@ -137,7 +137,7 @@ def make_model(
     out, data = folder / name, folder / f"{family.name}.parquet"
     rules = {part: family.models[part] for part in ("collect", rule)}
     collect = composer.compose(rules["collect"])
-    decided = flight_identity(collect, fitted=True).digest
+    decided = identity_with(collect, find_model(collect), fitted=True).digest
 
     def fit() -> None:
         say(f"{family.name}: {'a network' if rule == 'network' else 'models'} of the air, from flights in still air")

@@ -25,8 +25,8 @@ from quadexp.experiment.identity import (
     digest,
     find_model,
     flight_entropy,
-    flight_identity,
     flight_record,
+    identity_with,
     part_identity,
 )
 from quadexp.experiment.loop_margins import instability, loop_margins
@@ -286,7 +286,7 @@ def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Fl
 
 def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[str, Any]:
     """The metadata of every flight."""
-    identity, record = flight_identity(config, model), flight_record(config)
+    identity, record = identity_with(config, model), flight_record(config)
     return {
         "config": record, "config_hash": digest(record), "seed": config.seed,
         "inputs": identity.inputs, "code": identity.code,

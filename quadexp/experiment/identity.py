@@ -277,21 +277,26 @@ class FlightIdentity:
         return digest([sources(), self.program])
 
 
-def flight_identity(
-    config: Config, model: ModelFile | None = None, known: dict[Any, Any] | None = None, *, fitted: bool = False
-) -> FlightIdentity:
-    """What decides a flight, as files are now. model: the checkpoint; None: found by the configuration. known: what was
-    found of parts of other flights of the same plan. fitted: of a model that is fitted to such flights.
+def flight_identity(config: Config, known: dict[Any, Any] | None = None) -> FlightIdentity:
+    """What decides a flight, as files are now. known: what was found of parts of other flights of the same plan.
 
     Raises UsageError where a file that it needs does not exist.
     """
     known = {} if known is None else known
+    place = id(config.controller), config.model
+    if place not in known:
+        known[place] = config.controller, find_model(config)
+    return identity_with(config, known[place][1], known)
+
+
+def identity_with(
+    config: Config, model: ModelFile | None, known: dict[Any, Any] | None = None, *, fitted: bool = False
+) -> FlightIdentity:
+    """That of a flight with a checkpoint, or without; see flight_identity. fitted: of a model that is fitted to such
+    flights."""
+    known = {} if known is None else known
     parts = flying_parts(config)
     record = flight_record(config, parts)
-    place = id(config.controller), config.model
-    if model is None and place not in known:
-        known[place] = config.controller, find_model(config)
-    model = model or known[place][1]
     if model is None:
         record["model"] = None  # a checkpoint that is not used decides nothing
     inputs = {"model": model.sha256} if model else {}

@@ -50,7 +50,7 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
             key = digest([INVALID, *sorted(cell.overrides)])
             jobs.setdefault(key, Job(key, key, cell, None, cell.invalid))
             continue
-        identity = flight_identity(cell.config, known=known)
+        identity = flight_identity(cell.config, known)
         if identity.model is None:
             cell = replace(cell, config=replace(cell.config, model=None))  # a checkpoint that is not used
         key = cell_key(identity.record, identity.inputs)
