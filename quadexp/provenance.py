@@ -236,7 +236,7 @@ def package_identity(name: str) -> str:
         spec = importlib.util.find_spec(name)
     except ValueError:  # of a module that was made without one
         return ""
-    places = spec.submodule_search_locations or [spec.origin] if spec else []
+    places: Iterable[str | None] = spec.submodule_search_locations or [spec.origin] if spec else []
     hashes, size = [], 0
     for place in (Path(place) for place in places if place):
         files = []

@@ -262,7 +262,7 @@ def entries(folder: Path) -> dict[str, Entry]:
 
 
 @functools.cache
-def _entries_of(sheet: Path, content: str) -> dict[str, Entry]:
+def _entries_of(sheet: Path, hashed: str) -> dict[str, Entry]:
     options: dict[str, Entry] = {}
     groups = (*PARTS, *PRESETS, *BUNDLES)
     for group, stated in read_mapping(sheet).items():

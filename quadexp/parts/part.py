@@ -99,8 +99,8 @@ def _restored(packed: bytes, folders: tuple[str, ...]) -> Any:
 @functools.lru_cache(1024)  # a worker is told the same parts with many cells
 def _part_of(packed: bytes, generation: int) -> Any:
     module, name, attributes = pickle.loads(packed)
-    kind = functools.reduce(getattr, name.split("."), load(module))
-    part = object.__new__(kind)
+    kind: Any = functools.reduce(getattr, name.split("."), load(module))
+    part: Any = object.__new__(kind)
     vars(part).update(attributes)
     return part
 

@@ -193,8 +193,8 @@ def _forget(names: set[str]) -> None:
     """Have modules executed anew where they are imported next."""
     for name in names:
         module = sys.modules.pop(name, None)
-        if file := getattr(module, "__file__", None):
-            _objects[Path(file)] = module
+        if module is not None and module.__file__:
+            _objects[Path(module.__file__)] = module
     _places.clear()
     _texts.clear()
     _state.update(generation=_state["generation"] + 1, mixed=False)

@@ -214,10 +214,11 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
     notes = [f"{len(changed)} {what}: {changed[0]}"] if changed else []
     others = {key: rows[key] for key, row in stored.items() if not _same_program(row, jobs[key])}
     programs = programs_text(others.values())
+    differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
     if others and old == "ask":
         raise UsageError(
             f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
-            f" {quadexp.__version__}, sources {sources()}): {programs}; pass --refly to fly them again or --keep-old to"
+            f" {quadexp.__version__}, sources {sources()}): {programs}{differing and f' ({differing})'}; pass --refly to fly them again or --keep-old to"
             f" keep them beside new ones (`quadexp results {store.root} sources=HASH` lists them)"
         )
     if others and old == "refly":
@@ -226,7 +227,6 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
         notes.append(f"{len(others)} cells of other sources are flown again: {programs}")
     elif others:
         notes.append(f"{len(others)} cells of other sources are kept: {programs}; these are {sources()}")
-    differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
     return rows, [*notes, *filter(None, [differing])]
 
 
