@@ -3,7 +3,7 @@
 The command line prints these records (quadexp/cli), the Python API makes tables of them (quadexp/api.py), so that the
 same request goes the same way from both. Only light modules are imported at the top. Common arguments:
 
-overrides: KEY=VALUE. out: where to write. conf: a configuration folder of the user's own. force: replace what is there.
+overrides: KEY=VALUE. out: where to write. conf: configuration folders of the user's own. force: replace what is there.
 progress: called with (done, total). Errors are QuadexpError and its kinds with a one-line message.
 """
 
@@ -20,6 +20,7 @@ from quadexp.writer import check_output
 
 if TYPE_CHECKING:
     from quadexp.log.schema import Flight
+    from quadexp.parts.options import Folders
     from quadexp.parts.schema import Config
 
 Progress = Callable[[float, float], None]
@@ -47,7 +48,7 @@ class Flown(NamedTuple):
 def simulate(
     overrides: Overrides = (),
     out: Path | None = None,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     force: bool = False,
     keep: bool = False,
@@ -94,7 +95,7 @@ class Swept(NamedTuple):
 def evaluate(
     overrides: Overrides = (),
     out: Path | None = None,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     sweep: bool = True,
     figures: bool | None = None,
@@ -217,7 +218,7 @@ def _results_name(overrides: Overrides, config: Config, sweep: bool) -> str:
 def collect(
     overrides: Overrides,
     out: Path,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     flights: Sequence[Path] = (),
     save_flights: Path | None = None,
@@ -251,7 +252,7 @@ def fit(
     dataset: Path,
     overrides: Overrides,
     out: Path,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     force: bool = False,
     **options: Any,
@@ -270,7 +271,7 @@ def fit(
 def identify(
     flights: Sequence[Path],
     out: Path,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     chosen: Callable[[str, str], None] = lambda method, reason: None,
     method: str | None = None,
@@ -323,7 +324,7 @@ class Checked(NamedTuple):
         return {finding.severity for finding in self.findings}
 
 
-def check(paths: Sequence[Path], vehicle: str | None = None, conf: Path | None = None) -> list[Checked]:
+def check(paths: Sequence[Path], vehicle: str | None = None, conf: Folders = None) -> list[Checked]:
     """Check recorded flights. vehicle: of the configuration, not the flight's own."""
     from quadexp.log.check import check_flights
     from quadexp.log.schema import Flight
@@ -342,7 +343,7 @@ def check(paths: Sequence[Path], vehicle: str | None = None, conf: Path | None =
     ]
 
 
-def _vehicle_of(flight: Flight, name: str | None, conf: Path | None) -> Any:
+def _vehicle_of(flight: Flight, name: str | None, conf: Folders) -> Any:
     from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
 
     if name is not None:
@@ -368,7 +369,7 @@ def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
 
 
 # --------------------------------------------------------------------------------------------------------------- look
-def margins(words: Overrides, conf: Path | None = None) -> list[dict[str, Any]]:
+def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
     """What a loop tolerates at points along its path, see experiment.loop_margins.path_margins. words: overrides, and
     in front of them the file of a flight, whose recorded settings they change."""
     from quadexp.experiment.identity import find_model

@@ -20,6 +20,7 @@ from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import MODEL_FILE, digest, find_model
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
+from quadexp.parts.options import Folders
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.provenance import DECIDING, package_folder, source_hash
 from quadexp.tune.preset import BY_HAND, provenance_of
@@ -49,7 +50,7 @@ def field() -> list[str]:
 
 
 def read_entries(
-    texts: Sequence[str], composer: Composer, protocol: Protocol, extra: Path | None = None
+    texts: Sequence[str], composer: Composer, protocol: Protocol, extra: Folders = None
 ) -> list[Entry]:
     """The entries that some texts name; raises UsageError where one names no controller, or something else besides, or
     was tuned on the seeds of the protocol."""
@@ -79,7 +80,7 @@ def _rule(config: Config) -> str:
     return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
 
 
-def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> str:
+def _settings(given: Sequence[str], protocol: Protocol, extra: Folders) -> str:
     """Where its settings come from; raises UsageError where they were tuned on flights of the protocol.
 
     A bundle without provenance counts as set by hand, as keys do: no publication has its values.

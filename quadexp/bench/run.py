@@ -28,6 +28,7 @@ from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.cells import Cell
 from quadexp.parts.compose import Composer, session
+from quadexp.parts.options import Folders
 from quadexp.report.table import Table
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.plan import plan_cells
@@ -60,7 +61,7 @@ def bench(
     asked: Bench = Bench(),  # noqa: B008 - frozen
     *,
     out: Path | None = None,
-    conf: Path | None = None,
+    conf: Folders = None,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
     progress: Progress = lambda done, total: None,

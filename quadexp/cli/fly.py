@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.bench import Bench
-from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete
+from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete, folders_of
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.progress import Progress
@@ -17,7 +17,7 @@ from quadexp.tune import Tune
 
 
 @command
-def simulate(overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None, force: Force = False) -> Answer:
+def simulate(overrides: Overrides = (), out: OptionalOut = None, conf: Conf = (), force: Force = False) -> Answer:
     """Fly one configuration and write the flight.
 
     \b
@@ -40,7 +40,7 @@ def evaluate(
     figures: Annotated[
         bool | None, Ask("Draw figures (default: only for a sweep).", flag="--figures/--no-figures")
     ] = None,
-    conf: Conf = None,
+    conf: Conf = (),
     refly: Annotated[bool, Ask("Fly cells again that another version of the sources has flown.")] = False,
     keep_old: Annotated[bool, Ask("Keep them in the table, beside new ones.")] = False,
     force: Force = False,
@@ -95,7 +95,7 @@ SEARCH_SEED = Ask("Seed of the search's own draws.", flag="--seed", least=0)
 
 @partial(command, vary=VARY, search_seed=SEARCH_SEED)
 def tune(
-    asked: Tune, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None, force: Force = False
+    asked: Tune, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = (), force: Force = False
 ) -> Answer:
     """Tune settings of a controller over worlds, trajectories, speeds and seeds, with a budget of flights.
 
@@ -129,14 +129,14 @@ def tune(
 def _controllers(context: typer.Context, incomplete: str) -> list[str]:
     from quadexp.parts.options import groups
 
-    return [name for name in groups(context.params.get("conf"))["controller"] if name.startswith(incomplete)]
+    return [name for name in groups(folders_of(context))["controller"] if name.startswith(incomplete)]
 
 
 CONTROLLER = Ask("Takes part too, as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)
 
 
 @partial(command, controllers=CONTROLLER)
-def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None) -> Answer:
+def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = ()) -> Answer:
     """Rank controllers by a protocol that does not change: the same tasks, worlds and seeds for all.
 
     Settings after the command are those of the engine and its limits (engine=..., evaluate.workers=...). Models that

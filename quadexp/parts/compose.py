@@ -12,7 +12,6 @@ import copy
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
@@ -21,9 +20,9 @@ from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.former import FORMER_TARGET, refuse_former
-from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge, nested
+from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader
-from quadexp.parts.part import TARGET, import_from, part_class
+from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
 
@@ -51,12 +50,12 @@ class Node(NamedTuple):
 
 
 class Composer:
-    """Composes configurations from conf/ and a user's own folder (extra); use `session`.
+    """Composes configurations from conf/ and a user's own folders (extra); use `session`.
 
-    options(group): names of its options. having, part: see OptionFiles.
+    options(group): names of its options. part: see OptionFiles.part_of.
     """
 
-    def __init__(self, extra: Path | None = None) -> None:
+    def __init__(self, extra: Folders = None) -> None:
         self._files = OptionFiles(extra)
         self.options, self.part = self._files.options, self._files.part_of
         self._overrides = OverrideReader(self._files)
@@ -172,6 +171,7 @@ class Composer:
                 continue
             option = str(options[group])
             values, text = self._files.option(group, option).values, f"{group}={option}"
+            self._files.note_covered(group, option)
             if group in GLOBAL:
                 for name, value in values.items():
                     layers.setdefault(name, []).append(Layer(text, text, value))
@@ -357,25 +357,21 @@ def _as_override(value: Any) -> str:
 
 # ----------------------------------------------------------------------------------------------------------- sessions
 @contextlib.contextmanager
-def session(extra: Path | None = None) -> Iterator[Composer]:
-    """A Composer over conf/, installed plugins and, if given, a user's own folder of the same layout.
+def session(extra: Folders = None) -> Iterator[Composer]:
+    """A Composer over a user's own folders, if given, installed plugins and conf/.
 
-    Modules in the user's folder can be named under `_target_`.
+    Modules in the user's folders can be named under `_target_`. Raises UsageError where one is no folder of options.
     """
-    if extra is not None:
-        if not extra.is_dir():
-            raise UsageError(f"--conf {extra}: no such folder")
-        import_from(extra.resolve())
-    yield Composer(extra.resolve() if extra is not None else None)
+    yield Composer(given_folders(extra))
 
 
-def compose(overrides: Sequence[str] = (), extra: Path | None = None) -> Config:
+def compose(overrides: Sequence[str] = (), extra: Folders = None) -> Config:
     """One configuration; see Composer.compose."""
     with session(extra) as composer:
         return composer.compose(overrides)
 
 
-def expand(overrides: Sequence[str] = (), extra: Path | None = None) -> Cells:
+def expand(overrides: Sequence[str] = (), extra: Folders = None) -> Cells:
     """All configurations of a sweep; see Composer.expand."""
     with session(extra) as composer:
         return composer.expand(overrides)

@@ -15,6 +15,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.store import write_table
 from quadexp.parts.compose import session
+from quadexp.parts.options import Folders
 from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
@@ -58,7 +59,7 @@ def tune(
     *,
     figure: bool = True,
     out: Path | None = None,
-    conf: Path | None = None,
+    conf: Folders = None,
     force: bool = False,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,

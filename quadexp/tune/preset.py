@@ -17,7 +17,7 @@ from quadexp.errors import UsageError
 from quadexp.messages import printable
 from quadexp.names import file_name
 from quadexp.parts.compose import Composer
-from quadexp.parts.options import OptionFiles
+from quadexp.parts.options import Folders, OptionFiles
 from quadexp.parts.schema import REMEDIES, Config
 from quadexp.parts.settings import record
 from quadexp.writer import write_text
@@ -110,7 +110,7 @@ def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
     return yaml.safe_dump(dict(content), default_flow_style=flow, width=10_000, sort_keys=False)
 
 
-def provenance_of(option: str, extra: Path | None = None, group: str = "controller") -> dict[str, Any] | None:
+def provenance_of(option: str, extra: Folders = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None where its file does not say."""
     files, name = OptionFiles(extra), f"{group}/{option}"
     if name in files.entries:
