@@ -5,15 +5,13 @@ World ENU, body FLU, quaternion body to world with w first, SI units; see quadex
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from quadexp.api import Given, overrides
+from quadexp.api import Conf, Given, folders, overrides
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.compiled_loop import CompiledReference, UserLoop, goes_in_c
 from quadexp.control.mpc.active_set import Status
@@ -28,12 +26,12 @@ from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 
 
-def controller(*settings: Given, conf: str | os.PathLike[str] | None = None, **keywords: Any) -> ControlLoop:
+def controller(*settings: Given, conf: Conf = None, **keywords: Any) -> ControlLoop:
     """The configured controller with the configured trajectory; settings as for qx.simulate.
 
     Builds everything, which compiles on first use: do it before take-off.
     """
-    config = compose(overrides(settings, keywords), None if conf is None else Path(conf))
+    config = compose(overrides(settings, keywords), folders(conf))
     with unshared():  # two loops of the same settings are two controllers
         vehicle = build_vehicle(config.vehicle)
         plant = build_world(config, vehicle)

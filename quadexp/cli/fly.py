@@ -112,18 +112,12 @@ def tune(
         --vary controller.nodes=5..20 --delay-margin 0.04
     """
     from quadexp.tune.call import tune as tuned_by
-    from quadexp.tune.preset import hidden
 
     with Progress("flights") as progress:
         tuned = tuned_by(overrides, asked, out=out, conf=conf, force=force, progress=progress)
-    lines, where = list(tuned.lines), tuned.record["out"] if conf is None else conf
-    if hidden(tuned.option):
-        lines.append(f"{tuned.choice.split()[-1]} is an option already, which comes first: give --name, and run again")
-    else:
-        if conf is not None:
-            lines.append(f"copy the file to {conf}/{tuned.option.parent.name} to fly it:")
-        lines.append(f"fly it: {shlex.join(['quadexp', 'simulate', '--conf', str(where), *tuned.choice.split()])}")
-    return Answer(tuned.record, tuned.rows, lines)
+    given = [word for folder in (tuned.record["out"], *conf) for word in ("--conf", str(folder))]
+    fly = f"fly it: {shlex.join(['quadexp', 'simulate', *given, *tuned.choice.split()])}"
+    return Answer(tuned.record, tuned.rows, [*tuned.lines, fly])
 
 
 def _controllers(context: typer.Context, incomplete: str) -> list[str]:

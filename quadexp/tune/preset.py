@@ -79,11 +79,6 @@ def default_name(options: Mapping[str, str]) -> str:
     return "_".join([options["controller"], *(options[group] for group in REMEDIES if group in options)]) + SUFFIX
 
 
-def hidden(option: Path) -> bool:
-    """Whether another option of this group and name comes first: one that ships, or of an installed package."""
-    return OptionFiles().find(f"{option.parent.name}/{option.stem}") is not None
-
-
 def check_name(options: Mapping[str, str], name: str | None) -> None:
     """Raise UsageError where the option to write has no name for a file, or the name of the one that it extends."""
     chosen = name or default_name(options)
