@@ -31,7 +31,7 @@ def controller(*settings: Given, conf: Conf = None, **keywords: Any) -> ControlL
 
     Builds everything, which compiles on first use: do it before take-off.
     """
-    config = compose(overrides(settings, keywords), folders(conf))
+    config = compose(overrides(settings, keywords), folders(conf), "qx.controller")
     with unshared():  # two loops of the same settings are two controllers
         vehicle = build_vehicle(config.vehicle)
         plant = build_world(config, vehicle)

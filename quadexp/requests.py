@@ -66,7 +66,7 @@ def simulate(
             f"--out {out}: a flight is written as Parquet; write {parquet}, then quadexp export {parquet}, which makes"
             " other formats of it"
         )
-    config = compose(overrides, conf)
+    config = compose(overrides, conf, "simulate")
     out = Path("runs") / f"{_flight_name(config)}.parquet" if keep and out is None else out
     path = None if out is None else check_output(out, force=force)
     flight = fly_one(config)
@@ -115,10 +115,9 @@ def evaluate(
     from quadexp.sweeps.server import start_server
 
     with session(conf) as composer:
+        composer.only("evaluate --sweep" if sweep else "evaluate", overrides)
         cells = composer.expand(overrides, check=False) if sweep else [Cell(composer.compose(overrides), (*overrides,))]
     first = cells[0].config
-    if not sweep and first.sweep:
-        raise UsageError("this experiment is a sweep: add --sweep")
     out = out or Path("results") / _results_name(overrides, first, sweep)
     from quadexp import papers
 
@@ -238,6 +237,7 @@ def collect(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
+        composer.only("collect --flight" if flights else "collect --sweep" if sweep else "collect", overrides)
         worlds = [cell.config for cell in composer.expand(overrides).sound()] if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides)
     path = check_output(out, force=force)
@@ -262,7 +262,7 @@ def fit(
     from quadexp.experiment.fit import fit_checkpoint
     from quadexp.parts.compose import compose
 
-    config = compose(overrides, conf)
+    config = compose(overrides, conf, f"fit-{kind}")
     return dict(
         fit_checkpoint(kind, config, dataset, check_output(out, force=force, folder=True), force=force, **options)
     )
@@ -374,13 +374,17 @@ def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
     in front of them the file of a flight, whose recorded settings they change."""
     from quadexp.experiment.identity import find_model
     from quadexp.experiment.loop_margins import path_margins
-    from quadexp.parts.compose import compose
+    from quadexp.parts.compose import session
 
+    recorded: list[str] = []
     if words and "=" not in words[0]:
         from quadexp.log.store import read_metadata
 
-        words = [*_recorded(read_metadata(words[0], "flight").get("config") or {}), *words[1:]]
-    config = compose(words, conf)
+        recorded = _recorded(read_metadata(words[0], "flight").get("config") or {})
+        words = words[1:]
+    with session(conf) as composer:
+        composer.only("show --margins", words)
+        config = composer.compose([*recorded, *words])
     return path_margins(config, find_model(config))
 
 

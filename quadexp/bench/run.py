@@ -35,7 +35,6 @@ from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import fly_cells, flying, opened
 
 MODELS = "models"
-SETTABLE = ("engine", "evaluate")
 CALLS = 64  # flights that an entry has at least in the larger sizes
 
 
@@ -73,11 +72,8 @@ def bench(
     conf: a configuration folder of your own. function: flies a cell. isolate: False flies in this process.
     Raises UsageError before anything is flown; also where results of different protocols meet.
     """
-    for text in overrides:
-        if text.partition("=")[0].partition(".")[0] not in SETTABLE:
-            raise UsageError(f"{text!r}: what is flown is the protocol's; only {' and '.join(SETTABLE)} can be set")
     out = out or Path("results") / f"bench_{asked.size}"
-    with session(conf) as composer, opened(composer.compose(overrides), CALLS) as engine:
+    with session(conf) as composer, opened(composer.compose(overrides, "bench"), CALLS) as engine:
         protocol = read_protocol()
         protocol.check(asked.size, composer)
         protocol, called = with_fewer_seeds(protocol, asked.size, asked.seeds)

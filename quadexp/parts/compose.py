@@ -23,6 +23,7 @@ from quadexp.parts.former import FORMER_TARGET, refuse_former
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader
 from quadexp.parts.part import TARGET, part_class
+from quadexp.parts.reads import is_read, refuse_unread
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
 
@@ -64,12 +65,27 @@ class Composer:
         self._made: dict[tuple[Any, ...], Any] = {}
         self._checked: set[tuple[Any, ...]] = set()
 
-    def compose(self, overrides: Sequence[str] = ()) -> Config:
-        """The configuration of one run.
+    def only(self, command: str, overrides: Sequence[str]) -> None:
+        """UsageError where something is given that a command does not read (reads.py)."""
+        parsed = self._overrides.read(overrides, sweep=True)
+        grids = self._grids(parsed) if is_read("sweep", command) else [parsed]
+        for override in (override for grid in grids for override in grid):
+            if override.key != "experiment":
+                refuse_unread(command, override.text, [override.key])
+            elif override.value is not None:
+                option = self._files.option("experiment", override.value)
+                refuse_unread(command, override.text, [*option.chosen, *_keys(option.values)])
+                if "sweep" in option.values and is_read("trajectory", command):  # which flies one cell of it, or all
+                    refuse_unread(command, override.text, ["sweep"])
+
+    def compose(self, overrides: Sequence[str] = (), command: str | None = None) -> Config:
+        """The configuration of one run. command: that is given the overrides, see `only`.
 
         Raises UsageError with one line: unknown key or option, value of a wrong type or out of range, value missing,
         several values for one key.
         """
+        if command is not None:
+            self.only(command, overrides)
         try:
             return self._compose(self._overrides.read(overrides))
         except ValueError as error:  # of a user's own part
@@ -365,10 +381,10 @@ def session(extra: Folders = None) -> Iterator[Composer]:
     yield Composer(given_folders(extra))
 
 
-def compose(overrides: Sequence[str] = (), extra: Folders = None) -> Config:
+def compose(overrides: Sequence[str] = (), extra: Folders = None, command: str | None = None) -> Config:
     """One configuration; see Composer.compose."""
     with session(extra) as composer:
-        return composer.compose(overrides)
+        return composer.compose(overrides, command)
 
 
 def expand(overrides: Sequence[str] = (), extra: Folders = None) -> Cells:

@@ -73,6 +73,7 @@ def tune(
     Raises UsageError before anything is flown; see also Search.run.
     """
     with session(conf) as composer:
+        composer.only("tune", given)
         given = with_seeds(given, asked.seeds)
         cells = cells_of(composer, given)
         first = cells[0].config
