@@ -46,12 +46,7 @@ class Flown(NamedTuple):
 
 
 def simulate(
-    overrides: Overrides = (),
-    out: Path | None = None,
-    conf: Folders = None,
-    *,
-    force: bool = False,
-    keep: bool = False,
+    overrides: Overrides = (), out: Path | None = None, conf: Folders = None, *, force: bool = False, keep: bool = False
 ) -> Flown:
     """Fly one configuration. keep: write the flight, to runs/ where no `out` is given."""
     from quadexp.experiment.evaluate import fly_one

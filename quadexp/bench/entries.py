@@ -49,9 +49,7 @@ def field() -> list[str]:
     return list(yaml.safe_load((files("quadexp.bench") / "field.yaml").read_text(encoding="utf-8")))
 
 
-def read_entries(
-    texts: Sequence[str], composer: Composer, protocol: Protocol, extra: Folders = None
-) -> list[Entry]:
+def read_entries(texts: Sequence[str], composer: Composer, protocol: Protocol, extra: Folders = None) -> list[Entry]:
     """The entries that some texts name; raises UsageError where one names no controller, or something else besides, or
     was tuned on the seeds of the protocol."""
     entries: dict[str, Entry] = {}

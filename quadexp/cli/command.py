@@ -72,7 +72,8 @@ _OUT = Ask("Where to write.", "PATH", "--out -o")
 Out = Annotated[Path, _OUT]
 OptionalOut = Annotated[Path | None, _OUT]
 Conf = Annotated[
-    tuple[Path, ...], Ask("A configuration folder of your own, before the shipped one; repeatable, the first comes first.", "DIR")
+    tuple[Path, ...],
+    Ask("A configuration folder of your own, before the shipped one; repeatable, the first comes first.", "DIR"),
 ]
 Force = Annotated[bool, Ask("Replace existing output.", flag="--force -f")]
 Figures = Annotated[bool, Ask("Draw figures.", flag="--figures/--no-figures")]

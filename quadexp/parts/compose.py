@@ -23,7 +23,7 @@ from quadexp.parts.former import FORMER_TARGET, refuse_former
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader
 from quadexp.parts.part import TARGET, part_class
-from quadexp.parts.reads import is_read, refuse_unread
+from quadexp.parts.reads import is_read, refuse_idle, refuse_unread
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
 
@@ -142,6 +142,8 @@ class Composer:
                 first = next(iter(tree[override.key].content))
                 raise UsageError(f"{override.text}: holds keys; set one of them, such as {override.key}.{first}=...")
         config = Config(**self._parts(tree, values))
+        for override in values:
+            refuse_idle(config, override.key, override.text)
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")

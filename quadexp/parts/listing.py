@@ -31,7 +31,9 @@ def listed(asked: str = "", conf: Folders = None) -> list[Record]:
         files.note_covered(*name.split("/"))
     group, _, option = asked.partition("=")
     if not asked:
-        return [{"group": name, "options": " ".join(files.options(name))} for name in (*files.groups, *declared(Config))]
+        return [
+            {"group": name, "options": " ".join(files.options(name))} for name in (*files.groups, *declared(Config))
+        ]
     if option and group in files.groups:
         name = files.named(group, option)
         if name is None:

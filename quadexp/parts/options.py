@@ -178,9 +178,7 @@ class OptionFiles:
             self._options[group, name] = self._read_option(group, name, ())
         return self._options[group, name]
 
-    def read(
-        self, group: str, name: str, extending: tuple[Definition, ...] = ()
-    ) -> tuple[Definition, dict[str, Any]]:
+    def read(self, group: str, name: str, extending: tuple[Definition, ...] = ()) -> tuple[Definition, dict[str, Any]]:
         """An option, or what the last of `extending` extends, see the head of this module; and what it says, but for
         how it is drawn. UsageError where there is none, or it is none of settings."""
         known = self.definitions.get(f"{group}/{name}", [])

@@ -6,9 +6,11 @@ A name stands for a group, or for one key. `sweep`: what an experiment varies.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD
+from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
+from quadexp.parts.settings import Settings, declared, shown
 
 LOOP = ("vehicle", "plant", *WORLD, "controller", *PRESETS, *REMEDIES, *BUNDLES, "model", "seed")
 FLIGHT = (*LOOP, "trajectory")
@@ -21,7 +23,10 @@ READS = {
     "bench": ENGINE,
     "collect": (*LOOP, "collect"),
     "collect --sweep": (*LOOP, "collect", "sweep"),
-    "collect --flight": ("vehicle", *(f"collect.{key}" for key in ("frame", "thrust", "state", "target", "identified"))),
+    "collect --flight": (
+        "vehicle",
+        *(f"collect.{key}" for key in ("frame", "thrust", "state", "target", "identified")),
+    ),
     "fit-gp": ("vehicle", "gp"),
     "fit-drag": ("vehicle", "drag"),
     "fit-nn": ("vehicle", "nn"),
@@ -29,6 +34,21 @@ READS = {
     "show --margins": FLIGHT,
     "qx.controller": FLIGHT,
 }
+
+
+def refuse_idle(config: Config, key: str, given: str) -> None:
+    """UsageError where a key has no effect with the other settings of its part (Setting.when). given: its override."""
+    above, _, name = key.rpartition(".")
+    part: Any = config
+    for step in above.split(".") if above else ():
+        part = getattr(part, step, None)
+    about = declared(type(part)).get(name) if isinstance(part, Settings) else None
+    if about is None or not about.setting.when:
+        return
+    other, _, wanted = about.setting.when.partition("=")
+    value = getattr(part, other)
+    if shown(value) != wanted if wanted else not value:
+        raise UsageError(f"{given}: has no effect with {above}.{other}={shown(value)}")
 
 
 def is_read(key: str, command: str) -> bool:
