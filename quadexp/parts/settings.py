@@ -153,6 +153,15 @@ def _declared(node: type) -> dict[str, Declared]:
     return settings
 
 
+def find(node: type, path: str) -> Declared | None:
+    """The setting of a dotted key below a class; None where there is none."""
+    name, _, rest = path.partition(".")
+    about = declared(node).get(name)
+    if about is None or not rest:
+        return about
+    return find(about.node, rest) if about.node else None
+
+
 def keys_of(node: type) -> list[str]:
     """Names of the keys of a class; of the root also the groups. An object's fields besides its settings are none."""
     return list(declared(node)) if getattr(node, "prefix", "") else [f.name for f in fields(node)]
