@@ -5,9 +5,7 @@ World ENU, body FLU, quaternion body to world with w first, SI units; see quadex
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,16 +22,17 @@ from quadexp.experiment.build import build_controller, build_trajectory, build_v
 from quadexp.experiment.identity import find_model
 from quadexp.experiment.rollout import Renewal, SampledReference
 from quadexp.parts.compose import compose
+from quadexp.parts.options import Folders
 from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 
 
-def controller(*settings: Given, conf: str | os.PathLike[str] | None = None, **keywords: Any) -> ControlLoop:
+def controller(*settings: Given, conf: Folders = None, **keywords: Any) -> ControlLoop:
     """The configured controller with the configured trajectory; settings as for qx.simulate.
 
     Builds everything, which compiles on first use: do it before take-off.
     """
-    config = compose(overrides(settings, keywords), None if conf is None else Path(conf))
+    config = compose(overrides(settings, keywords), conf, "qx.controller")
     with unshared():  # two loops of the same settings are two controllers
         vehicle = build_vehicle(config.vehicle)
         plant = build_world(config, vehicle)

@@ -20,11 +20,13 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
 import html as markup
 import json
 import math
 import os
 import re
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -54,6 +56,12 @@ def clean(text: str) -> str:
 def printable(text: object) -> str:
     """One line: newline and tab are written out too."""
     return clean(str(text)).replace("\n", "\\n").replace("\t", "\\t")
+
+
+@functools.cache  # which every command clears
+def note(text: str) -> None:
+    """Say once in a command, on the error stream, what its user should know."""
+    print(f"note: {printable(text)}", file=sys.stderr)
 
 
 def _stored(text: object) -> str:

@@ -3,7 +3,7 @@
 The command line prints these records (quadexp/cli), the Python API makes tables of them (quadexp/api.py), so that the
 same request goes the same way from both. Only light modules are imported at the top. Common arguments:
 
-overrides: KEY=VALUE. out: where to write. conf: a configuration folder of the user's own. force: replace what is there.
+overrides: KEY=VALUE. out: where to write. conf: configuration folders of the user's own. force: replace what is there.
 progress: called with (done, total). Errors are QuadexpError and its kinds with a one-line message.
 """
 
@@ -20,6 +20,7 @@ from quadexp.writer import check_output
 
 if TYPE_CHECKING:
     from quadexp.log.schema import Flight
+    from quadexp.parts.options import Folders
     from quadexp.parts.schema import Config
 
 Progress = Callable[[float, float], None]
@@ -45,12 +46,7 @@ class Flown(NamedTuple):
 
 
 def simulate(
-    overrides: Overrides = (),
-    out: Path | None = None,
-    conf: Path | None = None,
-    *,
-    force: bool = False,
-    keep: bool = False,
+    overrides: Overrides = (), out: Path | None = None, conf: Folders = None, *, force: bool = False, keep: bool = False
 ) -> Flown:
     """Fly one configuration. keep: write the flight, to runs/ where no `out` is given."""
     from quadexp.experiment.evaluate import fly_one
@@ -65,7 +61,7 @@ def simulate(
             f"--out {out}: a flight is written as Parquet; write {parquet}, then quadexp export {parquet}, which makes"
             " other formats of it"
         )
-    config = compose(overrides, conf)
+    config = compose(overrides, conf, "simulate")
     out = Path("runs") / f"{_flight_name(config)}.parquet" if keep and out is None else out
     path = None if out is None else check_output(out, force=force)
     flight = fly_one(config)
@@ -94,7 +90,7 @@ class Swept(NamedTuple):
 def evaluate(
     overrides: Overrides = (),
     out: Path | None = None,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     sweep: bool = True,
     figures: bool | None = None,
@@ -114,10 +110,9 @@ def evaluate(
     from quadexp.sweeps.server import start_server
 
     with session(conf) as composer:
+        composer.only("evaluate --sweep" if sweep else "evaluate", overrides)
         cells = composer.expand(overrides, check=False) if sweep else [Cell(composer.compose(overrides), (*overrides,))]
     first = cells[0].config
-    if not sweep and first.sweep:
-        raise UsageError("this experiment is a sweep: add --sweep")
     out = out or Path("results") / _results_name(overrides, first, sweep)
     from quadexp import papers
 
@@ -219,7 +214,7 @@ def _results_name(overrides: Overrides, config: Config, sweep: bool) -> str:
 def collect(
     overrides: Overrides,
     out: Path,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     flights: Sequence[Path] = (),
     save_flights: Path | None = None,
@@ -239,6 +234,7 @@ def collect(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
+        composer.only("collect --flight" if flights else "collect --sweep" if sweep else "collect", overrides)
         worlds = [cell.config for cell in composer.expand(overrides).sound()] if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides)
     path = check_output(out, force=force)
@@ -253,7 +249,7 @@ def fit(
     dataset: Path,
     overrides: Overrides,
     out: Path,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     force: bool = False,
     **options: Any,
@@ -263,7 +259,7 @@ def fit(
     from quadexp.experiment.fit import fit_checkpoint
     from quadexp.parts.compose import compose
 
-    config = compose(overrides, conf)
+    config = compose(overrides, conf, f"fit-{kind}")
     return dict(
         fit_checkpoint(kind, config, dataset, check_output(out, force=force, folder=True), force=force, **options)
     )
@@ -272,7 +268,7 @@ def fit(
 def identify(
     flights: Sequence[Path],
     out: Path,
-    conf: Path | None = None,
+    conf: Folders = None,
     *,
     chosen: Callable[[str, str], None] = lambda method, reason: None,
     method: str | None = None,
@@ -325,7 +321,7 @@ class Checked(NamedTuple):
         return {finding.severity for finding in self.findings}
 
 
-def check(paths: Sequence[Path], vehicle: str | None = None, conf: Path | None = None) -> list[Checked]:
+def check(paths: Sequence[Path], vehicle: str | None = None, conf: Folders = None) -> list[Checked]:
     """Check recorded flights. vehicle: of the configuration, not the flight's own."""
     from quadexp.log.check import check_flights
     from quadexp.log.schema import Flight
@@ -344,7 +340,7 @@ def check(paths: Sequence[Path], vehicle: str | None = None, conf: Path | None =
     ]
 
 
-def _vehicle_of(flight: Flight, name: str | None, conf: Path | None) -> Any:
+def _vehicle_of(flight: Flight, name: str | None, conf: Folders) -> Any:
     from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
 
     if name is not None:
@@ -370,18 +366,22 @@ def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
 
 
 # --------------------------------------------------------------------------------------------------------------- look
-def margins(words: Overrides, conf: Path | None = None) -> list[dict[str, Any]]:
+def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
     """What a loop tolerates at points along its path, see experiment.loop_margins.path_margins. words: overrides, and
     in front of them the file of a flight, whose recorded settings they change."""
     from quadexp.experiment.identity import find_model
     from quadexp.experiment.loop_margins import path_margins
-    from quadexp.parts.compose import compose
+    from quadexp.parts.compose import session
 
+    recorded: list[str] = []
     if words and "=" not in words[0]:
         from quadexp.log.store import read_metadata
 
-        words = [*_recorded(read_metadata(words[0], "flight").get("config") or {}), *words[1:]]
-    config = compose(words, conf)
+        recorded = _recorded(read_metadata(words[0], "flight").get("config") or {})
+        words = words[1:]
+    with session(conf) as composer:
+        composer.only("show --margins", words)
+        config = composer.compose([*recorded, *words])
     return path_margins(config, find_model(config))
 
 

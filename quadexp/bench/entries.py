@@ -20,11 +20,11 @@ from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import MODEL_FILE, digest, find_model, identity_with
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
-from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
+from quadexp.parts.options import Folders
+from quadexp.parts.schema import REMEDIES, Config, remedies
 from quadexp.tune.preset import BY_HAND, provenance_of
 from quadexp.writer import write_text
 
-ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
 SHIPPED = "as shipped"
 
 
@@ -46,9 +46,7 @@ def field() -> list[str]:
     return list(yaml.safe_load((files("quadexp.bench") / "field.yaml").read_text(encoding="utf-8")))
 
 
-def read_entries(
-    texts: Sequence[str], composer: Composer, protocol: Protocol, extra: Path | None = None
-) -> list[Entry]:
+def read_entries(texts: Sequence[str], composer: Composer, protocol: Protocol, extra: Folders = None) -> list[Entry]:
     """The entries that some texts name; raises UsageError where one names no controller, or something else besides, or
     was tuned on the seeds of the protocol."""
     entries: dict[str, Entry] = {}
@@ -57,12 +55,7 @@ def read_entries(
         if not words:
             raise UsageError("--controller: is empty; give a controller's name")
         given = [word if "=" in word or i else f"controller={word}" for i, word in enumerate(words)]
-        for word in given:
-            if word.partition("=")[0].partition(".")[0] not in ALLOWED:
-                raise UsageError(
-                    f"--controller {text!r}: {word}: may set {', '.join(ALLOWED)} only; the rest is the protocol's"
-                )
-        config = composer.compose(given)
+        config = composer.compose(given, "bench --controller")
         name = " ".join(word.removeprefix("controller=") for word in given)
         settings = _settings(given, protocol, extra)
         entries.setdefault(name, Entry(name, tuple(given), config.controller.knows_plant, settings, _rule(config)))
@@ -77,7 +70,7 @@ def _rule(config: Config) -> str:
     return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
 
 
-def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> str:
+def _settings(given: Sequence[str], protocol: Protocol, extra: Folders) -> str:
     """Where its settings come from; raises UsageError where they were tuned on flights of the protocol.
 
     A bundle without provenance counts as set by hand, as keys do: no publication has its values.

@@ -29,13 +29,13 @@ from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.cells import Cell
 from quadexp.parts.compose import Composer, session
+from quadexp.parts.options import Folders
 from quadexp.report.table import Table
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import fly_cells, flying, opened
 
 MODELS = "models"
-SETTABLE = ("engine", "evaluate")
 CALLS = 64  # flights that an entry has at least in the larger sizes
 
 
@@ -61,7 +61,7 @@ def bench(
     asked: Bench = Bench(),  # noqa: B008 - frozen
     *,
     out: Path | None = None,
-    conf: Path | None = None,
+    conf: Folders = None,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
     progress: Progress = lambda done, total: None,
@@ -73,13 +73,10 @@ def bench(
     conf: a configuration folder of your own. function: flies a cell. isolate: False flies in this process.
     Raises UsageError before anything is flown; also where results of different protocols meet.
     """
-    for text in overrides:
-        if text.partition("=")[0].partition(".")[0] not in SETTABLE:
-            raise UsageError(f"{text!r}: what is flown is the protocol's; only {' and '.join(SETTABLE)} can be set")
     out = out or Path("results") / f"bench_{asked.size}"
     if asked.markdown is not None:
         check_markdown(asked.markdown)
-    with session(conf) as composer, opened(composer.compose(overrides), CALLS) as engine:
+    with session(conf) as composer, opened(composer.compose(overrides, "bench"), CALLS) as engine:
         protocol = read_protocol()
         protocol.check(asked.size, composer)
         protocol, called = with_fewer_seeds(protocol, asked.size, asked.seeds)

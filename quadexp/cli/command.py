@@ -20,6 +20,7 @@ import typer
 
 from quadexp.cli.terminal import emit, fail, format_of, guarded, print_lines, print_rendered, print_table, say
 from quadexp.errors import QuadexpError
+from quadexp.messages import note
 from quadexp.parts.settings import Settings, declared
 
 
@@ -65,7 +66,10 @@ Overrides = Annotated[
 _OUT = Ask("Where to write.", "PATH", "--out -o")
 Out = Annotated[Path, _OUT]
 OptionalOut = Annotated[Path | None, _OUT]
-Conf = Annotated[Path | None, Ask("A configuration folder of your own.", "DIR")]
+Conf = Annotated[
+    tuple[Path, ...],
+    Ask("A configuration folder of your own, before the shipped one; repeatable, the first comes first.", "DIR"),
+]
 Force = Annotated[bool, Ask("Replace existing output.", flag="--force -f")]
 Figures = Annotated[bool, Ask("Draw figures.", flag="--figures/--no-figures")]
 FORMAT = Ask("Print json, csv, markdown or latex instead of text.", "FORMAT", "--format")
@@ -99,9 +103,14 @@ class Command(NamedTuple):
         several = {each.name for each in parameters if "list[" in str(each.annotation)}
 
         def run(form: str | None, json: bool, **given: Any) -> None:
+            from quadexp.parts.options import given_folders
+
             with guarded(self.name):
+                note.cache_clear()
                 shown = format_of(form, json)
                 given |= {key: tuple(given[key] or ()) for key in several}
+                if "conf" in given:
+                    given["conf"] = given_folders(given["conf"])
                 for argument, record in records.items():
                     given[argument] = record(**{key: given.pop(key) for key in declared(record)})
                 answer = self.function(**given, **({"form": shown} if "form" in hints else {}))
@@ -134,8 +143,8 @@ def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Paramete
 
 
 def _print(answer: Answer, form: str, what: str) -> None:
-    for note in answer.notes:
-        say(f"note: {note}")
+    for line in answer.notes:
+        say(f"note: {line}")
     if form == "json":
         emit(dict(answer.record))
     elif form in answer.texts:

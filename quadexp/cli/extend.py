@@ -19,7 +19,7 @@ def options(
     asked: Annotated[
         str, Ask("A group, an option, or a word to look for.", "[GROUP | GROUP=OPTION | WORD]", word=True)
     ] = "",
-    conf: Conf = None,
+    conf: Conf = (),
 ) -> Answer:
     """What there is to choose: groups, options, and the keys of an option with value, range, unit and meaning.
 

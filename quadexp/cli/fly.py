@@ -17,7 +17,7 @@ from quadexp.tune import Tune
 
 
 @command
-def simulate(overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None, force: Force = False) -> Answer:
+def simulate(overrides: Overrides = (), out: OptionalOut = None, conf: Conf = (), force: Force = False) -> Answer:
     """Fly one configuration and write the flight.
 
     \b
@@ -40,7 +40,7 @@ def evaluate(
     figures: Annotated[
         bool | None, Ask("Draw figures (default: only for a sweep).", flag="--figures/--no-figures")
     ] = None,
-    conf: Conf = None,
+    conf: Conf = (),
     refly: Annotated[bool, Ask("Fly cells again that another version of the sources has flown.")] = False,
     keep_old: Annotated[bool, Ask("Keep them in the table, beside new ones.")] = False,
     force: Force = False,
@@ -99,7 +99,7 @@ SEARCH_SEED = Ask("Seed of the search's own draws.", flag="--seed", least=0)
 
 @partial(command, vary=VARY, search_seed=SEARCH_SEED)
 def tune(
-    asked: Tune, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None, force: Force = False
+    asked: Tune, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = (), force: Force = False
 ) -> Answer:
     """Tune settings of a controller over worlds, trajectories, speeds and seeds, with a budget of flights.
 
@@ -116,18 +116,13 @@ def tune(
         --vary controller.nodes=5..20 --delay-margin 0.04
     """
     from quadexp.tune.call import tune as tuned_by
-    from quadexp.tune.preset import hidden
 
     with Progress("flights") as progress:
         tuned = tuned_by(overrides, asked, out=out, conf=conf, force=force, progress=progress)
-    lines, where = list(tuned.lines), tuned.record["out"] if conf is None else conf
-    if hidden(tuned.option):
-        lines.append(f"{tuned.choice.split()[-1]} is an option already, which comes first: give --name, and run again")
-    else:
-        if conf is not None:
-            lines.append(f"copy the file to {conf}/{tuned.option.parent.name} to fly it:")
-        lines.append(f"fly it: {shlex.join(['quadexp', 'simulate', '--conf', str(where.absolute()), *tuned.flown])}")
-    return Answer(tuned.record, tuned.rows, lines)
+    folders = [Path(folder).absolute() for folder in (tuned.record["out"], *conf)]
+    given = [word for folder in folders for word in ("--conf", str(folder))]
+    fly = f"fly it: {shlex.join(['quadexp', 'simulate', *given, *tuned.flown])}"
+    return Answer(tuned.record, tuned.rows, [*tuned.lines, fly])
 
 
 def _controllers(context: typer.Context, incomplete: str) -> list[str]:
@@ -140,7 +135,7 @@ CONTROLLER = Ask("Takes part too, as 'NAME observer=...'; repeatable.", "NAME", 
 
 
 @partial(command, controllers=CONTROLLER)
-def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = None) -> Answer:
+def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf: Conf = ()) -> Answer:
     """Rank controllers by a protocol that does not change: the same tasks, worlds and seeds for all.
 
     Settings after the command are those of the engine and its limits (engine=..., evaluate.workers=...). Models that

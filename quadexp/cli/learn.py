@@ -27,7 +27,7 @@ def collect(
     flight: Annotated[tuple[Path, ...], Ask("Use this recorded flight; repeatable.", "PATH", "--flight")] = (),
     save_flights: Annotated[Path | None, Ask("Write the flights too.", "DIR")] = None,
     sweep: Annotated[bool, Ask("Fly in every combination of the worlds given, one after another.")] = False,
-    conf: Conf = None,
+    conf: Conf = (),
     force: Force = False,
 ) -> Answer:
     """Fly random paths, or take recorded flights, and write the residual: what the rigid body does not explain.
@@ -57,7 +57,7 @@ def fit_gp(
     out: Out = Path("models/gp"),
     figures: Annotated[bool, Ask("Draw the fit.", flag="--figures/--no-figures")] = True,
     after: After = None,
-    conf: Conf = None,
+    conf: Conf = (),
     force: Force = False,
 ) -> Answer:
     """Fit Gaussian processes to a data set and write the checkpoint.
@@ -71,7 +71,7 @@ def fit_gp(
 
 @command
 def fit_drag(
-    dataset: DataSet, overrides: Overrides = (), out: Out = Path("models/drag"), conf: Conf = None, force: Force = False
+    dataset: DataSet, overrides: Overrides = (), out: Out = Path("models/drag"), conf: Conf = (), force: Force = False
 ) -> Answer:
     """Fit linear rotor drag to a data set and write the checkpoint.
 
@@ -87,7 +87,7 @@ def fit_nn(
     overrides: Overrides = (),
     out: Out = Path("models/nn"),
     after: After = None,
-    conf: Conf = None,
+    conf: Conf = (),
     force: Force = False,
 ) -> Answer:
     """Fit a neural network to a data set and write the checkpoint.
@@ -100,7 +100,7 @@ def fit_nn(
 
 
 def _fit(
-    kind: str, dataset: Path, overrides: Sequence[str], out: Path, conf: Path | None, force: bool, **options: Any
+    kind: str, dataset: Path, overrides: Sequence[str], out: Path, conf: Sequence[Path], force: bool, **options: Any
 ) -> Answer:
     from quadexp import requests
 
@@ -129,7 +129,7 @@ def identify(
     figures: Figures = True,
     figure: Annotated[Path | None, Ask("delays: draw the search, as SVG and PNG.")] = None,
     verbose: Annotated[bool, Ask("Print all that was found, as `quadexp show` does.")] = False,
-    conf: Conf = None,
+    conf: Conf = (),
     force: Force = False,
 ) -> Answer:
     """Identify a vehicle from its flights: thrust curve, drag, blade-element coefficients, with 95 % intervals.
@@ -194,7 +194,7 @@ def validate(
     leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,
     out: Annotated[Path | None, Ask("Write report and figures there.", "DIR", "--out -o")] = None,
     figures: Annotated[bool, Ask("Draw figures (with --out).", flag="--figures/--no-figures")] = True,
-    conf: Conf = None,
+    conf: Conf = (),
     force: Force = False,
 ) -> Answer:
     """Compare what models predict with what flights did: sample by sample, and open loop from many start points.

@@ -37,7 +37,7 @@ def import_(
     gyro_mounting: Annotated[str | None, Ask("The same of the gyro.", "R,P,Y")] = None,
     bad_rows: Annotated[Literal["refuse", "drop", "gap"], Ask(BAD_ROWS)] = "refuse",
     keep: Annotated[bool, Ask("Write flights with blocking findings too.")] = False,
-    conf: Conf = None,
+    conf: Conf = (),
     force: Force = False,
 ) -> Answer:
     """Make flights of logs: one clock, SI units, ENU and FLU, ground phases cut off, quality checked.
@@ -94,7 +94,7 @@ def check(
     vehicle: Vehicle = None,
     figures: Annotated[Path | None, Ask("Draw every flight's streams against each other.", "DIR")] = None,
     strict: Annotated[bool, Ask("Warnings block as well.")] = False,
-    conf: Conf = None,
+    conf: Conf = (),
 ) -> Answer:
     """Check units, frames, signs, clock, sensors and commands of flights, and whether one is there twice.
 

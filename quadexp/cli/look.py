@@ -207,7 +207,7 @@ def show(
     beliefs: Annotated[bool, Ask("Of a flight with remedies=auto: what it believed, and what was true.")] = False,
     out: Annotated[Path | None, Ask("Draw the beliefs too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
-    conf: Conf = None,
+    conf: Conf = (),
 ) -> Answer:
     """Show what a file holds: its kind, configuration, units, seed, versions, size.
 
@@ -250,7 +250,7 @@ def _beliefs(path: Path, out: Path | None, force: bool) -> Answer:
     return Answer(record, [table], [table, *drawn])
 
 
-def _margins(words: Sequence[str], conf: Path | None) -> Answer:
+def _margins(words: Sequence[str], conf: Sequence[Path]) -> Answer:
     from quadexp import requests
     from quadexp.report.table import Table
 

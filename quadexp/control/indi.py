@@ -62,7 +62,11 @@ class INDIKeys(Settings):
         0.0, "of a rotor about its axis, against its spin-up; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
     )
     spin_up_time: float = key(
-        0.03, "of a rotor, for rotor_inertia: its time constant; 0: one period, as printed", "[0, 1]", "s"
+        0.03,
+        "of a rotor, for rotor_inertia: its time constant; 0: one period, as printed",
+        "[0, 1]",
+        "s",
+        when="rotor_inertia",
     )
     motor_lag: float = key(0.0, "time constant of the thrusts, where rotor speeds are not measured", "[0, 1]", "s")
     dead_time: float = key(0.0, "delay of the commands, where rotor speeds are not measured", "[0, 0.5]", "s")

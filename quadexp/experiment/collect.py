@@ -1,6 +1,6 @@
 """Flights for learning, and the data set made from them.
 
-mode "random": smooth random paths, one lap each, with peak speeds spread evenly over [speed_min, speed_max]; a path
+mode "random": smooth random paths, one lap each or its first `flight_duration` seconds, with peak speeds spread evenly over [speed_min, speed_max]; a path
 that exceeds the total thrust of all rotors is replaced by another. Single rotors may reach their limits, unlike on the
 paths of trajectory=random, so that the data cover the whole range of the vehicle. mode "setpoints": jumps between
 random points, each held for the duration of a minimum-snap move to the next one at a peak speed of that range.
@@ -46,6 +46,7 @@ OF_TIMING = ("vehicle", "plant", "truth", "link", "actuator", "health", "sensor"
 LOST_DISTANCE = 1e3  # m; large, because a jump of the set-point must not end the flight
 # Share of collect.duration by which the last path may end later; of a longer one the beginning is flown.
 OVERTIME = 0.05
+SETPOINTS = 20.0  # s of a flight through setpoints, where collect.flight_duration does not say
 SHORTEST = 1.0  # s of a flight at least: fewer samples show neither lag nor drag
 GOLDEN = 0.6180339887498949  # step of an even spread over an interval for any number of points
 
@@ -147,14 +148,17 @@ def _trajectory(
     """What is flown next, for `rest` (s) at most where that is possible."""
     settings = config.collect
     if settings.mode == "setpoints":
-        return setpoints(settings.extent, settings.clearance, speed, min(settings.flight_duration, rest), rng)
+        duration = min(settings.flight_duration or SETPOINTS, rest)
+        return setpoints(settings.extent, settings.clearance, speed, duration, rng)
+    longest = settings.flight_duration or math.inf
+    overtime = OVERTIME * settings.duration if rest < longest else 0.0
     for _ in range(DRAWS):
         seed = int(rng.integers(2**31))
         path = RandomPolynomial(speed=speed, seed=seed, extent=settings.extent, clearance=settings.clearance)
         if thrust_excess(path, vehicle) is None:
             period = controller.control_period
-            wanted = max(SHORTEST, math.ceil(rest / period - 1e-6) * period)
-            return Beginning(path, wanted) if path.duration > wanted + OVERTIME * settings.duration else path
+            wanted = max(SHORTEST, math.ceil(min(rest, longest) / period - 1e-6) * period)
+            return Beginning(path, wanted) if path.duration > wanted + overtime else path
     raise QuadexpError(
         f"none of {DRAWS} random paths at {speed:.1f} m/s can be flown; lower collect.speed_max"
         f" ({settings.speed_max:g} m/s) or raise collect.extent ({settings.extent:g} m)"

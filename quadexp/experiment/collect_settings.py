@@ -12,7 +12,7 @@ from quadexp.parts.settings import key
 
 @dataclass(frozen=True, kw_only=True)
 class CollectConfig(Part):
-    """How a data set is flown: flights of `flight_duration` until `duration` is reached, speeds spread evenly over
+    """How a data set is flown: flights of at most `flight_duration` until `duration` is reached, speeds spread evenly over
     [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
     target, identified: of recorded flights; see quadexp/models/recorded.py."""
 
@@ -20,7 +20,9 @@ class CollectConfig(Part):
 
     mode: Literal["random", "setpoints"] = key("random", "smooth random paths, or jumps between random points")
     duration: float = key(300.0, "total flight time", "(0, 86400]", "s")
-    flight_duration: float = key(20.0, "length of one flight", "[2, 3600]", "s")
+    flight_duration: float | None = key(
+        None, "longest flight; null: a lap of a random path, 20 s of setpoints", "[2, 3600]", "s"
+    )
     speed_min: float = key(5.0, "peak speed of the slowest path; the others are spread evenly", "(0, 60]", "m/s")
     speed_max: float = key(20.0, "peak speed of the fastest path", "(0, 60]", "m/s")
     extent: float = key(6.0, "edge of the cube that the paths stay in", "(0, 1000]", "m")
@@ -30,7 +32,9 @@ class CollectConfig(Part):
         "instant of a transition's features: its middle (second order), or its start as published (first order)",
     )
     thrust: Literal["delivered", "commanded"] = key(
-        "delivered", "delivered: by logged rotor speeds or a fitted lag and delay; commanded: as commanded"
+        "delivered",
+        "delivered: by logged rotor speeds or a fitted lag and delay; commanded: as commanded",
+        when="identified=null",
     )
     state: Literal["estimate", "truth"] = key(
         "estimate", "of a simulated flight with an estimator: the estimate that the controller was told, or the truth"

@@ -16,6 +16,7 @@ from quadexp.experiment.vehicle_of import own_vehicle
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.models.samples import READINGS
+from quadexp.parts.options import Folders
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.writer import check_output
@@ -27,7 +28,7 @@ PROFILED, BESIDE = 51, 2  # candidates of a delay in a figure; of them on each s
 
 
 def identify_delays(
-    paths: Sequence[Path], vehicle: Vehicle | None, conf: Path | None, figure: Path | None = None
+    paths: Sequence[Path], vehicle: Vehicle | None, conf: Folders, figure: Path | None = None
 ) -> dict[str, Any]:
     """{"flights": a record of each, "lines": the report}.
 

@@ -291,8 +291,10 @@ def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Fl
 def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[str, Any]:
     """The metadata of every flight."""
     identity, record = identity_with(config, model), flight_record(config)
+    parts = {group: getattr(config, group) for group, part in record.items() if isinstance(part, dict)}
+    classes = {group: f"{type(part).__module__}.{type(part).__qualname__}" for group, part in parts.items()}
     return {
-        "config": record, "config_hash": digest(record), "seed": config.seed,
+        "config": record, "classes": classes, "config_hash": digest(record), "seed": config.seed,
         "inputs": identity.inputs, "code": identity.code,
         "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint},
         "plant": config.plant.name, "world": config.world, "trajectory": config.trajectory.name,

@@ -35,6 +35,7 @@ from quadexp.models.vehicle_model import (
     flight_by_flight,
     selection,
 )
+from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output
@@ -87,7 +88,7 @@ def read_recorded(path: Path) -> Flight:
 
 
 def identify_files(
-    flights: Sequence[Path], out: Path, *, vehicle: str | None = None, conf: Path | None = None, force: bool = False
+    flights: Sequence[Path], out: Path, *, vehicle: str | None = None, conf: Folders = None, force: bool = False
 ) -> list[tuple[Path, Identification]]:
     """Identify from every flight and write <out>/<its name>.parquet, all or none.
 
@@ -180,7 +181,7 @@ def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> 
 
 def identify_flights(
     paths: Sequence[Path], out: Path, vehicle: Vehicle | None, settings: FitSettings, *, force: bool = False,
-    figures: bool = True, conf: Path | None = None,
+    figures: bool = True, conf: Folders = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Read, identify, write the checkpoint folder with its figures. vehicle: None: the one recorded in the flights, if
     any. Returns the report, with `lines` and `main`, those that matter first.

@@ -13,6 +13,7 @@ from quadexp.log.check import Finding, check_flight
 from quadexp.log.importers import Options, checked, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.parts.options import Folders
 from quadexp.progress import doing
 from quadexp.writer import check_output
 
@@ -42,7 +43,7 @@ class Outcome:
 
 
 def import_files(
-    logs: Sequence[Path], out: Path, options: Options, *, vehicle: str | None = None, conf: Path | None = None,
+    logs: Sequence[Path], out: Path, options: Options, *, vehicle: str | None = None, conf: Folders = None,
     force: bool = False, keep: bool = False,
 ) -> Iterator[Outcome]:  # fmt: skip
     """Write <out>/<name of the log>.parquet for every log that can be imported, one after the other.

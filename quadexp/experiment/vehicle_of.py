@@ -9,12 +9,13 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_metadata
+from quadexp.parts.options import Folders
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import made
 from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
 
 
-def own_vehicle(flight: Flight, conf: Path | None = None) -> Vehicle | None:
+def own_vehicle(flight: Flight, conf: Folders = None) -> Vehicle | None:
     """The vehicle described in a flight's metadata, or named there if the configuration's is identical; else None."""
     if (flight.metadata.get("config") or {}).get("vehicle"):
         return recorded_vehicle(flight, Path("flight"))
@@ -26,7 +27,7 @@ def own_vehicle(flight: Flight, conf: Path | None = None) -> Vehicle | None:
     return named if named is not None and named.fingerprint == record.get("fingerprint") else None
 
 
-def vehicle_named(name: str, conf: Path | None) -> Vehicle:
+def vehicle_named(name: str, conf: Folders) -> Vehicle:
     """A vehicle of the configuration, or of the folder `conf`; raises UsageError for an unknown name."""
     from quadexp.parts.compose import compose
 
@@ -42,7 +43,7 @@ def recorded_vehicle(flight: Flight, path: Path) -> Vehicle:
     return build_vehicle(made(Vehicle, {current.get(key, key): value for key, value in record.items()}))
 
 
-def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Path | None = None) -> Config:
+def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Folders = None) -> Config:
     """The composed configuration with the vehicle recorded in the flights, or the one in an override.
 
     Raises DataError where the flights are of different vehicles, or of one with other parameters in the configuration.
@@ -58,7 +59,7 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Pat
     path, record = next(iter(named.items()), ("", {}))
     if named and not any(text.startswith("vehicle=") for text in values):
         values.insert(0, f"vehicle={record['name']}")
-    config = compose(values, conf)
+    config = compose(values, conf, "validate")
     vehicle = build_vehicle(config.vehicle)
     if named and vehicle.fingerprint != record["fingerprint"]:
         has = f"the configuration has {vehicle.name} ({vehicle.fingerprint})"

@@ -143,7 +143,7 @@ class GPConfig(Part):
         None, "largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"
     )
     holdout: float = key(0.2, HOLDOUT)
-    refit: bool = key(True, "after the report, fit again to all flights")
+    refit: bool = key(True, "after the report, fit again to all flights", when="holdout")
     max_iterations: int = key(60, "largest number of L-BFGS iterations", "[1, 10000]")
     jitter: float = key(1e-8, "added to K_ZZ, relative to the signal variance", "(0, 1e-6]")
 

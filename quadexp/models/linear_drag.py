@@ -55,7 +55,7 @@ class DragConfig(Part):
         "huber", "Huber's, which the few fastest rows do not bend, or least squares as published"
     )
     holdout: float = key(0.2, HOLDOUT)
-    seed: int = key(0, "draws the held-out flights", SEEDS)
+    seed: int = key(0, "draws the held-out flights", SEEDS, when="holdout")
 
 
 class LinearDrag(Model, frozen=True, tag="linear_drag"):

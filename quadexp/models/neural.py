@@ -112,7 +112,7 @@ class NNConfig(Part):
     )
     seed: int = key(0, "seed of held-out flights, first weights", SEEDS)
     holdout: float = key(0.2, HOLDOUT)
-    refit: bool = key(True, "after the report, fit again to all flights")
+    refit: bool = key(True, "after the report, fit again to all flights", when="holdout")
 
     def __post_init__(self) -> None:
         super().__post_init__()

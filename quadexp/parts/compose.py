@@ -10,9 +10,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
@@ -21,9 +20,10 @@ from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.former import FORMER_TARGET, refuse_former
-from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge, nested
+from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, in_grammar
 from quadexp.parts.part import TARGET, part_class
+from quadexp.parts.reads import is_read, refuse_idle, refuse_unread
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
 from quadexp.parts.user_modules import import_from, own_folders
@@ -52,12 +52,12 @@ class Node(NamedTuple):
 
 
 class Composer:
-    """Composes configurations from conf/ and a user's own folder (extra); use `session`.
+    """Composes configurations from conf/ and a user's own folders (extra); use `session`.
 
-    options(group): names of its options. having, part: see OptionFiles.
+    options(group): names of its options. part: see OptionFiles.part_of.
     """
 
-    def __init__(self, extra: Path | None = None) -> None:
+    def __init__(self, extra: Folders = None) -> None:
         self._files = OptionFiles(extra)
         self._folders = own_folders()
         self.options, self.part = self._files.options, self._files.part_of
@@ -67,13 +67,27 @@ class Composer:
         self._made: dict[tuple[Any, ...], Any] = {}
         self._checked: set[tuple[Any, ...]] = set()
 
-    def compose(self, overrides: Sequence[str] = ()) -> Config:
-        """The configuration of one run.
+    def only(self, command: str, overrides: Sequence[str]) -> None:
+        """UsageError where something is given that a command does not read (reads.py)."""
+        parsed = self._overrides.read(overrides, sweep=True)
+        grids = self._grids(parsed) if is_read("sweep", command) else [parsed]
+        for override in (override for grid in grids for override in grid):
+            keys: Iterable[str] = [override.key]
+            if override.key == "experiment" and override.value is not None:
+                option = self._files.option("experiment", override.value)
+                flies_it = "sweep" in option.values and is_read("trajectory", command)
+                keys = ["sweep"] if flies_it else (*option.chosen, *_keys(option.values))
+            refuse_unread(command, override.text, keys)
+
+    def compose(self, overrides: Sequence[str] = (), command: str | None = None) -> Config:
+        """The configuration of one run. command: that is given the overrides, see `only`.
 
         Raises UsageError with one line: unknown key or option, value of a wrong type or out of range, value missing,
         several values for one key.
         """
         import_from(*self._folders)  # cells are composed when they are asked for, maybe after another session
+        if command is not None:
+            self.only(command, overrides)
         try:
             return self._compose(self._overrides.read(overrides))
         except ValueError as error:  # of a user's own part
@@ -130,6 +144,8 @@ class Composer:
                 first = next(iter(tree[override.key].content))
                 raise UsageError(f"{override.text}: holds keys; set one of them, such as {override.key}.{first}=...")
         config = Config(**self._parts(tree, values))
+        for override in values:
+            refuse_idle(config, override.key, override.text)
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
@@ -175,6 +191,7 @@ class Composer:
                 continue
             option = str(options[group])
             values, text = self._files.option(group, option).values, f"{group}={option}"
+            self._files.note_covered(group, option)
             if group in GLOBAL:
                 for name, value in values.items():
                     layers.setdefault(name, []).append(Layer(text, text, value))
@@ -369,25 +386,21 @@ def _as_override(key: str, value: Any) -> str:
 
 # ----------------------------------------------------------------------------------------------------------- sessions
 @contextlib.contextmanager
-def session(extra: Path | None = None) -> Iterator[Composer]:
-    """A Composer over conf/, installed plugins and, if given, a user's own folder of the same layout.
+def session(extra: Folders = None) -> Iterator[Composer]:
+    """A Composer over a user's own folders, if given, installed plugins and conf/.
 
-    Modules in the user's folder can be named under `_target_`.
+    Modules in the user's folders can be named under `_target_`. Raises UsageError where one is no folder of options.
     """
-    if extra is not None:
-        if not extra.is_dir():
-            raise UsageError(f"--conf {extra}: no such folder")
-        import_from(extra.resolve())
-    yield Composer(extra.resolve() if extra is not None else None)
+    yield Composer(given_folders(extra))
 
 
-def compose(overrides: Sequence[str] = (), extra: Path | None = None) -> Config:
+def compose(overrides: Sequence[str] = (), extra: Folders = None, command: str | None = None) -> Config:
     """One configuration; see Composer.compose."""
     with session(extra) as composer:
-        return composer.compose(overrides)
+        return composer.compose(overrides, command)
 
 
-def expand(overrides: Sequence[str] = (), extra: Path | None = None) -> Cells:
+def expand(overrides: Sequence[str] = (), extra: Folders = None) -> Cells:
     """All configurations of a sweep; see Composer.expand."""
     with session(extra) as composer:
         return composer.expand(overrides)

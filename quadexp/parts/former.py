@@ -5,12 +5,11 @@ for one release, with a note.
 
 from __future__ import annotations
 
-import functools
 import re
-import sys
 from pathlib import Path
 
 from quadexp.errors import UsageError
+from quadexp.messages import note
 
 FORMER_TARGET = "_former_"  # key of a node: the class that stands for a user's part of the former form
 
@@ -86,11 +85,5 @@ def former_name(default: str, file: Path) -> str:
     match = _SCHEMA.fullmatch(default)
     if match is None:
         return ""
-    _say(file, default)
+    note(f"{file}: defaults: [{default}] is the former form of `_target_: MODULE.CLASS` (docs/migrating.md)")
     return match[1]
-
-
-@functools.cache
-def _say(file: Path, default: str) -> None:
-    text = f"note: {file}: defaults: [{default}] is the former form of `_target_: MODULE.CLASS` (docs/migrating.md)"
-    print(text, file=sys.stderr)

@@ -5,35 +5,36 @@ It is read from the files and the parts' classes.
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.former import refuse_former
-from quadexp.parts.options import OptionFiles, groups
+from quadexp.parts.options import Folders, OptionFiles, given_folders, groups
 from quadexp.parts.schema import CHOSEN, PARTS, Config
 from quadexp.parts.settings import REQUIRED, Declared, declared, lists
-from quadexp.parts.user_modules import import_from
 
 Record = dict[str, str]
 
 
-def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
+def listed(asked: str = "", conf: Folders = None) -> list[Record]:
     """Records that answer a question.
 
     asked: "" for all groups; GROUP for its options, their keys, and the keys that have its name; GROUP=OPTION for the
-    keys of that option; any other word for the options, keys and meanings that contain it. conf: a folder of the user's
-    own.
+    keys of that option; any other word for the options, keys and meanings that contain it. conf: folders of the user's
+    own. A key that stands in no group, and `evaluate`, is asked for as a group is.
 
     Raises UsageError where nothing does.
     """
-    if conf is not None:
-        import_from(conf.resolve())
-    files = OptionFiles(conf)
+    files = OptionFiles(given_folders(conf))
+    for name in files.definitions:
+        files.note_covered(*name.split("/"))
     group, _, option = asked.partition("=")
     if not asked:
-        return [{"group": name, "options": " ".join(files.options(name))} for name in files.groups]
+        return [
+            {"group": name, "options": " ".join(files.options(name))} for name in (*files.groups, *declared(Config))
+        ]
     if option and group in files.groups:
         name = files.named(group, option)
         if name is None:
@@ -41,12 +42,12 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
             raise UsageError(f"{asked}: no such {group}{suggestion(option, files.options(group))}")
         return _keys(files, group, name)
     keys = _all_keys(files)
-    if group in files.groups:  # and what else is called like it
+    if group in (*files.groups, *declared(Config)):  # and what else is called like it
         its, others = ([one for one in keys if (one["key"].partition(".")[0] == group) == own] for own in (True, False))
         others = [record for record in others if group in record["key"].partition(".")[2]]
         return _options(files, group) + its + others
-    records = [record for name in files.groups for record in _options(files, name) if asked in record["option"]]
-    records += [record for record in keys if asked in record["key"] or asked in record["meaning"]]
+    options = [record for name in files.groups for record in _options(files, name)]
+    records = [record for record in options + keys if asked.lower() in " ".join(record.values()).lower()]
     if not records:
         raise UsageError(f"options {asked}: no group, option or key has this word")
     return records
@@ -75,7 +76,7 @@ def _keys(files: OptionFiles, group: str, option: str) -> list[Record]:
 
 def _all_keys(files: OptionFiles) -> list[Record]:
     """Every key once, with the value that it has by default, else that of the first option that has it."""
-    records: dict[str, Record] = {}
+    records = {name: _key(name, key, key.default) for name, key in _walk(Config)}
     for group in files.groups:
         options = sorted(files.options(group), key=lambda option: option != CHOSEN.get(group))
         for option in options if files.parts(group) else ():
@@ -95,32 +96,37 @@ def _text(value: Any) -> str:
 
 
 # -------------------------------------------------------------------------------------------------------- completion
-def key_words(group: str | None = None) -> dict[str, list[str]]:
+def key_words(group: str | None = None, conf: Folders = None) -> dict[str, list[str]]:
     """Every key that can be set, of whatever option, with its values where those are a few words. group: of one group
-    alone; only the classes of its parts are imported."""
-    files = OptionFiles()
-    nodes: list[tuple[str, Any]] = [("", Config)]
-    nodes += [(f"{name}.", part) for name in PARTS if group in (None, name) for part in files.parts(name).values()]
+    alone; only the classes of its parts are imported. conf: folders of the user's own."""
+    files = OptionFiles(given_folders(conf))
+    of_groups = [name for name in PARTS if group in (None, name)]
+    found = [*_walk(Config)]
+    found += [each for name in of_groups for part in files.parts(name).values() for each in _walk(part, f"{name}.")]
     keys: dict[str, dict[str, None]] = {}
-    while nodes:
-        prefix, node = nodes.pop()
-        for name, key in declared(node).items():
-            if key.node is not None:
-                nodes.append((f"{prefix}{name}.", key.node))
-            elif name not in ("options", "_target_"):
-                words = key.words or (("true", "false") if key.type is bool else ())
-                keys.setdefault(prefix + name, {}).update(dict.fromkeys(words))
+    for name, key in found:
+        words = key.words or (("true", "false") if key.type is bool else ())
+        keys.setdefault(name, {}).update(dict.fromkeys(words))
     return {key: list(words) for key, words in sorted(keys.items())}
 
 
-def candidates(words: list[str], incomplete: str, conf: str | None = None) -> list[str]:
-    """What an override that is being typed can become. words: those before it. conf: a folder of the user's own.
+def _walk(node: type, prefix: str = "") -> Iterator[tuple[str, Declared]]:
+    """The keys of a class and of the nodes below it, with what they hold."""
+    for name, key in declared(node).items():
+        if key.node is not None:
+            yield from _walk(key.node, f"{prefix}{name}.")
+        elif name not in ("options", "_target_"):
+            yield f"{prefix}{name}", key
+
+
+def candidates(words: list[str], incomplete: str, conf: Folders = None) -> list[str]:
+    """What an override that is being typed can become. words: those before it. conf: folders of the user's own.
 
     Shells that split words at "=" want the value alone back.
     """
-    options = groups(Path(conf) if conf else None)
+    options = groups(conf)
     line = " ".join([*words[-2:], incomplete])
-    values = key_words(next((name for name in options if f"{name}." in line), "")) | options
+    values = key_words(next((name for name in options if f"{name}." in line), ""), conf) | options
     bare = False
     if not incomplete and words and words[-1] in values:
         key, value, bare = words[-1], "", True

@@ -1,6 +1,9 @@
 """Options: found in the folders of configuration, read as data, and joined with those that they extend.
 
-The folders are conf/, then those of installed plugins, then a user's own. An option is a file GROUP/NAME.yaml:
+The folders are a user's own, in the order in which they are given, then those of installed plugins, then conf/. Where
+several have an option of one name, the first counts, and a note says what it covers. An option extends those of its own
+folder and of the folders behind it, so an own `pid` that extends `pid` extends the one that it covers, and what ships
+extends what ships. An option is a file GROUP/NAME.yaml:
 
     defaults: [nominal_mpc, _self_]       # an option extends others of its group
     defaults: [override /wind: gust]      # a bundle, or an experiment, chooses options of other groups
@@ -30,18 +33,19 @@ import functools
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
-from quadexp.messages import MOST_NAMED, ending_in
+from quadexp.messages import MOST_NAMED, ending_in, note
 from quadexp.parts.crazyflies import CRAZYFLIE, crazyflie_numbers
 from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name, refuse_former
 from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
-from quadexp.parts.user_modules import plugin_folders
+from quadexp.parts.user_modules import import_from, plugin_folders
 from quadexp.provenance import content_hash
 
 SHEETS = "options"  # folder of the sheets, in a folder of configuration
@@ -49,6 +53,8 @@ NOTHING = "nothing"  # the sheet of the options that do nothing, for each of whi
 ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
 LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
 GLOBAL = ("experiment", *BUNDLES)  # groups whose options set values of the whole configuration
+Place = str | os.PathLike[str]
+Folders = Place | Iterable[Place] | None  # of a user's own, as given with --conf; the first comes first
 MOST_BYTES = 1_000_000  # of a file
 MOST_VALUES = 20_000  # of a file, every alias counted as what it stands for
 DEEPEST = 40  # mappings and lists within each other
@@ -68,6 +74,20 @@ class Entry(NamedTuple):
     provenance: dict[str, Any] | None
 
 
+@dataclass(frozen=True, eq=False)
+class Definition:
+    """Where an option is stated. place: of its folder among the folders. path: its file, or the sheet of the entry."""
+
+    place: int
+    path: Path
+    entry: Entry | None
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What is stated, with `defaults`."""
+        return read_mapping(self.path) if self.entry is None else self.entry.content
+
+
 class Option(NamedTuple):
     """An option with those that it extends. values: what they set. chosen: options of other groups, by group."""
 
@@ -75,34 +95,50 @@ class Option(NamedTuple):
     chosen: dict[str, str]
 
 
-def folders(extra: Path | None = None) -> list[Path]:
-    """Folders of configuration files, in the order in which an option is looked for."""
-    return [conf_folder(), *plugin_folders().values(), *([extra] if extra else [])]
+def given_folders(extra: Folders) -> tuple[Path, ...]:
+    """The folders given with --conf, each once, whose modules can then be imported.
+
+    UsageError where one is no folder, or has no option in it."""
+    folders = _resolved(extra)
+    for folder, given in folders.items():
+        if not folder.is_dir():
+            raise UsageError(f"--conf {given}: {'is a file, not a' if folder.is_file() else 'no such'} folder")
+        if {path.parent.name for path in folder.glob("*/*.yaml")}.isdisjoint({*CHOSEN, "experiment", SHEETS}):
+            raise UsageError(f"--conf {given}: has no options, such as a file controller/NAME.yaml in it")
+    if folders:
+        import_from(*folders)
+    return tuple(folders)
 
 
-def groups(extra: Path | None = None) -> dict[str, list[str]]:
+def _resolved(extra: Folders) -> dict[Path, Place]:
+    """The folders, each once, with what each is called."""
+    given = [extra] if isinstance(extra, (str, os.PathLike)) else extra or ()
+    return {Path(folder).resolve(): folder for folder in given}
+
+
+def groups(extra: Folders = None) -> dict[str, list[str]]:
     """Configuration groups and their options: a listing of the folders and of the sheets."""
-    options: dict[str, set[str]] = {}
-    for root in folders(extra):
-        files = [path for path in root.glob("*/*.yaml") if path.is_file() and path.parent.name != SHEETS]
-        names = [(path.parent.name, path.stem) for path in files]
-        for group, option in [*names, *(name.split("/", 1) for name in entries(root))]:
-            options.setdefault(group, set()).add(option)
-    return {group: sorted(names) for group, names in sorted(options.items())}
+    return OptionFiles(extra).groups
 
 
 class OptionFiles:
-    """folders: in the order in which a file is looked for. groups: the options of every group. entries: the options
-    that stand in sheets, but for those that a folder before has as a file."""
+    """folders: in the order in which an option is looked for. definitions: of every option, such as "plant/ideal", the
+    one that counts first. groups: the options of every group. entries: the options that stand in sheets."""
 
-    def __init__(self, extra: Path | None = None) -> None:
-        self.folders = folders(extra)
-        self.groups = groups(extra)
-        self.entries: dict[str, Entry] = {}
+    def __init__(self, extra: Folders = None) -> None:
+        self.folders = [*_resolved([*_resolved(extra), *plugin_folders().values(), conf_folder()])]
+        self.definitions: dict[str, list[Definition]] = {}
         for place, folder in enumerate(self.folders):
-            for name, entry in entries(folder).items():
-                if not any((other / f"{name}.yaml").is_file() for other in self.folders[: place + 1]):
-                    self.entries.setdefault(name, entry)
+            files = (path for path in folder.glob("*/*.yaml") if path.is_file() and path.parent.name != SHEETS)
+            stated: list[tuple[str, Path, Entry | None]] = [(f"{p.parent.name}/{p.stem}", p, None) for p in files]
+            stated += [(name, entry.sheet, entry) for name, entry in entries(folder).items()]
+            for name, path, entry in stated:
+                self.definitions.setdefault(name, []).append(Definition(place, path, entry))
+        self.entries = {name: first.entry for name, (first, *_) in self.definitions.items() if first.entry}
+        self.groups: dict[str, list[str]] = {}
+        for name in sorted(self.definitions):
+            group, _, option = name.partition("/")
+            self.groups.setdefault(group, []).append(option)
         self._options: dict[tuple[str, str], Option] = {}
 
     def options(self, group: str) -> list[str]:
@@ -114,39 +150,28 @@ class OptionFiles:
         options = self.options(group)
         if option in options or option != "none":
             return str(option) if option in options else None
-        sheets = ((name, self.find(f"{group}/{name}")) for name in options)
-        return next((name for name, sheet in sheets if sheet and sheet.match(f"{SHEETS}/{NOTHING}.yaml")), None)
+        stated = ((name, each.path) for name in options for each in self.definitions[f"{group}/{name}"])
+        return next((name for name, path in stated if path.match(f"{SHEETS}/{NOTHING}.yaml")), None)
 
-    def find(self, name: str) -> Path | None:
-        """The file of a name such as "plant/ideal"; None where there is none."""
-        if name in self.entries:
-            return self.entries[name].sheet
-        return next((path for folder in self.folders if (path := folder / f"{name}.yaml").is_file()), None)
+    def note_covered(self, group: str, option: str) -> None:
+        """Say once where an option comes before another one of its name."""
+        first, *others = self.definitions[f"{group}/{option}"]
+        if others:
+            shipped = others[0].place == len(self.folders) - 1
+            covered = "the shipped option of this name" if shipped else others[0].path
+            note(f"{group}={option}: {first.path} covers {covered}")
 
     def meaning(self, group: str, option: str) -> str:
         """What an option is, in words: as its sheet says, or the comment at the head of its file."""
-        name = f"{group}/{option}"
-        if name in self.entries:
-            return self.entries[name].meaning
-        path = self.find(name)
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path else []
+        first = self.definitions[f"{group}/{option}"][0]
+        if first.entry:
+            return first.entry.meaning
+        lines = first.path.read_text(encoding="utf-8", errors="replace").splitlines()
         return " ".join(line.lstrip("# ") for line in lines if line.startswith("#") and "@package" not in line)
-
-    def read(self, group: str, option: str, *, look: bool = False) -> tuple[Path, dict[str, Any]]:
-        """An option's file, and what it says; look: also how it is drawn. UsageError where it is none of settings."""
-        name = f"{group}/{option}"
-        path = self.find(name)
-        if path is None:
-            raise UsageError(f"{group}={option}: there is no file {name}.yaml")
-        content = self.entries[name].content if name in self.entries else read_mapping(path)
-        if CRAZYFLIE in content:
-            numbers = crazyflie_numbers(group, str(content[CRAZYFLIE]))
-            content = numbers | {key: value for key, value in content.items() if key != CRAZYFLIE}
-        return path, {key: value for key, value in content.items() if look or key != LOOK}
 
     def look(self, group: str, option: str) -> Mapping[str, Any]:
         """How an option is drawn: hue, marker, dash; empty where it does not say."""
-        look = self.read(group, option, look=True)[1].get(LOOK)
+        look = self.definitions[f"{group}/{option}"][0].content.get(LOOK)
         return look if isinstance(look, Mapping) else {}
 
     def option(self, group: str, name: str) -> Option:
@@ -155,11 +180,24 @@ class OptionFiles:
             self._options[group, name] = self._read_option(group, name, ())
         return self._options[group, name]
 
-    def _read_option(self, group: str, name: str, extending: tuple[str, ...]) -> Option:
+    def read(self, group: str, name: str, extending: tuple[Definition, ...] = ()) -> tuple[Definition, dict[str, Any]]:
+        """An option, or what the last of `extending` extends, see the head of this module; and what it says, but for
+        how it is drawn. UsageError where there is none, or it is none of settings."""
+        known = self.definitions.get(f"{group}/{name}", [])
+        if not known:
+            raise UsageError(f"{group}={name}: there is no file {group}/{name}.yaml")
+        usable = [each for each in known if each not in extending]
+        if not usable:
+            raise UsageError(f"{extending[-1].path}: defaults: {group}={name} extends itself")
+        definition = min(usable, key=lambda each: bool(extending) and each.place < extending[-1].place)
+        content = {key: value for key, value in definition.content.items() if key not in (LOOK, CRAZYFLIE)}
+        drone = definition.content.get(CRAZYFLIE)
+        return definition, content if drone is None else crazyflie_numbers(group, str(drone)) | content
+
+    def _read_option(self, group: str, name: str, extending: tuple[Definition, ...]) -> Option:
         """extending: the options that led here."""
-        path, content = self.read(group, name)
-        if name in extending:
-            raise UsageError(f"{path}: defaults: {group}={name} extends itself")
+        definition, content = self.read(group, name, extending)
+        path = definition.path
         stated = {str(key): value for key, value in content.items() if key != "defaults"}
         defaults = content.get("defaults") or []
         values: dict[str, Any] = {}
@@ -177,7 +215,7 @@ class OptionFiles:
             elif former := former_name(text, path):
                 merge(values, self._former(former))
             else:
-                extended = self._read_option(group, text.removesuffix(".yaml"), (*extending, name))
+                extended = self._read_option(group, text.removesuffix(".yaml"), (*extending, definition))
                 merge(values, extended.values)
                 inherited |= extended.chosen
         return Option(values, inherited | chosen)
@@ -200,7 +238,7 @@ class OptionFiles:
         if name in FORMER_CLASSES:
             return {FORMER_TARGET if "/custom" in name else TARGET: f"quadexp.{FORMER_CLASSES[name]}"}
         group, _, option = name.partition("/")
-        return {TARGET: self.option(group, option).values[TARGET]}
+        return {TARGET: OptionFiles().option(group, option).values[TARGET]}
 
     def part_of(self, group: str, option: str) -> type[Part] | None:
         """The class of an option's part; None where its file, and those that it extends, name none."""

@@ -11,16 +11,16 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.former import refuse_former
 from quadexp.parts.options import OptionFiles
-from quadexp.parts.schema import CHOSEN
+from quadexp.parts.schema import CHOSEN, PARTS, Config
+from quadexp.parts.settings import find
 
 GROUPS = {*CHOSEN, "experiment"}  # keys that choose an option
-PATHS = {"model", "plant.model", "trajectory.path", "wind.path", "collect.identified"}  # keys that hold a path
 RESERVED = {"hydra", "schema", "sweep"}  # names that mean something to Hydra, or in a file only
 KEPT = 50_000  # overrides that are remembered at most
 MOST_CELLS = 1_000_000  # of a sweep: more take hours and gigabytes before the first is flown
@@ -29,7 +29,6 @@ _KEY = re.compile(r"[a-z_]\w*(?:\.\w+)*", re.ASCII)
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}", re.ASCII)
 _DECIMAL = re.compile(r"-?(?:0|[1-9]\d{0,14})\.\d{1,15}", re.ASCII)
 _WORD = re.compile(r"(?:\.{0,2}/)*[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
-_PATHS = re.compile(r"[A-Za-z./][^,]*(?:,[A-Za-z./][^,]*)*", re.ASCII)  # none that may pass for a number
 _RANGE = re.compile(r"range\((?:(\d{1,9}), ?)?(\d{1,9})\)", re.ASCII)
 ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
 _SAFE = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
@@ -64,8 +63,7 @@ class OverrideReader:
         key, equals, value = text.partition("=")
         if not equals:
             raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
-        override = None if key in PATHS and not _PATHS.fullmatch(value) else plain_override(text)
-        override = override or self._by_grammar(text)
+        override = plain_override(text) or self._by_grammar(text)
         if re.split(r"[/.]", override.key)[0] in RESERVED:
             raise UsageError(f"{text!r}: not a key of this program; where to write is said by --out, how by engine=")
         if override.sweep is None:
@@ -94,21 +92,18 @@ class OverrideReader:
     def _by_grammar(self, text: str) -> Override:
         """An override by Hydra's grammar."""
         key, _, value = text.partition("=")
-        literal = f"{key}={','.join(map(quoted, value.split(',')))}"
         parsed = self._parsed(text)
-        if parsed is None and key in PATHS:  # most letters that a path may have mean nothing to the grammar
-            parsed = self._parsed(literal)
+        signs = re.search(r"['\"(]", value)  # a quoted text, or what the grammar calculates
+        if (parsed is None or not signs) and self._is_text(key):  # 2024_01 is not the number 202401
+            parsed = self._parsed(f"{key}={_literal(value)}") or parsed
         if parsed is None and (several := [word for word in text.split() if re.match(r"[\w.]+=", word)])[1:]:
             raise UsageError(f"{text!r}: {len(several)} settings within one pair of quotes; give each by itself")
         if parsed is None:
             open_or_sign = "a bracket or quote is left open, or the value has signs that need quotes (KEY=\"'VALUE'\")"
             raise UsageError(f"{text!r}: cannot be read as KEY=VALUE: {open_or_sign}")
-        content = parsed.value()
-        values = getattr(content, "list", [content]) if "(" not in value else []
         if parsed.is_range_sweep():
+            content = parsed.value()
             refuse_range(text, content.start, content.stop, content.step)
-        if key in PATHS and any(isinstance(item, (int, float)) for item in values):  # 2024_01 is not the number 202401
-            parsed = self._parsed(literal) or parsed
         if parsed.is_add() or parsed.is_force_add() or parsed.is_delete():
             raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
         if parsed.package:
@@ -119,6 +114,13 @@ class OverrideReader:
         if not parsed.is_discrete_sweep():
             raise UsageError(f"{text!r}: not a list of values; use commas, range, choice or glob for a sweep")
         return Override(name, None, text, tuple(parsed.sweep_string_iterator()))
+
+    def _is_text(self, key: str) -> bool:
+        """Whether a key holds a text, or texts, in every part that has it."""
+        group, _, name = key.partition(".")
+        parts = self._files.parts(group).values() if group in PARTS else [Config]
+        keys = [about for part in parts if (about := find(part, name if group in PARTS else key))]
+        return bool(keys) and all(about.type is str or get_args(about.type)[:1] == (str,) for about in keys)
 
     def get_group_options(self, group_name: str, *_: Any, **__: Any) -> list[str]:
         """What Hydra's parser asks of a loader of configurations, for glob(...)."""
@@ -168,9 +170,15 @@ def _plain_value(text: str) -> int | float | str | list[Any] | None:
         return None if None in values else values
     if _INTEGER.fullmatch(text):
         return int(text)
-    if _DECIMAL.fullmatch(text):
+    if _DECIMAL.fullmatch(text) and str(float(text)) == text:  # 1.10 may be a name
         return float(text)
     return text if _WORD.fullmatch(text) and text.lower() not in _NO_WORDS else None
+
+
+def _literal(value: str) -> str:
+    """A value whose words stand for themselves, whatever the grammar makes of them; null stays what it is."""
+    words = r"[^\[\],]+" if value.startswith("[") else r"[^,]+"
+    return re.sub(words, lambda word: "null" if word[0] == "null" else quoted(word[0]), value)
 
 
 def _text(value: Any) -> str:

@@ -45,6 +45,7 @@ class Setting:
     one printable line, and whether the noise of a flight is another with another value: a key of a vehicle, plant or
     trajectory that came after the first flights were stored says no. words: of a text, the only ones allowed.
 
+    when: of its part, the key (KEY, which must not be 0, or KEY=VALUE) without which it has no effect.
     tuned: what `quadexp tune` varies of it unless told otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
     entries of a list or of a key below; several are separated by blanks."""
 
@@ -55,6 +56,7 @@ class Setting:
     noise: bool = True
     words: tuple[str, ...] = ()
     tuned: str = ""
+    when: str = ""
 
 
 def key(default: Any, meaning: str | Setting, *about: Any, **more: Any) -> Any:
@@ -150,6 +152,15 @@ def _declared(node: type) -> dict[str, Declared]:
         length = len(arguments) if origin is tuple and arguments[-1] is not Ellipsis else 0
         settings[f.name] = Declared(f.name, kind, setting, optional, words, length, f)
     return settings
+
+
+def find(node: type, path: str) -> Declared | None:
+    """The setting of a dotted key below a class; None where there is none."""
+    name, _, rest = path.partition(".")
+    about = declared(node).get(name)
+    if about is None or not rest:
+        return about
+    return find(about.node, rest) if about.node else None
 
 
 def keys_of(node: type) -> list[str]:
@@ -274,12 +285,12 @@ def _checked(key: str, value: Any, about: Declared) -> Any:
     if about.words and value not in about.words:
         raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(about.words)}")
     if about.length and len(value) != about.length and not _is_rows(about.type):
-        raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list of {about.length} numbers")
+        raise ForbiddenValueError(f"{key}={shown(value)}: must be a list of {about.length} numbers")
     if about.setting.names and not is_name(value):
         raise ForbiddenValueError(f"{key}={value!r}: must be one printable line")
     for number in (value if isinstance(value, tuple) else (value,)) if interval else ():
         if not inside(number, interval):
-            raise ForbiddenValueError(f"{key}={_shown(value)}: must be in {interval} {unit}".rstrip())
+            raise ForbiddenValueError(f"{key}={shown(value)}: must be in {interval} {unit}".rstrip())
     return value
 
 
@@ -290,7 +301,7 @@ def _typed(key: str, value: Any, kind: Any) -> Any:
             if not isinstance(value, bool) and (kind is float or not isinstance(value, float)):
                 return kind(value)
         except (TypeError, ValueError, OverflowError):
-            value = _shown(value)
+            value = shown(value)
     elif kind is bool:
         needed = "true or false"
         if str(value).lower() in _WORDS:
@@ -316,8 +327,8 @@ def _typed(key: str, value: Any, kind: Any) -> Any:
     elif not isinstance(kind, type) or not issubclass(kind, Settings) or isinstance(value, kind):
         return value
     else:
-        raise ForbiddenValueError(f"{key}={_shown(value)}: must hold keys and values")
-    raise ForbiddenValueError(f"{key}={_shown(value)}: must be {needed}")
+        raise ForbiddenValueError(f"{key}={shown(value)}: must hold keys and values")
+    raise ForbiddenValueError(f"{key}={shown(value)}: must be {needed}")
 
 
 def _is_rows(kind: Any) -> bool:
@@ -339,5 +350,6 @@ def _ends(interval: str) -> tuple[bool, float, float, bool]:
     return match[1] == "[", float(match[2]), float(match[3]), match[4] == "]"
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value as an override has it."""
     return "null" if value is None else str(lists(value)).replace(" ", "") if not isinstance(value, str) else value

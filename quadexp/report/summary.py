@@ -171,7 +171,9 @@ def _flight_lines(record: Mapping[str, Any], samples: int, summary: dict[str, An
     summary["world"] = {"name": world, "parts": parts}
     lines = flight_lines(record, always=True) if samples else [f"outcome     {outcome}: {record.get('cause')}"]
     beside = "" if ",".join(parts) in ("", world) else f": {', '.join(parts)}"
-    return lines + ([f"world       {world}{beside}"] if world else [])
+    lines += [f"world       {world}{beside}"] if world else []
+    summary["classes"] = record.get("classes", {})
+    return lines + [f"class       {group}: {name}" for group, name in summary["classes"].items()]
 
 
 def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:

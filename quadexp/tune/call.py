@@ -16,6 +16,7 @@ from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.experiment.identity import find_model
 from quadexp.log.store import write_table
 from quadexp.parts.compose import session
+from quadexp.parts.options import Folders
 from quadexp.parts.override import quoted
 from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
@@ -63,7 +64,7 @@ def tune(
     *,
     figure: bool = True,
     out: Path | None = None,
-    conf: Path | None = None,
+    conf: Folders = None,
     force: bool = False,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
@@ -77,6 +78,7 @@ def tune(
     Raises UsageError before anything is flown; see also Search.run.
     """
     with session(conf) as composer:
+        composer.only("tune", given)
         given = with_seeds(given, asked.seeds)
         cells = cells_of(composer, given)
         first = cells[0].config

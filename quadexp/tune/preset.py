@@ -18,7 +18,7 @@ from quadexp.log.store import read_text
 from quadexp.messages import printable
 from quadexp.names import file_name
 from quadexp.parts.compose import Composer
-from quadexp.parts.options import OptionFiles
+from quadexp.parts.options import Folders, OptionFiles
 from quadexp.parts.schema import REMEDIES, Config
 from quadexp.parts.settings import record
 from quadexp.writer import check_output, write_text
@@ -80,11 +80,6 @@ def default_name(options: Mapping[str, str]) -> str:
     return "_".join([options["controller"], *(options[group] for group in REMEDIES if group in options)]) + SUFFIX
 
 
-def hidden(option: Path) -> bool:
-    """Whether another option of this group and name comes first: one that ships, or of an installed package."""
-    return OptionFiles().find(f"{option.parent.name}/{option.stem}") is not None
-
-
 def check_name(options: Mapping[str, str], name: str | None) -> None:
     """Raise UsageError where the option to write has no name for a file, or the name of the one that it extends."""
     chosen = name or default_name(options)
@@ -123,13 +118,11 @@ def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
     return yaml.safe_dump(dict(content), default_flow_style=flow, width=10_000, sort_keys=False)
 
 
-def provenance_of(option: str, extra: Path | None = None, group: str = "controller") -> dict[str, Any] | None:
+def provenance_of(option: str, extra: Folders = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None where its file does not say."""
-    files, name = OptionFiles(extra), f"{group}/{option}"
-    if name in files.entries:
-        return files.entries[name].provenance
-    path = files.find(name)
-    return read_provenance(path.read_text(encoding="utf-8")) if path else None
+    for first in OptionFiles(extra).definitions.get(f"{group}/{option}", ())[:1]:
+        return first.entry.provenance if first.entry else read_provenance(first.path.read_text(encoding="utf-8"))
+    return None
 
 
 def read_provenance(text: str) -> dict[str, Any] | None:

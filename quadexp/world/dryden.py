@@ -134,7 +134,11 @@ class Dryden(MeanWind):
         None, "at which turbulence passes; null: the vehicle's own through the mean wind", "[0.01, 100]", "m/s"
     )
     airspeed_min: float = key(
-        1.0, "least of the vehicle's own airspeed that counts: air does not stand frozen", "[0.01, 100]", "m/s"
+        1.0,
+        "least of the vehicle's own airspeed that counts: air does not stand frozen",
+        "[0.01, 100]",
+        "m/s",
+        when="airspeed=null",
     )
 
     def __post_init__(self) -> None:

@@ -50,16 +50,28 @@ class RotorPy(PlantPart):
 
     aero: bool = key(True, "forces and torques of the air; false: thrust and reaction torque of the rotors alone")
     parasitic_drag: Triple = key(
-        (0.5e-2, 0.5e-2, 1e-2), "drag of the airframe per |v| v, body axes (c_Dx, c_Dy, c_Dz)", "[0, 100]", "N s^2/m^2"
+        (0.5e-2, 0.5e-2, 1e-2),
+        "drag of the airframe per |v| v, body axes (c_Dx, c_Dy, c_Dz)",
+        "[0, 100]",
+        "N s^2/m^2",
+        when="aero",
     )
-    rotor_drag: float = key(1.19e-4, "in-plane drag of a rotor per speed of rotor and air (k_d)", "[0, 1]", "kg/rad")
+    rotor_drag: float = key(
+        1.19e-4, "in-plane drag of a rotor per speed of rotor and air (k_d)", "[0, 1]", "kg/rad", when="aero"
+    )
     inflow_drag: float = key(
-        2.32e-4, "thrust lost to the flow along the rotor's axis, per speed of both (k_z)", "[0, 1]", "kg/rad"
+        2.32e-4,
+        "thrust lost to the flow along the rotor's axis, per speed of both (k_z)",
+        "[0, 1]",
+        "kg/rad",
+        when="aero",
     )
     translational_lift: float = key(
-        3.39e-3, "thrust gained by a rotor per square of the flow in its plane (k_h)", "[0, 1]", "kg/m"
+        3.39e-3, "thrust gained by a rotor per square of the flow in its plane (k_h)", "[0, 1]", "kg/m", when="aero"
     )
-    flapping: float = key(0.0, "flapping moment of a rotor per speed of rotor and air (k_flap)", "[0, 1]", "kg m/rad")
+    flapping: float = key(
+        0.0, "flapping moment of a rotor per speed of rotor and air (k_flap)", "[0, 1]", "kg m/rad", when="aero"
+    )
     motor_lag: float = key(0.005, "time constant of the rotor speeds (tau_m); 0: none", "[0, 1]", "s")
     rotor_speed_min: float = key(0.0, "least rotor speed", "[0, 1e5]", "rad/s")
     rotor_speed_max: float = key(1500.0, "largest rotor speed", "(0, 1e5]", "rad/s")

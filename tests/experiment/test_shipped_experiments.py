@@ -3,12 +3,10 @@
 import json
 import shutil
 from functools import partial
-from types import SimpleNamespace
 
 import pytest
 
 from quadexp.experiment import evaluate as flying
-from quadexp.log.store import read_flight
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import Composer, session
 from quadexp.report.style import Figure

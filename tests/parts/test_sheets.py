@@ -58,14 +58,13 @@ def test_it_is_listed(lab):
     assert {"option": "wind=heavy", "meaning": "30 % more mass"} in listed("wind", lab())
 
 
-def test_an_option_that_ships_comes_first_and_a_file_before_a_sheet(lab):
+def test_an_own_option_comes_first_and_a_file_before_a_sheet(lab):
     folder = lab("controller: {pid_tuned: {of: dfbc}, pid: {of: dfbc}}")
     (folder / "controller").mkdir()
-    (folder / "controller" / "pid_tuned.yaml").write_text("defaults: [dfbc, _self_]\n")
-    shipped = OptionFiles()
-    for name in ("pid", "pid_tuned"):
-        assert OptionFiles(folder).find(f"controller/{name}") == shipped.find(f"controller/{name}")
-        assert record(compose([f"controller={name}"], folder)) == record(compose([f"controller={name}"]))
+    (folder / "controller" / "pid_tuned.yaml").write_text("defaults: [geometric, _self_]\n")
+    for name, base in (("pid", "dfbc"), ("pid_tuned", "geometric")):
+        own = compose([f"controller={name}"], folder).controller
+        assert {**record(own), "name": base} == record(compose([f"controller={base}"]).controller)
 
 
 @pytest.mark.parametrize(

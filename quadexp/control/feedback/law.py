@@ -77,8 +77,10 @@ class FeedbackSettings(Settings):
         6.0, "of the high-gain observer (36) of desired angles", "(0, 1000]", "rad/s", tuned="2..60:log"
     )
     cone: bool = key(True, "limit the desired thrust by thrust_share_min and tilt_max (the paper does not)")
-    thrust_share_min: float = key(0.3, "least upward component of the desired thrust", "(0, 1]", "of the weight")
-    tilt_max: float = key(math.radians(60.0), "largest tilt of the desired thrust", "(0, 1.57]", "rad")
+    thrust_share_min: float = key(
+        0.3, "least upward component of the desired thrust", "(0, 1]", "of the weight", when="cone"
+    )
+    tilt_max: float = key(math.radians(60.0), "largest tilt of the desired thrust", "(0, 1.57]", "rad", when="cone")
     rotor_speed_min: float = key(50.0, "least rotor speed that is commanded", "[0, 1000]", "rad/s")
     inner_iterations: int = key(
         50, "iterations of the fixed point, in variants that do not use the last sample's values", "[1, 1000]"

@@ -50,6 +50,7 @@ WRENCH_WEIGHT = Setting(
     "weight of the squared error of collective thrust (N^-2) and of roll, pitch, yaw torque ((N m)^-2) where the rotors"
     " cannot give all of them",
     "(0, 1e6]",
+    when="allocation=exact",
 )
 Wrench = tuple[float, float, float, float]
 TILT_FIRST: Wrench = (0.001, 10.0, 10.0, 0.1)  # of Sun et al. 2022

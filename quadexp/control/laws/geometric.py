@@ -85,10 +85,16 @@ class GeometricKeys(Settings):
     torque_adaptation: float = key(
         0.0, "gain of the estimate of a constant angular acceleration; 0: none", "[0, 1e5]", "1/s^2"
     )
-    position_share: float = key(2.0, "c_1: share of the position error in the adaptation", "[0, 100]", "1/s")
-    attitude_share: float = key(7.0, "c_2: share of the attitude error in the adaptation", "[0, 1000]", "1/s")
-    force_limit: float = key(5.0, "largest acceleration that is adapted", "[0, 100]", "m/s^2")
-    torque_limit: float = key(50.0, "largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")
+    position_share: float = key(
+        2.0, "c_1: share of the position error in the adaptation", "[0, 100]", "1/s", when="force_adaptation"
+    )
+    attitude_share: float = key(
+        7.0, "c_2: share of the attitude error in the adaptation", "[0, 1000]", "1/s", when="torque_adaptation"
+    )
+    force_limit: float = key(5.0, "largest acceleration that is adapted", "[0, 100]", "m/s^2", when="force_adaptation")
+    torque_limit: float = key(
+        50.0, "largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2", when="torque_adaptation"
+    )
 
 
 class GeometricController(BelievingController):

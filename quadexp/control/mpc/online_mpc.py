@@ -62,10 +62,18 @@ class AdaptKeys(Settings):
     )
     every: int = key(1, "every how many periods a sample is used; above 1 for coloured noise", "[1, 1000]", "periods")
     tracking: float = key(
-        10.0, "of law=composite: weight of the tracking error in the adaptation", "[0, 1e6]", "s^2 m^-2"
+        10.0,
+        "of law=composite: weight of the tracking error in the adaptation",
+        "[0, 1e6]",
+        "s^2 m^-2",
+        when="law=composite",
     )
     tracking_rate: float = key(
-        1.0, "of law=composite: Lambda of the tracking error (v - v_r) + Lambda (p - p_r)", "[0, 100]", "1/s"
+        1.0,
+        "of law=composite: Lambda of the tracking error (v - v_r) + Lambda (p - p_r)",
+        "[0, 100]",
+        "1/s",
+        when="law=composite",
     )
 
 

@@ -114,19 +114,31 @@ class DisturbanceObserver(ObserverPart):
     )
     force_bandwidth: float = key(25.0, "bandwidth of the estimated force", "(0, 1000]", "rad/s", tuned="1..100:log")
     force_noise: float = key(
-        0.1, "standard deviation of the accelerometer from the model; its ratio to initial counts", "(0, 1000]", "m/s^2"
+        0.1,
+        "standard deviation of the accelerometer from the model; its ratio to initial counts",
+        "(0, 1000]",
+        "m/s^2",
+        when="source=accelerometer",
     )
     force_initial: float = key(
-        3.0, "standard deviation of the force over the mass when a flight begins", "[0, 1000]", "m/s^2"
+        3.0,
+        "standard deviation of the force over the mass when a flight begins",
+        "[0, 1000]",
+        "m/s^2",
+        when="source=accelerometer",
     )
     force_limit: float = key(15.0, "largest estimated force over the mass", "(0, 1000]", "m/s^2")
     scale_walk: float = key(
         0.0, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
     )
-    scale_initial: float = key(0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    scale_initial: float = key(
+        0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]", when="scale_walk"
+    )
     thrust_noise: float = key(0.0, "relative standard deviation of the thrust that is measured", "[0, 1]")
     air_walk: float = key(0.0, "likewise of the scale of the air's force; 0: not estimated", "[0, 10]")
-    air_initial: float = key(1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]")
+    air_initial: float = key(
+        1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]", when="air_walk"
+    )
 
     def scales_air(self, given: Given) -> bool:
         """See Remedy."""

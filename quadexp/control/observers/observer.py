@@ -49,7 +49,9 @@ class ObserverPart(Remedy):
     torque_bandwidth: float = key(
         15.0, "of the estimated torque; 0: no torque", "[0, 1000]", "rad/s", tuned="1..100:log"
     )
-    torque_limit: float = key(100.0, "largest estimated torque on an axis, over its inertia", "(0, 1e6]", "rad/s^2")
+    torque_limit: float = key(
+        100.0, "largest estimated torque on an axis, over its inertia", "(0, 1e6]", "rad/s^2", when="torque_bandwidth"
+    )
     targets: bool = key(
         True, "recompute attitudes and thrusts of the reference so that they hold the path under what is estimated"
     )

@@ -136,7 +136,9 @@ class WindObserver(ObserverPart):
     scale_walk: float = key(
         0.005, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
     )
-    scale_initial: float = key(0.05, "standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    scale_initial: float = key(
+        0.05, "standard deviation of the thrust scale when a flight begins", "[0, 1]", when="scale_walk"
+    )
     least_bandwidth: float = key(
         1.0, "of the wind estimate; where drag gives less the controller is refused", "[0, 1000]", "rad/s"
     )

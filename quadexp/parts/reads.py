@@ -1,0 +1,62 @@
+"""What each command reads of the configuration. What is given besides is refused: it would be without effect.
+
+A word stands for a group with its keys, or for one key. `sweep`: what an experiment varies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import reduce
+
+from quadexp.errors import UsageError
+from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
+from quadexp.parts.settings import find, shown
+
+CONTROLLER = " ".join(("controller remedies", *PRESETS, *REMEDIES))
+LOOP = " ".join(("vehicle plant model seed", CONTROLLER, *WORLD, *BUNDLES))
+FLIGHT = f"{LOOP} trajectory"
+ENGINE = "engine evaluate.workers evaluate.timeout evaluate.memory"
+READS = {
+    "simulate": FLIGHT,
+    "evaluate": f"{FLIGHT} evaluate.metric evaluate.figures evaluate.log_period",
+    "evaluate --sweep": f"{FLIGHT} evaluate engine sweep",
+    "tune": f"{FLIGHT} {ENGINE} evaluate.metric evaluate.log_period sweep",
+    "bench": ENGINE,
+    "bench --controller": CONTROLLER,
+    "collect": f"{LOOP} collect",
+    "collect --sweep": f"{LOOP} collect sweep",
+    "collect --flight": "vehicle collect.frame collect.thrust collect.state collect.target collect.identified",
+    "fit-gp": "vehicle gp",
+    "fit-drag": "vehicle drag",
+    "fit-nn": "vehicle nn",
+    "validate": "vehicle",
+    "show --margins": FLIGHT,
+    "qx.controller": FLIGHT,
+}
+
+
+def is_read(key: str, command: str) -> bool:
+    """Whether a command reads a key, or the group of this name."""
+    return any(f"{key}.".startswith(f"{word}.") for word in READS[command].split())
+
+
+def refuse_unread(command: str, given: str, keys: Iterable[str]) -> None:
+    """UsageError where other commands read what an override sets, and this one reads none of it. given: its text."""
+    readers = list(dict.fromkeys(other for key in keys for other in READS if is_read(key, other)))
+    if not readers or command in readers:
+        return
+    advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"
+    raise UsageError(f"{given}: is not used by {command}; {advice}")
+
+
+def refuse_idle(config: Config, key: str, given: str) -> None:
+    """UsageError where a key has no effect with the other settings of its part (Setting.when). given: its override."""
+    group, _, name = key.partition(".")
+    about = find(type(getattr(config, group)), name) if name else None
+    if about is None or not about.setting.when:
+        return
+    above = key.rpartition(".")[0]
+    other, _, wanted = about.setting.when.partition("=")
+    value = getattr(reduce(getattr, above.split("."), config), other)
+    if shown(value) != wanted if wanted else not value:
+        raise UsageError(f"{given}: has no effect with {above}.{other}={shown(value)}")
