@@ -124,6 +124,7 @@ def evaluate(
         start_server(preload)  # which imports these while the modules that follow are imported here
 
     from quadexp.experiment.identity import unused_model
+    from quadexp.parts.options import given_folders
     from quadexp.report.notes import invalid_text
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
@@ -157,7 +158,7 @@ def evaluate(
             progress=counted if watching is None else watching.before(counted),
             landed=watching.landed if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows, record: None,
-            conf=[conf] if isinstance(conf, Path) else conf or (),
+            conf=given_folders(conf),
         )
         files = dict(result.files) | drawn.end()
     paper = papers.paper(settings.figures)

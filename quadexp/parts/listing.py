@@ -28,8 +28,8 @@ def listed(asked: str = "", conf: Folders = None) -> list[Record]:
     Raises UsageError where nothing does.
     """
     files = OptionFiles(given_folders(conf))
-    for name in files.definitions:
-        files.note_covered(*name.split("/"))
+    for defined in files.definitions:
+        files.note_covered(*defined.split("/"))
     group, _, option = asked.partition("=")
     if not asked:
         return [

@@ -21,7 +21,7 @@ from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_record
 from quadexp.parts.cells import Combinations, Grid
-from quadexp.parts.override import PATHS, in_grammar
+from quadexp.parts.override import in_grammar
 from quadexp.parts.settings import flat, read_value
 from quadexp.report.checked import Checked, check_flights
 from quadexp.report.frame import RESULTS, read_results
@@ -51,6 +51,7 @@ AIR = {  # baseline -> controllers that are the same but for what they know of t
     "nominal_mpc": {"linear_drag_mpc", "gp_mpc", "rls_mpc", "neural_mpc", "sum_mpc", "online_mpc", "streaming_gp_mpc"},
     "static_feedback": {"rls_feedback", "oracle_feedback"},
 }
+PATHS = ("model", "plant.model", "trajectory.path", "wind.path")  # keys of a flight that name a file or folder
 BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
 
 
