@@ -223,11 +223,11 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
     programs = programs_text(others.values())
     differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
     if others and old == "ask":
+        programs += f" ({differing})" if differing else ""
         raise UsageError(
             f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
-            f" {quadexp.__version__}, sources {sources()}): {programs}{differing and f' ({differing})'};"
-            f" pass --refly to fly them again or --keep-old to keep them beside new ones"
-            f" (`quadexp results {shlex.quote(str(store.root))} sources=HASH` lists them)"
+            f" {quadexp.__version__}, sources {sources()}): {programs}; pass --refly to fly them again or --keep-old to"
+            f" keep them beside new ones (`quadexp results {shlex.quote(str(store.root))} sources=HASH` lists them)"
         )
     if others and old == "refly":
         store.remove(others)
