@@ -109,8 +109,7 @@ class Command(NamedTuple):
                 note.cache_clear()
                 shown = format_of(form, json)
                 given |= {key: tuple(given[key] or ()) for key in several}
-                if "conf" in given:
-                    given["conf"] = given_folders(given["conf"])
+                given_folders(given.get("conf"))
                 for argument, record in records.items():
                     given[argument] = record(**{key: given.pop(key) for key in declared(record)})
                 answer = self.function(**given, **({"form": shown} if "form" in hints else {}))

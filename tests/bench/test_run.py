@@ -110,7 +110,7 @@ def test_protocols_are_not_mixed(protocol, monkeypatch, tmp_path):
         ("gpmpc", "no such controller; did you mean gp_mpc"),
         (
             "nominal_mpc trajectory.speed=3",
-            "trajectory.speed=3: may set controller, .* only; the rest is the protocol's",
+            "trajectory.speed=3: is not used by bench --controller",
         ),
         ("rls_feedback", "has no part in small: .*needs vehicle.rotor"),
         ("", "is empty"),
