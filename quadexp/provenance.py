@@ -169,6 +169,14 @@ def shipped_modules(folder: Path) -> dict[str, Path]:
 
 
 @cache
+def _deciding_modules(folder: Path) -> dict[str, Path]:
+    """Those that can decide a number: of what reports one, only what makes a row."""
+    modules = shipped_modules(folder)
+    flying, _ = follow([FLYING], modules.get)
+    return {name: path for name, path in modules.items() if name in flying or name.split(".")[1] != "report"}
+
+
+@cache
 def model_modules(folder: Path) -> frozenset[str]:
     """Modules of models; one is imported by the kind that a checkpoint names."""
     return frozenset(name for name in shipped_modules(folder) if name.startswith("quadexp.models."))
@@ -196,7 +204,7 @@ class Program(NamedTuple):
 def program_of(modules: frozenset[str]) -> Program:
     """What some modules of this package, and all that they import, are made of; once per process."""
     folder = package_folder()
-    followed, elsewhere = follow(modules, shipped_modules(folder).get)
+    followed, elsewhere = follow(modules, _deciding_modules(folder).get)
     kernels = _kernels(folder)
     files = {file for path in followed.values() for file in (path, *kernels.get(path, ()))}
     packages = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {"quadexp", ""}

@@ -295,6 +295,7 @@ SOURCES = {
     "world/dryden.py": "wind=dryden",
     "control/laws/cascade.py": "controller=pid",
     "models/neural.py": "controller=linear_drag_mpc",  # whose checkpoint says which model reads it
+    "experiment/fit.py": "fitted",
     "report/style.py": "",
     "cli/fly.py": "",
     "sweeps/cluster.py": "",
@@ -317,9 +318,11 @@ def test_exactly_the_flights_that_a_source_of_this_program_decides_are_of_anothe
     shutil.copytree(provenance.package_folder(), folder, ignore=shutil.ignore_patterns("__pycache__"))
 
     def programs():
-        for cached in (provenance.program_of, provenance.sources, identity._program):
+        for cached in (provenance.program_of, provenance.sources, provenance._deciding_modules, identity._program):
             cached.cache_clear()
-        return {name: flight_identity(config).program for name, config in configs.items()}, provenance.sources()
+        flown = {name: flight_identity(config).program for name, config in configs.items()}
+        fitted = identity.identity_with(configs[asked[0][:3]], None, fitted=True).digest
+        return flown | {("fitted",): fitted}, provenance.sources()
 
     here = programs()
     monkeypatch.setattr(provenance, "package_folder", lambda: folder)
@@ -329,9 +332,11 @@ def test_exactly_the_flights_that_a_source_of_this_program_decides_are_of_anothe
         before = (folder / name).read_bytes()
         (folder / name).write_bytes(before + b"\n")
         now, sources = programs()
-        changed = {text for text in configs if now[text] != here[0][text]}
-        assert changed == {text for text in configs if decided == "all" or decided in text}, name
-        assert (sources != here[1]) == bool(decided), name
+        changed = {text for text in now if now[text] != here[0][text]}
+        of_model = {("fitted",)} if decided and not decided.startswith("wind") else set()  # it flew without wind
+        assert changed - {("fitted",)} == {text for text in configs if decided == "all" or decided in text}, name
+        assert changed & {("fitted",)} == of_model, name
+        assert (sources != here[1]) == bool(decided and decided != "fitted"), name
         (folder / name).write_bytes(before)
     monkeypatch.undo()
     programs()
