@@ -1,25 +1,26 @@
-"""Where a result came from: versions, sources, revision, machine, time.
+"""Where a result came from: versions, sources, packages, revision, machine, time.
 
-DECIDING lists the sources that determine the result of a flight; tests/test_provenance.py compares it with what
-`evaluate_cell` imports. Not listed are sources that compose and check a configuration (their result is in the key of
-the cell), and that store, report or distribute flights. `models` is listed whole, though a fit that was done before
-decides nothing (the content of a checkpoint is in the key): a model's equation and its fit stand in one file.
-`report/metrics.py` is listed, because the figures of a row are computed once, when the cell is flown.
+What decides a flight is found by following imports, from the function that flies it and from the classes of its parts:
+no list of files is kept. Files beside the rooms of this package (errors, messages, writer, ...) are not followed: they
+say, show and store what was flown. Nothing that is followed is imported for it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import platform
 import re
 import subprocess
-from collections.abc import Iterable, Mapping
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import PackageNotFoundError, distribution
+from functools import cache, lru_cache
+from importlib.metadata import PackageNotFoundError, distribution, packages_distributions
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import quadexp
 
@@ -32,15 +33,14 @@ MODULES = {
     "minsnap-trajectories": "minsnap_trajectories",
 }  # import names that differ from the package name
 
-# Folders (with all their files) and files whose content determines a flight and the figures of its row.
-DECIDING = (
-    "compile", "control", "models", "physics", "reference", "world", "experiment/build.py",
-    "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
-    "experiment/identity.py", "experiment/linear_loop.py", "experiment/linearised.py", "experiment/loop_margins.py",
-    "experiment/rollout.py", "log/outcome.py", "report/metrics.py",
-)  # fmt: skip
-SUFFIXES = (".py", ".c")
+FLYING = "quadexp.experiment.evaluate"  # flies a cell and makes its row
+ROOMS = ("control", "models", "physics", "reference", "world")  # what configurations and checkpoints name is in these
 SHORT = 12  # hex digits of a hash that people read
+SETTLED = 2_000_000_000  # ns after a change within which another one may leave the same times: the coarsest disks
+LARGEST = 32_000_000  # bytes of a package whose content is compared; of a larger one the version is
+_IMPORT = re.compile(rb"""import(?:\b[ \t]*(\([^)]*\)|[^\n;]*)|(?:_module|__)\(\s*["']([.\w]+)["'])""")
+_TEXT = re.compile(rb"[\"']([^\"'\n]{1,255})[\"']")
+_COMMENT = re.compile(rb"#[^\n]*")
 
 
 def package_folder() -> Path:
@@ -48,16 +48,181 @@ def package_folder() -> Path:
     return Path(quadexp.__file__).resolve().parent
 
 
+# ------------------------------------------------------------------------------------------------------------- content
+_contents: dict[str, tuple[tuple[int, ...], str]] = {}  # path -> what its entry said, and the hash
+
+
+def content_hash(path: str | Path) -> str:
+    """sha256 of a file. It is read again unless its entry is the same and was old when the file was read: the time of
+    the last change, which nobody sets, tells two contents apart unless they were written within one tick of a clock."""
+    place = os.fspath(path)
+    state = os.stat(place)
+    entry = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+    known = _contents.get(place)
+    if known and known[0] == entry:
+        return known[1]
+    now = time.time_ns()
+    with open(place, "rb") as file:
+        hashed = hashlib.sha256(file.read()).hexdigest()
+    if now - state.st_ctime_ns > SETTLED:
+        _contents[place] = entry, hashed
+    return hashed
+
+
+def files_hash(files: Iterable[Path], root: Path) -> str:
+    """Hash of the names, below `root`, and the contents of some files."""
+    lines = sorted(f"{file.relative_to(root).as_posix()} {content_hash(file)}" for file in files)
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def folder_files(folder: Path) -> Iterator[Path]:
+    """The files in a folder at any depth, but for Python's own."""
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if name != "__pycache__")
+        yield from (Path(place) / name for name in sorted(names) if not name.endswith(".pyc"))
+
+
+# ------------------------------------------------------------------------------------------------------------- imports
+@lru_cache(4096)
+def imported_names(name: str, path: Path, content: str) -> frozenset[str]:
+    """Modules, or what is in them, that a module imports anywhere in it, in functions too. One that only a comment or a
+    docstring imports may be among them, a name that is put together is not. content: hash of its file."""
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    text = path.read_bytes().replace(b"\\\n", b" ")
+    names: set[bytes] = set()
+    for match in _IMPORT.finditer(text):
+        statement, called = match.groups()
+        before = text[text.rfind(b"\n", 0, match.start()) + 1 : match.start()]
+        words = before.split()
+        listed = _COMMENT.sub(b"", statement or b"").strip(b"()").split(b",")
+        items = [item.split()[0] for item in listed if item.strip()]
+        if called:
+            names.add(called)
+        elif len(words) > 1 and words[-2].endswith(b"from") and before[-1:].isspace():
+            base = words[-1]
+            prefix = base if base.endswith(b".") else base + b"."
+            names |= {base, *(prefix + item for item in items)}
+        elif not words or words[-1].endswith((b";", b":")):
+            names.update(items)
+    return frozenset(_absolute(name.decode(errors="replace"), package) for name in names)
+
+
+def _absolute(name: str, package: str) -> str:
+    """A name that may be relative to a package, by leading dots."""
+    rest = name.lstrip(".")
+    dots = len(name) - len(rest)
+    if not dots:
+        return name
+    parts = package.split(".")
+    return ".".join([*parts[: len(parts) + 1 - dots], *filter(None, [rest])])
+
+
+def named_files(path: Path) -> dict[str, Path]:
+    """Files, by their names, that strings in a Python file name, beside it or where this process stands; and folders of
+    data beside it: those without modules and options."""
+    named = {}
+    for text in {text.decode(errors="replace") for text in _TEXT.findall(path.read_bytes())}:
+        beside = os.path.join(path.parent, text)
+        for name, place in ((text, beside), (f"./{text}", text)):
+            if os.path.isfile(place) and not place.endswith(".py"):
+                named[name] = Path(place)
+        if os.path.isdir(beside) and path.parent in Path(os.path.normpath(beside)).parents:
+            suffixes = {file.suffix for file in folder_files(Path(beside))}
+            named |= {} if suffixes & {".py", ".yaml"} else {text: Path(beside)}
+    return named
+
+
+def follow(names: Iterable[str], locate: Callable[[str], Path | None]) -> tuple[dict[str, Path], set[str]]:
+    """Modules that some modules import, themselves too, with those that these import: name -> file; and dotted names
+    that lie elsewhere.
+
+    locate: the file of a module, the folder of a package without one, None for what lies elsewhere.
+    """
+    modules: dict[str, Path] = {}
+    elsewhere: set[str] = set()
+    waiting = [*names]
+    while waiting:
+        name = waiting.pop()
+        if not name or name in modules or name in elsewhere:
+            continue
+        parent, path = name.rpartition(".")[0], locate(name)
+        waiting += [parent] if parent else []
+        if path is None:
+            elsewhere.add(name)
+            continue
+        modules[name] = path
+        if path.suffix == ".py":
+            waiting += imported_names(name, path, content_hash(path))
+    return modules, elsewhere
+
+
+# --------------------------------------------------------------------------------------------- sources of this package
+@cache
+def shipped_modules(folder: Path) -> dict[str, Path]:
+    """Name -> file of the modules in the rooms of this package."""
+    modules = {}
+    for path in folder_files(folder):
+        if path.suffix == ".py" and path.parent != folder:
+            parts = path.relative_to(folder.parent).with_suffix("").parts
+            modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return modules
+
+
+@cache
+def _deciding_modules(folder: Path) -> dict[str, Path]:
+    """Those that can decide a number: of what reports one, only what makes a row."""
+    modules = shipped_modules(folder)
+    flying, _ = follow([FLYING], modules.get)
+    return {name: path for name, path in modules.items() if name in flying or name.split(".")[1] != "report"}
+
+
+@cache
+def model_modules(folder: Path) -> frozenset[str]:
+    """Modules of models; one is imported by the kind that a checkpoint names."""
+    return frozenset(name for name in shipped_modules(folder) if name.startswith("quadexp.models."))
+
+
+@cache
+def _kernels(folder: Path) -> dict[Path, list[Path]]:
+    """Module -> files of C beside it that it names."""
+    kernels: dict[Path, list[Path]] = {}
+    for kernel in (file for file in folder_files(folder) if file.suffix == ".c"):
+        for path in kernel.parent.glob("*.py"):
+            if kernel.name.encode() in path.read_bytes():
+                kernels.setdefault(path, []).append(kernel)
+    return kernels
+
+
+class Program(NamedTuple):
+    """sources: hash of the sources of this package behind some modules. packages: names that they import of others."""
+
+    sources: str
+    packages: frozenset[str]
+
+
+@cache
+def program_of(modules: frozenset[str]) -> Program:
+    """What some modules of this package, and all that they import, are made of; once per process."""
+    folder = package_folder()
+    followed, elsewhere = follow(modules, _deciding_modules(folder).get)
+    kernels = _kernels(folder)
+    files = {file for path in followed.values() for file in (path, *kernels.get(path, ()))}
+    packages = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {"quadexp", ""}
+    return Program(files_hash(files, folder)[:SHORT], frozenset(packages))
+
+
 @cache
 def sources() -> str:
-    """Hash of the sources that determine a flight (see the module), 12 hex digits; computed once per process."""
-    return source_hash(package_folder() / name for name in DECIDING)
+    """Hash of the sources that can determine a flight, 12 hex digits; computed once per process."""
+    rooms = {name for name in shipped_modules(package_folder()) if name.split(".")[1] in ROOMS}
+    return program_of(frozenset({FLYING, *rooms})).sources
 
 
 @cache
 def package_hash() -> str:
     """Hash of all sources of this package, 12 hex digits: a worker must have the same as the driver."""
-    return source_hash([package_folder()])
+    folder = package_folder()
+    return files_hash((file for file in folder_files(folder) if file.suffix in (".py", ".c")), folder)[:SHORT]
 
 
 def identity() -> dict[str, str]:
@@ -65,21 +230,31 @@ def identity() -> dict[str, str]:
     return {**versions(), "sources": package_hash()}
 
 
-def source_hash(places: Iterable[Path]) -> str:
-    """Hash of the sources in some folders and files of this package, 12 hex digits."""
-    root = package_folder()
-    files = {
-        file
-        for place in places
-        for file in (place.rglob("*") if place.is_dir() else [place])
-        if file.suffix in SUFFIXES and file.is_file()
-    }
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        content = file.read_bytes()
-        digest.update(f"{file.relative_to(root).as_posix()}\0{len(content)}\0".encode())
-        digest.update(content)
-    return digest.hexdigest()[:SHORT]
+# ------------------------------------------------------------------------------------------------------ other packages
+def numeric_versions(packages: Iterable[str]) -> dict[str, str]:
+    """Versions of those among some packages, by import name, that can change a number."""
+    names = {MODULES.get(package, package): package for package in PACKAGES}
+    return {name: versions().get(names[name], "") for name in packages if name in names}
+
+
+def package_identity(name: str) -> str:
+    """Hash of the content of an installed package or module; the version of a large one, "" where there is none. It is
+    not imported."""
+    try:
+        spec = importlib.util.find_spec(name)
+    except ValueError:  # of a module that was made without one
+        return ""
+    places: Iterable[str | None] = spec.submodule_search_locations or [spec.origin] if spec else []
+    hashes, size = [], 0
+    for place in (Path(place) for place in places if place):
+        files = []
+        for file in folder_files(place) if place.is_dir() else [place]:
+            files.append(file)
+            size += file.stat().st_size
+            if size > LARGEST:
+                return distribution(packages_distributions().get(name, [name])[0]).version
+        hashes.append(files_hash(files, place.parent))
+    return " ".join(hashes)
 
 
 @cache

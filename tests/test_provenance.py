@@ -1,7 +1,7 @@
 """Which sources decide a flight, and what is said of versions."""
 
-import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,74 +10,45 @@ from pathlib import Path
 from quadexp import provenance
 from tests.test_layout import PACKAGE, ROOT, imports, modules
 
-# Imported by what flies a cell, and not among the sources that decide a flight: name -> why.
-ASIDE = {
-    "quadexp": "the version, which a row names beside the sources",
-    "quadexp.cache": "where compiled functions lie",
-    "quadexp.names": "refuses files whose names are none",
-    "quadexp.writer": "how files are written",
-    "quadexp.errors": "words",
-    "quadexp.messages": "words",
-    "quadexp.progress": "words",
-    "quadexp.provenance": "what is said of a flight",
-    "quadexp.parts": "empty",
-    "quadexp.experiment": "empty",
-    "quadexp.log": "names",
-    "quadexp.log.schema": "what a flight is on disk, like the next two",
-    "quadexp.log.store": "",
-    "quadexp.log.integrity": "refuses files",
-    "quadexp.report": "empty",
-    "quadexp.report.table": "how a table is printed",
-}
-
-
 # Parsed when the tests are collected: beside threads, which tests of clusters leave for a while, the parser of Python
 # 3.11 may fail ("AST constructor recursion depth mismatch").
 IMPORTS = imports()
+# Modules that import others by names that are put together, and what follows them instead.
+BY_NAME = {
+    "quadexp.models.base": "the kind that a checkpoint names: identity counts all models where one is read",
+    "quadexp.parts.user_modules": "a user's own: identity follows them",
+}
 
 
-def flying():
-    """Modules that are imported, anywhere in them, by what flies a cell."""
-    found, waiting = set(), ["quadexp.experiment.evaluate"]
-    while waiting:
-        module = waiting.pop()
-        if module not in found:
-            found.add(module)
-            parts = module.split(".")
-            waiting += [*IMPORTS[module], *(".".join(parts[:i]) for i in range(1, len(parts)))]
-    return found
+def followed(*names):
+    folder = provenance.package_folder()
+    return set(provenance.follow(names, provenance.shipped_modules(folder).get)[0])
 
 
-def listed():
-    """Files of DECIDING."""
-    places = [PACKAGE / name for name in provenance.DECIDING]
-    assert all(place.exists() for place in places), "DECIDING names what is there no more"
-    return {file for place in places for file in (place.rglob("*") if place.is_dir() else [place])}
+def test_what_is_followed_is_what_python_sees():
+    """All imports of every module, as its syntax tree has them, but for the files beside the rooms, which say, show and
+    store what was flown."""
+    beside = {name for name in modules() if "/" not in str(modules()[name].relative_to(PACKAGE))}
+    for name in set(IMPORTS) - beside:
+        found, waiting = set(), [name]
+        while waiting:
+            module = waiting.pop()
+            if module not in found | beside:
+                found.add(module)
+                waiting += [*IMPORTS[module], module.rpartition(".")[0] or module]
+        assert found == followed(name), name
 
 
-def test_all_that_flies_a_cell_decides_it_or_is_excused():
-    # What quadexp.parts holds is in the key of the cell.
-    lacking = {module for module in flying() if modules()[module] not in listed()}
-    lacking = {module for module in lacking if not module.startswith("quadexp.parts.")}
-    assert lacking == set(ASIDE), "add it to DECIDING in quadexp/provenance.py, or say here why it decides no flight"
-
-
-def test_nothing_is_listed_that_flies_no_cell():
-    single = {PACKAGE / name for name in provenance.DECIDING if name.endswith(".py")}
-    assert single <= {modules()[module] for module in flying()}
+def test_names_that_are_put_together_are_accounted_for():
+    called = re.compile(r"import_module\((?!\s*[\"'][\w.]+[\"'])")
+    flying = followed(provenance.FLYING)
+    assert {name for name in flying if called.search(modules()[name].read_text())} == {*BY_NAME}
 
 
 def test_c_sources_are_among_them():
-    assert {file.name for file in listed() if file.suffix == ".c"} == {p.name for p in PACKAGE.rglob("*.c")}
-
-
-def test_the_hash_is_over_names_and_contents():
-    files = sorted(file for file in listed() if file.suffix in (".py", ".c"))
-    digest = hashlib.sha256()
-    for file in files:
-        content = file.read_bytes()
-        digest.update(f"{file.relative_to(PACKAGE).as_posix()}\0{len(content)}\0".encode() + content)
-    assert provenance.sources() == digest.hexdigest()[:12]
+    """Each decides the flights of the modules that name it."""
+    kernels = provenance._kernels(PACKAGE)
+    assert {file for files in kernels.values() for file in files} == {*PACKAGE.rglob("*.c")}
 
 
 def hashes(checkout):

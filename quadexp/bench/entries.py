@@ -17,17 +17,15 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.experiment.identity import MODEL_FILE, digest, find_model
+from quadexp.experiment.identity import MODEL_FILE, digest, find_model, identity_with
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
-from quadexp.provenance import DECIDING, package_folder, source_hash
 from quadexp.tune.preset import BY_HAND, provenance_of
 from quadexp.writer import write_text
 
 ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
 SHIPPED = "as shipped"
-MAKING = (*DECIDING, "models", "experiment")  # sources that decide a checkpoint
 
 
 @dataclass(frozen=True)
@@ -133,22 +131,22 @@ def make_model(
     """The checkpoint that a rule of the family makes from flights in still air, in `folder`: "fit", Gaussian processes
     and linear drag, or "network", which is fitted to the same rows.
 
-    One that is there is used again if the same sources made it by the same protocol.
+    One that is there is used again if what decides it is the same: the protocol's rules, the flights, the sources.
     """
     name = f"{family.name}_network" if rule == "network" else family.name
     out, data = folder / name, folder / f"{family.name}.parquet"
-    hashed = source_hash(package_folder() / part for part in MAKING)
     rules = {part: family.models[part] for part in ("collect", rule)}
+    collect = composer.compose(rules["collect"])
+    decided = identity_with(collect, find_model(collect), fitted=True).digest
 
     def fit() -> None:
         say(f"{family.name}: {'a network' if rule == 'network' else 'models'} of the air, from flights in still air")
         data.parent.mkdir(parents=True, exist_ok=True)
-        collect = composer.compose(rules["collect"])
-        _once(data, digest([rules["collect"], family.name, hashed]), lambda: collect_dataset(collect, data))
+        _once(data, digest([rules["collect"], family.name, decided]), lambda: collect_dataset(collect, data))
         kind = "nn" if rule == "network" else "gp"
         fit_checkpoint(kind, composer.compose(rules[rule]), data, out, force=True, figures=False)
 
-    _once(out / MODEL_FILE, digest([rules, name, hashed]), fit)
+    _once(out / MODEL_FILE, digest([rules, name, decided]), fit)
     return out
 
 

@@ -18,13 +18,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.identity import MODEL_FILE, ModelFile, content_hash, model_hash
+from quadexp.experiment.identity import MODEL_FILE, ModelFile, part_identity
 from quadexp.models.base import model_class
 from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given, Part
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.user_modules import generation
 from quadexp.physics.vehicle import Vehicle, plausible
+from quadexp.provenance import content_hash
 
 T = TypeVar("T")
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
@@ -49,7 +51,8 @@ _kept = _Kept()
 
 def keep(record: Any, make: Callable[[], T]) -> T:
     """What this thread made before of an equal record, else a new one."""
-    key, things = marshal.dumps(record, 2), _kept.things  # of version 2 equal ones have equal bytes
+    things = _kept.things
+    key = marshal.dumps([generation(), record], 2)  # of version 2 equal ones have equal bytes
     thing = things.pop(key) if key in things else make()
     while len(things) >= KEPT:
         del things[next(iter(things))]
@@ -81,14 +84,8 @@ def build_plant(vehicle: Vehicle, config: Any, believed: Vehicle | None = None) 
     """
     of = believed or vehicle
     given = Given(vehicle=vehicle, believed=of, plant_model=lambda path, kind: model_residual(of, Path(path), kind))
-    of_model = [of.fingerprint] if hasattr(config, "model") else []
-    return keep([*plant_record(vehicle, config), *of_model], lambda: checked("plant", config, config.build(given)))
-
-
-def plant_record(vehicle: Vehicle, config: Any) -> list[Any]:
-    """What decides a plant."""
-    content = model_hash(config.model) if hasattr(config, "model") else ""
-    return ["plant", vehicle.fingerprint, config.recorded(), content]
+    record = ["plant", vehicle.fingerprint, of.fingerprint, part_identity("plant", config)]
+    return keep(record, lambda: checked("plant", config, config.anew().build(given)))
 
 
 def build_world(config: Config, vehicle: Vehicle) -> Any:
@@ -106,9 +103,8 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
 
     _check_one_lag(config, believed)
     effects, true_vehicle = build_effects(vehicle, *parts.values())
-    read = [content_hash(effect.path) for effect in effects if hasattr(effect, "path")]
-    given = {group: part.recorded() for group, part in parts.items()}
-    record = ["world", plant_record(vehicle, config.plant), given, read]
+    around = {group: part_identity(group, part) for group, part in parts.items()}
+    record = ["world", vehicle.fingerprint, part_identity("plant", config.plant), around]
 
     def make() -> Any:
         flown = _with_drag(config)
@@ -131,7 +127,7 @@ def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
     not hover.
     """
-    effects = [_with_file(part) for part in parts]
+    effects = [_with_file(part.anew()) for part in parts]
     for effect in effects:
         vehicle = effect.true_vehicle(vehicle)
     return effects, vehicle
@@ -178,24 +174,26 @@ def build_trajectory(config: Any, vehicle: Vehicle | None = None) -> Any:
     """
 
     def make() -> Any:
-        return checked("trajectory", config, _with_file(config).build(vehicle))
+        return checked("trajectory", config, _with_file(config.anew()).build(vehicle))
 
-    if hasattr(config, "path") or not (config.shipped or config.follows_limits):
+    if not (config.shipped or config.follows_limits):
         return make()
     within = None if config.allow_infeasible or vehicle is None else vehicle.fingerprint
-    return keep(["trajectory", config.recorded(), within], make)  # its polynomials are costly, and the same for all
+    # Its polynomials are costly, and the same for all.
+    return keep(["trajectory", part_identity("trajectory", config), within], make)
 
 
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """The controller inside its remedies; one is kept for every (configuration, model), and begins anew with every
     flight."""
     controller, around = config.controller, remedies(config)
-    believed: Any = [config.plant.recorded(), [*world_parts(config)]]
+    believed: Any = [part_identity("plant", config.plant), [*world_parts(config)]]
     if not controller.knows_plant:
         believed = model.sha256 if model else ""
-    record = ["controller", vehicle.fingerprint, controller.recorded(), believed]
     sheet = sensor_sheet(plant)
-    record += [{group: remedy.recorded() for group, remedy in around.items()}, asdict(sheet)]
+    parts = {"controller": controller, **around}
+    identities = {group: part_identity(group, part) for group, part in parts.items()}
+    record = ["controller", vehicle.fingerprint, identities, believed, asdict(sheet)]
 
     given = Given(
         vehicle=vehicle, plant=plant, sheet=sheet, remedies=tuple(around.values()),
@@ -205,10 +203,10 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     )  # fmt: skip
 
     def make() -> Any:
-        built = checked("controller", controller, controller.build(given))
+        built = checked("controller", controller, controller.anew().build(given))
         try:
             for remedy in around.values():
-                built = remedy.put_around(built, given)
+                built = remedy.anew().put_around(built, given)
         except UsageError as error:
             raise UsageError(f"controller={controller.name}: {error}") from None
         return built

@@ -20,7 +20,15 @@ from quadexp.experiment.build import (
     check_remedies,
     keep,
 )
-from quadexp.experiment.identity import ModelFile, digest, find_model, flight_entropy, flight_record
+from quadexp.experiment.identity import (
+    ModelFile,
+    digest,
+    find_model,
+    flight_entropy,
+    flight_record,
+    identity_with,
+    part_identity,
+)
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
@@ -207,8 +215,8 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     model = model or find_model(config)
     vehicle = build_vehicle(config.vehicle)
     trajectory = build_trajectory(config.trajectory, vehicle)
-    known = config.trajectory.shipped and not hasattr(config.trajectory, "path")  # another file may lie there
-    path_digest = digest([config.trajectory.recorded(), vehicle.fingerprint]) if known else ""
+    known = config.trajectory.shipped
+    path_digest = digest([part_identity("trajectory", config.trajectory), vehicle.fingerprint]) if known else ""
     beside = [vehicle.name, config.plant.recorded(), getattr(config.ground, "height", 0.0)]  # what a note names too
 
     def check() -> str:
@@ -278,9 +286,10 @@ def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Fl
 
 def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[str, Any]:
     """The metadata of every flight."""
-    record = flight_record(config)
+    identity, record = identity_with(config, model), flight_record(config)
     return {
         "config": record, "config_hash": digest(record), "seed": config.seed,
+        "inputs": identity.inputs, "code": identity.code,
         "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint},
         "plant": config.plant.name, "world": config.world, "trajectory": config.trajectory.name,
         "controller": controller_name(config),
@@ -303,6 +312,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
         "outside_data": outside.get("share"), "outside_where": outside.get("where", ""),
         "outcome": metadata["outcome"],
         "backend": metadata.get("backend", ""), "cause": metadata.get("cause", ""), **program_record(),
+        "code": metadata.get("code", ""),
     }  # fmt: skip
 
 

@@ -1,27 +1,57 @@
-"""What decides a flight: its settings, their hash, its noise, and the content of every file that it reads."""
+"""What decides a flight, in one place: `flight_identity`.
+
+    settings   the recorded ones of every part, the seed                                  `record`
+    content    of every file that is read: checkpoints, wind, paths, whatever a user's part names       `inputs`
+    code       a user's classes and all modules behind them; packages that not every flight imports     `inputs`
+    program    the sources of this package behind this flight, and the libraries that they import       `program`
+
+The first three make the key of a cell (sweeps/plan.py). A cell of another program is told apart when it is recalled, so
+that its user can keep it. What is kept within a process, and what a worker compares with the driver, is told by the
+same (`part_identity`).
+"""
 
 from __future__ import annotations
 
 import hashlib
-import inspect
+import itertools
 import json
-from collections.abc import Iterable
+import os
+import platform
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.models.base import model_class
-from quadexp.parts.part import TARGET, imported
-from quadexp.parts.schema import WORLD, Config, remedies, world_parts
+from quadexp.parts.part import TARGET, Part, imported
+from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
+from quadexp.parts.user_modules import OWN, modules_of
 from quadexp.physics.vehicle import FORMER_NAMES
+from quadexp.provenance import (
+    FLYING,
+    content_hash,
+    files_hash,
+    folder_files,
+    model_modules,
+    named_files,
+    numeric_versions,
+    package_folder,
+    package_identity,
+    program_of,
+    sources,
+)
 
 # Groups that determine one flight, together with the world, the remedies, model and seed.
 FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
 # Keys that plants of some kinds had, and the values that flights of today stand for: hashes and noise stay.
 FORMER_KEYS = {"simplified": {"payload": 0.0}, "blade_element": {"payload": 0.0}}
 MODEL_FILE = "model.json"
+FITTING = (f"{OWN}.experiment.collect", f"{OWN}.experiment.fit")  # make a model of flights
+_CLASSES = itertools.count()
 MAKER = "quadexp identify FLIGHT... --out models/NAME"  # of a model that is flown as the truth
 
 
@@ -35,13 +65,15 @@ def digest(value: Any) -> str:
     return hashlib.sha256(canonical(value).encode()).hexdigest()[:20]
 
 
-def flight_record(config: Config) -> dict[str, Any]:
-    """The part of a configuration that determines one flight, as a dictionary; parts of the world and remedies
-    that do nothing are left out."""
-    nodes = {group: getattr(config, group).recorded() for group in FLIGHT_GROUPS}
+def flying_parts(config: Config) -> dict[str, Part]:
+    """The parts that determine one flight, by group; those of the world and remedies that do nothing are left out."""
+    return {group: getattr(config, group) for group in FLIGHT_GROUPS} | world_parts(config) | remedies(config)
+
+
+def flight_record(config: Config, parts: Mapping[str, Part] | None = None) -> dict[str, Any]:
+    """The part of a configuration that determines one flight, as a dictionary. parts: see flying_parts."""
+    nodes = {group: part.recorded() for group, part in (parts or flying_parts(config)).items()}
     nodes["plant"] |= FORMER_KEYS.get(nodes["plant"].get("kind", ""), {})
-    nodes |= {group: part.recorded() for group, part in world_parts(config).items() if group not in nodes}
-    nodes |= {group: part.recorded() for group, part in remedies(config).items()}
     return {**nodes, "model": config.model, "seed": config.seed}
 
 
@@ -136,48 +168,168 @@ def unused_model(configs: Iterable[Config]) -> str:
     return f"{names} {verb}: model={next(iter(without.values()))} is not used"
 
 
-# ----------------------------------------------------------------------------------------------------- files it reads
-def content_hash(path: str | Path) -> str:
-    """sha256 of a file."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+# ------------------------------------------------------------------------------------------- files, code and packages
+class Decides(NamedTuple):
+    """What decides a part besides its settings. files: by name. texts: what stands for those that were executed, and
+    for what lies in no file. modules: of this package, that it is made of. packages: others that a user's modules
+    import."""
+
+    files: dict[str, Path]
+    texts: dict[str, str]
+    modules: frozenset[str]
+    packages: frozenset[str] = frozenset()
+
+    def inputs(self) -> dict[str, str]:
+        """Hashes by name."""
+        return {name: _content(path) for name, path in self.files.items()} | self.texts
 
 
-def model_hash(path: str) -> str:
-    """Content hash of a checkpoint that is taken as the truth; UsageError where there is none."""
-    file = Path(path) / MODEL_FILE
+def decides(group: str, part: Part) -> Decides:
+    """The files that a part reads, and of a user's own part its class, all of the user's modules behind it, the files
+    that these or its settings name, and the packages that they import.
+
+    Raises UsageError where a file is missing.
+    """
+    if part.shipped:
+        return Decides(_shipped_files(group, part), {}, frozenset({type(part).__module__}))
+    if hasattr(part, TARGET):
+        imported(group, getattr(part, TARGET))
+    target = getattr(part, TARGET, f"{type(part).__module__}.{type(part).__qualname__}")
+    behind = {kind.__module__: kind for kind in type(part).__mro__} | {target.rpartition(".")[0]: type(part)}
+    code, elsewhere, modules = modules_of(behind)
+    texts = {f"{group} class": target} | {f"{group} module {name}": content for name, content in code.items()}
+    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {OWN}
+    outside = {name for name in behind if name in elsewhere and name.partition(".")[0] in tops}
+    texts |= {f"{group} module {name}": _outside(behind[name]) for name in outside}
+    settings = {key: value for key, value in part.recorded().items() if key != "name"}
+    named = {text: Path(text) for text in _texts(settings) if _is_data(text)}
+    for path in modules.values():
+        named |= named_files(path)
+    files = {f"{group} module {name}": path for name, path in modules.items()}
+    files |= {f"{group} file {text}": place for text, place in named.items()}
+    shipped = frozenset(name for name in elsewhere if name.startswith(f"{OWN}."))
+    return Decides(files, texts, shipped, frozenset(tops - {name.partition(".")[0] for name in outside}))
+
+
+def _shipped_files(group: str, part: Part) -> dict[str, Path]:
+    """Files that a part of this program reads, a checkpoint only where it is taken as the truth."""
+    if hasattr(part, "path"):
+        if not Path(part.path).is_file():
+            raise UsageError(f"{group}.path={part.path}: no such file")
+        return {group: Path(part.path)}
+    if group != "plant" or not hasattr(part, "model"):
+        return {}
+    file = Path(part.model) / MODEL_FILE
     if not file.is_file():
-        raise UsageError(f"plant.model={path}: no checkpoint there; make one: {MAKER}")
-    return content_hash(file)
+        raise UsageError(f"plant.model={part.model}: no checkpoint there; make one: {MAKER}")
+    return {group: file}
 
 
-def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
-    """Content hash of every file that a flight reads."""
-    hashes = {"model": model.sha256} if model else {}
-    hashes |= source_hashes(config)
-    if hasattr(config.plant, "model"):
-        hashes["plant"] = model_hash(config.plant.model)
-    for group, path in input_files(config).items():
-        if not Path(path).is_file():
-            raise UsageError(f"{group}.path={path}: no such file")
-        hashes[group] = content_hash(path)
-    return hashes
+def part_identity(group: str, part: Part) -> list[Any]:
+    """What decides a part, as plain data."""
+    return [part.recorded(), decides(group, part).inputs()]
 
 
-def input_files(config: Config) -> dict[str, str]:
-    """Files besides checkpoints that a flight reads, by the group whose key `path` names them."""
-    named = {group: getattr(getattr(config, group), "path", None) for group in ("trajectory", *WORLD)}
-    return {group: path for group, path in named.items() if path is not None}
+@cache
+def _outside(kind: type) -> str:
+    """Of a class that lies in none of the user's folders: the content of its file, or a number that is its own."""
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    return content_hash(file) if file else f"class {next(_CLASSES)}"
 
 
-def source_hashes(config: Config) -> dict[str, str]:
-    """sha256 of the file of every part that is a user's own, by "<group> source": one that was edited is flown anew."""
-    hashes = {}
-    for group in ("plant", "trajectory", "controller", *WORLD, *remedies(config)):
-        part = getattr(config, group)
-        named = getattr(part, TARGET, None)
-        if part.shipped:
-            continue
-        module = inspect.getmodule(type(part) if named is None else imported(group, named))
-        file = getattr(module, "__file__", None)
-        hashes[f"{group} source"] = content_hash(file) if file else ""
-    return hashes
+def _is_data(text: str) -> bool:
+    """Whether a text names a file, or a folder that this process does not stand in."""
+    return os.path.isfile(text) or (os.path.isdir(text) and not Path.cwd().is_relative_to(Path(text).resolve()))
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in plain data."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, (list, tuple, dict)):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _texts(item)
+
+
+def _content(path: Path) -> str:
+    return files_hash(folder_files(path), path) if path.is_dir() else content_hash(path)
+
+
+# ------------------------------------------------------------------------------------------------------------- a flight
+@dataclass(frozen=True)
+class FlightIdentity:
+    """What decides a flight; see the module. model: the checkpoint of its controller. files: hashes by path."""
+
+    record: dict[str, Any]
+    model: ModelFile | None
+    inputs: dict[str, str]
+    files: dict[str, str]
+    program: str
+
+    @property
+    def digest(self) -> str:
+        """Hash of all of it."""
+        return digest([self.record, self.inputs, self.program])
+
+    @property
+    def code(self) -> str:
+        """What a row says of its program: `program`, bound to the sources that it names."""
+        return digest([sources(), self.program])
+
+
+def flight_identity(config: Config, known: dict[Any, Any] | None = None) -> FlightIdentity:
+    """What decides a flight, as files are now. known: what was found of parts of other flights of the same plan.
+
+    Raises UsageError where a file that it needs does not exist.
+    """
+    known = {} if known is None else known
+    place = id(config.controller), config.model
+    if place not in known:
+        known[place] = config.controller, find_model(config)
+    return identity_with(config, known[place][1], known)
+
+
+def identity_with(
+    config: Config, model: ModelFile | None, known: dict[Any, Any] | None = None, *, fitted: bool = False
+) -> FlightIdentity:
+    """That of a flight with a checkpoint, or without; see flight_identity. fitted: of a model that is fitted to such
+    flights."""
+    known = {} if known is None else known
+    parts = flying_parts(config)
+    record = flight_record(config, parts)
+    if model is None:
+        record["model"] = None  # a checkpoint that is not used decides nothing
+    inputs = {"model": model.sha256} if model else {}
+    files = {f"{file.path}/{MODEL_FILE}": file.sha256 for file in model.files} if model else {}
+    modules, packages = {FLYING, *(FITTING if fitted else ())}, set[str]()
+    for group, part in parts.items():
+        if (group, id(part)) not in known:
+            deciding = decides(group, part)
+            known[group, id(part)] = part, deciding, deciding.inputs()
+        _, of_part, contents = known[group, id(part)]
+        inputs |= contents
+        files |= {str(path): contents[name] for name, path in of_part.files.items() if path.is_file()}
+        modules |= of_part.modules
+        packages |= of_part.packages
+    modules |= model_modules(package_folder()) if fitted else set()
+    with_model = bool(model) or "model" in record["plant"]
+    program, others = _program(frozenset(modules), frozenset(packages), with_model)
+    for name in others:
+        if name not in known:
+            known[name] = package_identity(name)
+        inputs[f"package {name}"] = known[name]
+    places = {os.path.abspath(path): content for path, content in files.items()}
+    return FlightIdentity(record, model, inputs, places, program)
+
+
+@cache
+def _program(modules: frozenset[str], packages: frozenset[str], with_model: bool) -> tuple[str, frozenset[str]]:
+    """Hash of the sources of this package and of the libraries that some modules are made of; and the packages that not
+    every flight imports. packages: that a user's modules import. with_model: whether a checkpoint is read, by the
+    module that it names; what this one imports for a fit decides no flight."""
+    program, always = program_of(modules), program_of(frozenset({FLYING})).packages
+    readers = model_modules(package_folder()) if with_model else set()
+    behind = [program_of(modules | readers).sources, platform.python_version()]
+    libraries = numeric_versions(program.packages | packages)
+    others = (program.packages - always) | packages
+    return digest([*behind, libraries]), others - numeric_versions(others).keys()

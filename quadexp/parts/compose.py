@@ -23,9 +23,10 @@ from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.former import FORMER_TARGET, refuse_former
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge, nested
 from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader
-from quadexp.parts.part import TARGET, import_from, part_class
+from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
+from quadexp.parts.user_modules import import_from, own_folders
 
 KEPT = 50_000  # made nodes that are remembered at most
 EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
@@ -58,6 +59,7 @@ class Composer:
 
     def __init__(self, extra: Path | None = None) -> None:
         self._files = OptionFiles(extra)
+        self._folders = own_folders()
         self.options, self.part = self._files.options, self._files.part_of
         self._overrides = OverrideReader(self._files)
         self._trees: dict[tuple[str, ...], dict[str, Node]] = {}
@@ -71,6 +73,7 @@ class Composer:
         Raises UsageError with one line: unknown key or option, value of a wrong type or out of range, value missing,
         several values for one key.
         """
+        import_from(*self._folders)  # cells are composed when they are asked for, maybe after another session
         try:
             return self._compose(self._overrides.read(overrides))
         except ValueError as error:  # of a user's own part

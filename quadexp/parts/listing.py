@@ -12,9 +12,9 @@ from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.former import refuse_former
 from quadexp.parts.options import OptionFiles, groups
-from quadexp.parts.part import import_from
 from quadexp.parts.schema import CHOSEN, PARTS, Config
 from quadexp.parts.settings import REQUIRED, Declared, declared, lists
+from quadexp.parts.user_modules import import_from
 
 Record = dict[str, str]
 

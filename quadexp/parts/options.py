@@ -36,9 +36,11 @@ from typing import Any, NamedTuple
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
 from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name, refuse_former
-from quadexp.parts.part import TARGET, Part, part_class, plugin_folders
+from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
+from quadexp.parts.user_modules import plugin_folders
+from quadexp.provenance import content_hash
 
 SHEETS = "options"  # folder of the sheets, in a folder of configuration
 NOTHING = "nothing"  # the sheet of the options that do nothing, for each of which `none` stands
@@ -252,8 +254,7 @@ def entries(folder: Path) -> dict[str, Entry]:
     """
     options: dict[str, Entry] = {}
     for sheet in sorted((folder / SHEETS).glob("*.yaml")):
-        state = sheet.stat()
-        for name, entry in _entries_of(sheet, state.st_mtime_ns, state.st_size).items():
+        for name, entry in _entries_of(sheet, content_hash(sheet)).items():
             if name in options:
                 raise UsageError(f"{sheet}: {name}: stands in {options[name].sheet.name} too")
             options[name] = entry
@@ -261,7 +262,7 @@ def entries(folder: Path) -> dict[str, Entry]:
 
 
 @functools.cache
-def _entries_of(sheet: Path, modified: int, size: int) -> dict[str, Entry]:
+def _entries_of(sheet: Path, hashed: str) -> dict[str, Entry]:
     options: dict[str, Entry] = {}
     groups = (*PARTS, *PRESETS, *BUNDLES)
     for group, stated in read_mapping(sheet).items():

@@ -10,41 +10,26 @@ The class's fields are the option's keys, with unit, range, meaning and default:
 part is made into is said by the group's own base class (Effect, TrajectoryPart, PlantPart, ControllerPart, Remedy).
 Nothing else lists parts; `part_class` finds those of this program and of a user alike.
 
-A user's own lie in a folder given with --conf, or in an installed package that offers its configuration folder, laid
-out as conf/ is, by an entry point:
-
-    [project.entry-points."quadexp.conf"]
-    my_lab = "my_lab.conf"
-
-`_target_` names what lies in one of these places and nothing else, so that a configuration file alone cannot name code
-that nobody meant to run; a --conf folder with modules in it is code.
+`_target_` names a class of this program, or one that lies in a --conf folder or a plugin package (user_modules.py), and
+nothing else, so that a configuration file alone cannot name code that nobody meant to run; a --conf folder with modules
+in it is code.
 """
 
 from __future__ import annotations
 
 import functools
-import importlib
-import importlib.util
 import inspect
-import os
 import pickle
-import sys
-from dataclasses import dataclass
-from importlib.machinery import ModuleSpec, PathFinder
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Self
 
 from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.parts.settings import Name, Settings, record
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoints
+from quadexp.parts.user_modules import OWN, generation, import_from, lies_outside, load, own_folders
 
 TARGET = "_target_"  # key of an option that names the class of its part
-OWN = "quadexp"  # the package whose classes any option may name
-ENTRY_POINTS = "quadexp.conf"  # group of the entry points of plugin packages
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,18 +70,37 @@ class Part(Settings):
         settings = {k: v for k, v in record(self).items() if k not in usual}
         return settings | ({"kind": self.former_kind} if self.former_kind else {})
 
+    def anew(self) -> Self:
+        """The same without what it has computed, and kept, of its settings and of files that they name."""
+        part = object.__new__(type(self))
+        vars(part).update(self._attributes)
+        return part
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
     def __reduce__(self) -> Any:
-        return _restored, (self._packed,)
+        return _restored, (self._packed, () if self.shipped else own_folders())
 
     @functools.cached_property
     def _packed(self) -> bytes:
-        return pickle.dumps((type(self), vars(self)))
+        return pickle.dumps((type(self).__module__, type(self).__qualname__, self._attributes))
+
+
+def _restored(packed: bytes, folders: tuple[str, ...]) -> Any:
+    """The part, of the class as it is where this is called. folders: that its modules may lie in."""
+    if folders:
+        import_from(*folders)
+        load(pickle.loads(packed)[0])
+    return _part_of(packed, generation())
 
 
 @functools.lru_cache(1024)  # a worker is told the same parts with many cells
-def _restored(packed: bytes) -> Any:
-    kind, attributes = pickle.loads(packed)
-    part = object.__new__(kind)
+def _part_of(packed: bytes, generation: int) -> Any:
+    module, name, attributes = pickle.loads(packed)
+    kind: Any = functools.reduce(getattr, name.split("."), load(module))
+    part: Any = object.__new__(kind)
     vars(part).update(attributes)
     return part
 
@@ -133,7 +137,7 @@ def imported(key: str, target: str, own: str = OWN) -> Any:
     if not ours and (outside := lies_outside(module_name)):
         raise ModuleError(f"{said}: {outside}")
     try:
-        module = importlib.import_module(module_name)
+        module = load(module_name)
     except ImportError as error:
         raise ModuleError(f"{said}: {error}") from None
     except Exception as error:
@@ -172,73 +176,3 @@ class Given:
     residuals: Any = None
     checkpoint: Any = None
     plant_model: Any = None
-
-
-@functools.cache
-def plugin_folders() -> dict[str, Path]:
-    """Configuration folders of installed packages, by the name of their entry point, in the order of the names.
-
-    Raises UsageError where an entry point names no package with a folder.
-    """
-    folders = {}
-    for point in sorted(_entry_points(), key=lambda point: point.name):
-        try:
-            spec = importlib.util.find_spec(point.value)
-        except ImportError:
-            spec = None
-        places = list(spec.submodule_search_locations or ()) if spec else []
-        if not places:
-            said = f"entry point {point.name!r} of {ENTRY_POINTS}"
-            raise UsageError(f"{said}: no package {point.value!r} that holds a folder")
-        folders[point.name] = Path(places[0])
-    return folders
-
-
-_own: list[Path] = []  # folders given with --conf
-
-
-def own_folders() -> tuple[str, ...]:
-    """The folders given with --conf in this process, for the worker processes that it starts."""
-    return tuple(map(str, _own))
-
-
-def import_from(folder: Path) -> None:
-    """Let modules in a folder be imported, and named under `_target_`, in this process."""
-    if folder not in _own:
-        _own.append(folder)
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))
-
-
-def lies_outside(module: str) -> str:
-    """Why a module is none of a --conf folder or of an installed plugin package; "" where it is one. It is not
-    imported."""
-    for point in _entry_points():
-        package = point.value.rpartition(".")[0] or point.value
-        if f"{module}.".startswith(f"{package}."):
-            return ""
-    first = module.partition(".")[0]
-    theirs = [place for folder in _own for place in _places(PathFinder.find_spec(first, [str(folder)]))]
-    if theirs:
-        taken = _places(importlib.util.find_spec(first))
-        if not taken or any(_same(a, b) for a in theirs for b in taken):
-            return ""
-        return f"the name {first} is taken by {taken[0]}: give the module in the --conf folder another one"
-    where = f"the --conf folder {_own[-1]}" if _own else "a --conf folder (none is given)"
-    return f"there is no module {first} in {where}, nor in an installed package with an entry point of {ENTRY_POINTS}"
-
-
-def _entry_points() -> EntryPoints:
-    from importlib.metadata import entry_points  # which takes as long as all the rest of `quadexp --help`
-
-    return entry_points(group=ENTRY_POINTS)
-
-
-def _places(spec: ModuleSpec | None) -> list[str]:
-    if spec is None:
-        return []
-    return [spec.origin] if spec.origin else list(spec.submodule_search_locations or ())
-
-
-def _same(a: str, b: str) -> bool:
-    return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)

@@ -14,6 +14,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import pickle
 import shlex
 import sys
 import tempfile
@@ -30,11 +31,10 @@ from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.security import Security
 
 from quadexp.cache import cache_folder
-from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.identity import input_hashes
-from quadexp.parts.part import own_folders
+from quadexp.errors import QuadexpError
+from quadexp.parts.user_modules import own_folders
 from quadexp.provenance import identity
-from quadexp.sweeps.engine import CellFailed, CellFunction, Task, Workers
+from quadexp.sweeps.engine import CellFailed, CellFunction, Task, Workers, fly_as_planned
 from quadexp.sweeps.engine_settings import DaskConfig, JobsConfig
 from quadexp.sweeps.server import SAFE, THREADS, environment
 from quadexp.writer import written
@@ -141,10 +141,10 @@ class Sweep:
 _own = threading.local()  # what a thread of a worker flies in: (memory, folders), and processes for these
 
 
-def run_cell(sweep: Sweep, function: CellFunction, task: Task, inputs: Mapping[str, str]) -> Any:
+def run_cell(sweep: Sweep, function: CellFunction, key: str, packed: bytes) -> Any:
     """A Dask task: fly one cell in a child of this worker; (row, content of its file), or CellFailed.
 
-    inputs: content hash of every file that the flight reads. Raises RuntimeError on a worker with other sources.
+    packed: the task. Raises RuntimeError on a worker with other sources.
     """
     here = identity()
     for name, expected in sweep.expected.items():
@@ -156,27 +156,20 @@ def run_cell(sweep: Sweep, function: CellFunction, task: Task, inputs: Mapping[s
         multiprocessing.current_process().daemon = False  # which might have no children, under a nanny
         _own.processes = Workers(1, sweep.memory, folders=sweep.folders)
         _own.limits = sweep.memory, sweep.folders
-    arguments = function, task, inputs, sweep.directory, get_worker().local_directory
-    ((_, ended),) = _own.processes.run(child_cell, {task.key: arguments}, timeout=sweep.timeout)
+    arguments = function, packed, sweep.directory, get_worker().local_directory
+    ((_, ended),) = _own.processes.run(child_cell, {key: arguments}, timeout=sweep.timeout)
     return ended
 
 
 def child_cell(
-    function: CellFunction, task: Task, inputs: Mapping[str, str], directory: str, scratch: str
+    function: CellFunction, packed: bytes, directory: str, scratch: str
 ) -> tuple[dict[str, Any], bytes | None]:
     """In the child process: fly; returns the row and the content of the file (None if there is no file)."""
     with suppress(OSError):  # there may be nothing to read there
         os.chdir(directory)
-    try:
-        here = input_hashes(task.config, task.model)
-    except UsageError as error:
-        raise QuadexpError(f"{error}: a worker must see the files of the driver") from None
-    for name, sha256 in here.items():
-        if inputs.get(name) != sha256:
-            raise QuadexpError(f"{name}: this worker has another one than the driver")
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
-        path = Path(folder) / f"{task.key}.parquet"
-        row = function(task.config, task.model, str(path), task.key)
+        path = Path(folder) / "cell.parquet"
+        row = fly_as_planned(function, packed, path)
         return row, path.read_bytes() if path.is_file() else None
 
 
@@ -216,7 +209,7 @@ class DaskEngine:
         try:
             while True:
                 while len(submitted) < QUEUED * max(threads, 1) and (task := next(tasks, None)):
-                    given = sweep, function, task, input_hashes(task.config, task.model)
+                    given = sweep, function, task.key, pickle.dumps(task)
                     future = client.submit(run_cell, *given, key=f"{client.id}/{task.key}", pure=False)
                     submitted[future] = task
                     completed.add(future)

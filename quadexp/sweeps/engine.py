@@ -12,6 +12,7 @@ import contextlib
 import ctypes
 import multiprocessing
 import os
+import pickle
 import resource
 import signal
 import sys
@@ -25,10 +26,10 @@ from typing import Any, Protocol
 
 from pebble import ProcessExpired, ProcessPool
 
-from quadexp.errors import ModuleError, QuadexpError, UsageError, WriteError, stops_all
-from quadexp.experiment.identity import ModelFile
-from quadexp.parts.part import import_from, own_folders
+from quadexp.errors import DataError, ModuleError, QuadexpError, UsageError, WriteError, stops_all
+from quadexp.experiment.identity import ModelFile, flight_identity
 from quadexp.parts.schema import Config
+from quadexp.parts.user_modules import import_from, own_folders
 from quadexp.sweeps.server import PATH, PRELOAD, start_server, undisturbed, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
@@ -61,12 +62,13 @@ class CellFailed:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A cell to fly and the path of the file to write."""
+    """A cell to fly and the path of the file to write. inputs: of its identity when it was planned, None for any."""
 
     key: str
     config: Config
     model: ModelFile | None
     path: str
+    inputs: Mapping[str, str] | None = None
 
 
 CellFunction = Callable[[Config, ModelFile | None, str, str], dict[str, Any]]  # see evaluate.evaluate_cell
@@ -97,10 +99,28 @@ class LocalEngine:
 
     def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, Any]]:
         """See Engine."""
-        jobs = {task.key: (task.config, task.model, task.path, task.key) for task in tasks}
+        jobs = {task.key: (function, pickle.dumps(task)) for task in tasks}
         shared = contextlib.nullcontext(self.processes) if self.processes else None
         with shared or Workers(self.workers, self.memory) as processes:
-            yield from processes.run(function, jobs, timeout=self.timeout)
+            yield from processes.run(fly_as_planned, jobs, timeout=self.timeout)
+
+
+def fly_as_planned(function: CellFunction, packed: bytes, path: str | Path | None = None) -> dict[str, Any]:
+    """In a worker: fly a task, which is unpacked here, where an error is one of this cell. path: of the file to write,
+    instead of the task's.
+
+    Raises DataError where this process would fly another thing than was planned.
+    """
+    task: Task = pickle.loads(packed)
+    if task.inputs is not None:
+        try:
+            here = flight_identity(task.config).inputs
+        except UsageError as error:
+            raise DataError(f"{error}: a worker must see the files of the driver") from None
+        other = sorted(name for name in {**here, **task.inputs} if here.get(name) != task.inputs.get(name))
+        if other:
+            raise DataError(f"{', '.join(other)}: has changed since this run began, or is another one for this worker")
+    return function(task.config, task.model, str(path or task.path), task.key)
 
 
 def default_workers() -> int:
@@ -202,8 +222,7 @@ def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> Non
     path: PYTHONPATH for programs that the worker itself starts.
     """
     os.environ[PATH] = path or ""
-    for folder in folders:
-        import_from(Path(folder))
+    import_from(*folders)
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import marshal
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle
-from quadexp.experiment.identity import ModelFile, digest, find_model, flight_record, input_hashes
+from quadexp.experiment.identity import ModelFile, digest, flight_identity
 from quadexp.parts.cells import Cell, Grid, refuse_mistakes
 from quadexp.parts.schema import world_parts
 from quadexp.report.inference import least_seeds
@@ -18,7 +18,6 @@ from quadexp.sweeps.sweep_table import condition
 
 SCHEMA = 1  # version of what a cell is; with a higher number every older cell is unknown
 BUILDS_AT_ONCE = 32  # compiled structures that every worker surely keeps, see experiment.build.KEPT
-FILES = ("trajectory", "plant", "wind")  # groups, beside the controller, whose settings may name a file
 INVALID = "invalid"  # outcome of a cell whose settings contradict each other
 STRUCTURE = ("kind", "residual", "nodes", "backend", "variant", "_target_")  # controller settings that are compiled in
 
@@ -27,13 +26,16 @@ STRUCTURE = ("kind", "residual", "nodes", "backend", "variant", "_target_")  # c
 class Job:
     """A cell to fly. key: of its file. condition: hash of what was asked for, whatever the files it reads contain.
     model: the checkpoint that its controller uses. invalid: why its settings contradict each other, "" where they do
-    not; it is not flown then."""
+    not; it is not flown then. inputs, files, program: see identity.FlightIdentity."""
 
     key: str
     condition: str
     cell: Cell
     model: ModelFile | None
     invalid: str = ""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    program: str = ""
 
 
 def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
@@ -42,25 +44,19 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
     Raises UsageError where a file that a cell needs does not exist, or the request is wrong as a whole.
     """
     jobs: dict[str, Job] = {}
-    known: dict[bytes, tuple[ModelFile | None, dict[str, str]]] = {}  # files that some settings name, hashed once
+    known: dict[Any, Any] = {}  # parts that cells share are looked at once
     for cell in refuse_mistakes(cells):
-        config, record = cell.config, flight_record(cell.config)
         if cell.invalid:
             key = digest([INVALID, *sorted(cell.overrides)])
             jobs.setdefault(key, Job(key, key, cell, None, cell.invalid))
             continue
-        named = {group: [record.get(group, {}).get(name) for name in ("_target_", "model", "path")] for group in FILES}
-        reads = marshal.dumps([config.model, record["controller"], named], 2)
-        if reads not in known:
-            model = find_model(config)
-            known[reads] = model, input_hashes(config, model)
-        model, inputs = known[reads]
-        if model is None:
-            cell = replace(cell, config=replace(config, model=None))  # a checkpoint that is not used decides nothing
-            record["model"] = None
-        key = cell_key(record, inputs)
+        identity = flight_identity(cell.config, known)
+        if identity.model is None:
+            cell = replace(cell, config=replace(cell.config, model=None))  # a checkpoint that is not used
+        key = cell_key(identity.record, identity.inputs)
         if key not in jobs:
-            jobs[key] = Job(key, digest(condition(record)), cell, model)
+            asked = digest(condition(identity.record))
+            jobs[key] = Job(key, asked, cell, identity.model, "", identity.inputs, identity.files, identity.program)
     return jobs
 
 
@@ -84,8 +80,7 @@ def too_few_seeds(grids: Iterable[Grid], baseline: str, confidence: float) -> st
 def cell_key(record: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
     """Key of one flight, the name of its file: sha256 of everything that decides it, 20 hex digits.
 
-    record: of the flight, see identity.flight_record. inputs: content hash of every file that it reads
-    (checkpoint, trajectory file, the user's own sources).
+    record, inputs: of the flight, see identity.FlightIdentity.
     """
     return digest([SCHEMA, "evaluate", condition(record), sorted(inputs.items())])
 

@@ -20,6 +20,7 @@ import quadexp
 from quadexp.errors import DataError, QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
+from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
@@ -135,6 +136,7 @@ def run_sweep(
         record = {
             "metric": metric, "baseline": baseline, "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
+            "files": {path: text for job in jobs.values() for path, text in job.files.items()},
             "conditions": sorted({job.condition for job in jobs.values()}),
             "without_flight": {key: list(jobs[key].cell.overrides) for key in unflown},
             "flown_by": flown_by(in_order), "provenance": provenance(),
@@ -206,12 +208,15 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
     with ThreadPoolExecutor(2) as readers:  # hashing needs no interpreter lock
         read_rows = dict(zip(there, readers.map(read, there), strict=True))
     changed = [str(row) for row in read_rows.values() if isinstance(row, QuadexpError)]
-    rows = {key: _row_of(jobs[key], row) for key, row in read_rows.items() if not isinstance(row, QuadexpError)}
+    stored = {key: row for key, row in read_rows.items() if not isinstance(row, QuadexpError)}
+    rows = {key: _row_of(jobs[key], row) for key, row in stored.items()}
     what = "cells have changed since they were flown, or lack samples, and are flown again"
     notes = [f"{len(changed)} {what}: {changed[0]}"] if changed else []
-    others = {key: row for key, row in rows.items() if row["sources"] != sources()}
+    others = {key: rows[key] for key, row in stored.items() if not _same_program(row, jobs[key])}
     programs = programs_text(others.values())
+    differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
     if others and old == "ask":
+        programs += f" ({differing})" if differing else ""
         raise UsageError(
             f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
             f" {quadexp.__version__}, sources {sources()}): {programs}; pass --refly to fly them again or --keep-old to"
@@ -223,8 +228,14 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
         notes.append(f"{len(others)} cells of other sources are flown again: {programs}")
     elif others:
         notes.append(f"{len(others)} cells of other sources are kept: {programs}; these are {sources()}")
-    differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
     return rows, [*notes, *filter(None, [differing])]
+
+
+def _same_program(row: Mapping[str, Any], job: Job) -> bool:
+    """Whether a cell was flown by what would fly it now: the same sources behind this flight, whatever else has changed
+    in the program, and the same libraries."""
+    code = row.get("code")
+    return code == digest([row.get("sources"), job.program]) if code else row.get("sources") == sources()
 
 
 def _row_of(job: Job, row: Mapping[str, Any]) -> Row:
@@ -247,7 +258,9 @@ def _fly_missing(
     progress(len(rows), len(jobs))
     if not todo:
         return
-    tasks = [Task(job.key, job.cell.config, job.model, str(store.path(job.key))) for job in flying_order(todo)]
+    tasks = [
+        Task(job.key, job.cell.config, job.model, str(store.path(job.key)), job.inputs) for job in flying_order(todo)
+    ]
     flown: Generator[tuple[str, Any]]
     if not isolate:
         flown = ((t.key, function(t.config, t.model, t.path, t.key)) for t in tasks)

@@ -14,6 +14,7 @@ from typing import Any
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table
+from quadexp.provenance import content_hash
 from quadexp.report.checked import COMPARED
 from quadexp.report.frame import RESULTS
 from quadexp.report.tables import STATISTICS
@@ -60,7 +61,7 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
     if path.exists():
         if (table := verified.look(path, lambda: read_rows(path))) is not None:
             rows, record = table
-            if wrong := _unlike(rows, flights):
+            if wrong := _unlike(rows, flights) or _edited(record):
                 verified.wrong[str(path)] = wrong
             _verify_made(store.root, record, verified)
     elif any((store.root / name).exists() for name in (*TEXTS, STATISTICS)):
@@ -85,6 +86,14 @@ def _unlike(rows: list[Row], flights: dict[str, Row | None]) -> str:
             lost.append(row["key"])
     differences = {"are not what their flights say": other, "are of flights that are not there": lost}
     return "; ".join(f"{len(keys)} rows {what}, the first {keys[0]}" for what, keys in differences.items() if keys)
+
+
+def _edited(record: dict[str, Any]) -> str:
+    """Which files that decided its flights have another content now, in one line, "" for none. What is not there any
+    more, as on another machine, is not compared. Nothing of it is executed."""
+    files = record.get("files", {})
+    other = [path for path, content in files.items() if Path(path).is_file() and content_hash(path) != content]
+    return f"is of flights with another content of {', '.join(other)}: run the sweep again" if other else ""
 
 
 def _same(a: Any, b: Any) -> bool:

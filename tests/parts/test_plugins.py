@@ -108,11 +108,8 @@ def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
     bad = compose(["trajectory=mine", *interpreted], conf)
     tasks = [Task(f"{i:020d}", config, None, str(tmp_path / f"{i}.parquet")) for i, config in enumerate((bad, good))]
     mark.unlink(missing_ok=True)
-    dask, engine = engine == "dask", build_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
-    with monkeypatch.context() as patch:
-        if dask:
-            patch.setattr("quadexp.sweeps.cluster.input_hashes", lambda *_: {})  # the driver's own check
-        results = dict(engine.fly(evaluate_cell, iter(tasks[:1])))
+    engine = build_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
+    results = dict(engine.fly(evaluate_cell, iter(tasks[:1])))
     assert "there is no module tool in the --conf folder" in results["0" * 20].cause
     assert not mark.exists()
     results = dict(engine.fly(evaluate_cell, iter(tasks[1:])))

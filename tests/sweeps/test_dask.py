@@ -173,7 +173,7 @@ class TestMistakes:
         assert run_sweep(expand(SHORT), tmp_path / "r", engine=engine).flown == 0
 
 
-def make_checkpoint(folder):
+def make_checkpoint(folder, drag=0.3):
     """A linear-drag checkpoint with numbers by hand."""
     import numpy as np
 
@@ -182,8 +182,8 @@ def make_checkpoint(folder):
     from quadexp.models.linear_drag import LinearDrag
 
     vehicle = build_vehicle(compose([]).vehicle)
-    numbers = {"drag": np.array([0.3, 0.3, 0.1]), "intercept": np.zeros(3), "thrust_gain": 0.0}
+    numbers = {"drag": np.array([drag, drag, 0.1]), "intercept": np.zeros(3), "thrust_gain": 0.0}
     errors = {"drag_error": np.zeros(3), "intercept_error": np.zeros(3), "thrust_gain_error": 0.0}
     fit = {"residual_std": np.zeros(3), "r_squared": np.ones(3), "n": 10}
     named = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
-    save_model(folder, LinearDrag(**numbers, **errors, **fit, vehicle=named))
+    save_model(folder, LinearDrag(**numbers, **errors, **fit, vehicle=named), force=True)

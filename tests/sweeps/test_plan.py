@@ -4,7 +4,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
-from quadexp.experiment.identity import FLIGHT_GROUPS, find_model, input_hashes
+from quadexp.experiment.identity import FLIGHT_GROUPS, find_model, flight_identity
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.schema import WORLD, Config
@@ -83,7 +83,7 @@ def test_the_plan_knows_the_same_keys(tmp_path, monkeypatch):
     for key, job in jobs.items():
         model = find_model(job.cell.config)
         assert job.model == model
-        assert key == job.key == key_of(job.cell.config, input_hashes(job.cell.config, model))
+        assert key == job.key == key_of(job.cell.config, flight_identity(job.cell.config).inputs)
 
 
 def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):

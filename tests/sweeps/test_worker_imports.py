@@ -13,7 +13,7 @@ from quadexp import provenance
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
-from quadexp.parts.part import own_folders
+from quadexp.parts.user_modules import own_folders
 from quadexp.sweeps.sweep import run_sweep
 from tests.sweeps import cells
 from tests.sweeps.test_sweep import files

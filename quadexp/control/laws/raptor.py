@@ -38,12 +38,12 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.provenance import package_identity
 
 HIDDEN, ACTIONS = 16, 4
 PLACES = np.radians([-45.0, -135.0, 135.0, 45.0])  # front right, back right, back left, front left
 SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
-PACKAGE = "foundation_policy"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,18 +61,21 @@ class RaptorController(ExplicitController):
     """A Controller (see control.base); raises UsageError where the package is missing, or for a layout that is no X."""
 
     def __init__(self, vehicle: Vehicle, keys: RaptorKeys, *, backend: str = "auto") -> None:
-        super().__init__(vehicle, built(backend, raptor_function, vehicle, keys), keys.rate, backend=backend)
+        weights = package_identity("foundation_policy")
+        super().__init__(vehicle, built(backend, raptor_function, vehicle, keys, weights), keys.rate, backend=backend)
+        self._hidden = policy(weights).layers[1].initial_hidden_state.ravel()
 
     def initial(self, x: np.ndarray, window: Window) -> np.ndarray:
         """The policy's first hidden state, and no action."""
-        return np.concatenate([policy().layers[1].initial_hidden_state.ravel(), np.zeros(ACTIONS)])
+        return np.concatenate([self._hidden, np.zeros(ACTIONS)])
 
 
 @lru_cache(maxsize=1)
-def policy() -> Any:
-    """The package's policy. Raises UsageError where the package is missing, or holds another kind of policy."""
+def policy(weights: str) -> Any:
+    """The package's policy. weights: the hash of its content. Raises UsageError where the package is missing, or holds
+    another kind of policy."""
     try:
-        network = importlib.import_module(PACKAGE).Raptor()
+        network = importlib.import_module("foundation_policy").Raptor()
     except ImportError:
         raise UsageError(
             'controller=raptor: needs the package foundation-policy: pip install "quadexp[controllers]"'
@@ -103,8 +106,9 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float]:
     )
 
 
-def raptor_function(vehicle: Vehicle, keys: RaptorKeys) -> ca.Function:
-    """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,)."""
+def raptor_function(vehicle: Vehicle, keys: RaptorKeys, weights: str) -> ca.Function:
+    """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,). weights: see
+    `policy`."""
     x, state, memory = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE), ca.SX.sym("memory", HIDDEN + ACTIONS)
     order, turn = layout(vehicle)
     turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
@@ -115,7 +119,7 @@ def raptor_function(vehicle: Vehicle, keys: RaptorKeys) -> ca.Function:
         for part, limit in ((POSITION, keys.position_limit), (VELOCITY, keys.velocity_limit))
     )
     observation = ca.vertcat(position, ca.vec(R.T), velocity, ca.mtimes(turned.T, x[RATE]), memory[HIDDEN:])
-    action, hidden = evaluated(policy(), observation, memory[:HIDDEN])
+    action, hidden = evaluated(policy(weights), observation, memory[:HIDDEN])
     speed = ca.fmin(ca.fmax((action + 1) / 2, 0), 1)
     places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
     u = ca.fmin(ca.fmax(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min), vehicle.thrust_max)
