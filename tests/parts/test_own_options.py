@@ -12,8 +12,8 @@ from quadexp.log.store import read_metadata
 from quadexp.parts.compose import compose, session
 from quadexp.parts.listing import candidates, listed
 from quadexp.parts.options import OptionFiles
-from quadexp.parts.schema import CHOSEN, PRESETS
-from quadexp.parts.settings import declared
+from quadexp.parts.schema import CHOSEN, PARTS, PRESETS
+from quadexp.parts.settings import declared, record
 from tests.cli.command import run
 
 QUICK = ("plant=ideal", "trajectory=hover", "trajectory.duration=0.2")
@@ -42,35 +42,30 @@ def own_pid(folder):
     return mine
 
 
-def numbers(group, option):
-    """Keys of an option that hold a number that can be raised a little."""
-    part = OptionFiles().part_of(group, option)
-    for name, about in declared(part).items() if part else ():
-        if about.type is float and isinstance(about.default, float) and about.default:
-            yield name, about.default
+def number_of(group):
+    """An option of a group with a key that holds a number other than 0; None where all are 0."""
+    files = OptionFiles()
+    for option in (CHOSEN[group], *files.options(group)):
+        for key, about in declared(part).items() if (part := files.part_of(group, option)) else ():
+            if about.type is float and isinstance(about.default, float) and about.default:
+                return group, option, key
+    return None
 
 
-FILES = OptionFiles()
-NUMBERED = [
-    (group, option, *found)
-    for group, option in CHOSEN.items()
-    for option in (option, *FILES.options(group))
-    if (found := next(numbers(group, option), None))
-]
-COVERED = list({group: case for case in NUMBERED for group in case[:1]}.values())
+COVERED = [case for group in PARTS if (case := number_of(group))]
 
 
-@pytest.mark.parametrize(("group", "option", "key", "default"), COVERED)
-def test_an_option_of_every_group_comes_first_and_extends_the_one_that_it_covers(group, option, key, default, folder):
+@pytest.mark.parametrize(("group", "option", "key"), COVERED)
+def test_an_option_of_every_group_comes_first_and_extends_the_one_that_it_covers(group, option, key, folder):
     """As a file and as an entry of a sheet."""
     shipped = getattr(compose([f"{group}={option}"]), group)
-    value = round(0.9 * getattr(shipped, key), 6)
+    value = 0.9 * getattr(shipped, key)
     as_file = folder(f"{group}/{option}", f"defaults: [{option}, _self_]\n{key}: {value}\n")
     as_entry = folder("options/mine", f"{group}:\n  {option}: {{of: {option}, {key}: {value}}}\n", "sheet")
     for place in (as_file, as_entry):
         own = getattr(compose([f"{group}={option}"], place), group)
         assert type(own) is type(shipped) and getattr(own, key) == value != getattr(shipped, key)
-        assert {**own.recorded(), key: None} == {**shipped.recorded(), key: None}
+        assert {**record(own), key: None} == {**record(shipped), key: None}
 
 
 @pytest.mark.parametrize("group", PRESETS)
@@ -169,7 +164,9 @@ def test_own_keys_are_completed(folder):
     mine = folder("controller/gained", "_target_: my_gained_of_a_test.Gained\n")
     gain = "    my_own_gain: float = key(1.0, 'gain')\n"
     text = "from dataclasses import dataclass\nfrom quadexp.parts.settings import key\n" + MODULE.format(name="Gained")
-    text = text.replace("class Gained", "@dataclass(frozen=True, kw_only=True)\nclass Gained").replace("    pass\n", gain)
+    text = text.replace("class Gained", "@dataclass(frozen=True, kw_only=True)\nclass Gained").replace(
+        "    pass\n", gain
+    )
     (mine / "my_gained_of_a_test.py").write_text(text)
     assert candidates([], "controller.my_own", mine) == ["controller.my_own_gain="]
 
@@ -180,9 +177,9 @@ def test_what_was_tuned_is_flown_under_the_name_of_a_shipped_option(tmp_path):
     tuned = qx.tune("controller=pid", *QUICK, "evaluate.workers=1", out=tmp_path / "t", **asked)
     assert tuned.choice == "controller=pid_tuned"
     flight = qx.simulate(*tuned.choice.split(), *QUICK, conf=tuned.folder)
-    record = flight.record["config"]["controller"]
+    flown = flight.record["config"]["controller"]
     shipped = compose(["controller=pid_tuned"]).controller
-    assert record["position_proportional"] == [0.95, 0.95, 1.0] != list(shipped.position_proportional)
+    assert flown["position_proportional"] == [0.95, 0.95, 1.0] != list(shipped.position_proportional)
 
 
 COMMANDS = [
