@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
+import shutil
 import tempfile
+import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -24,7 +25,7 @@ from quadexp.bench import Bench
 from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
-from quadexp.parts.override import MOST_CELLS, quoted
+from quadexp.parts.override import MOST_CELLS, value_text
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
 from quadexp.progress import Progress
@@ -33,9 +34,9 @@ from quadexp.tune import Tune
 
 Place = str | os.PathLike[str]
 Given = str | Mapping[str, Any]
+SINGLE = (str, os.PathLike, pd.DataFrame)  # what stands for a list of itself, where several are taken
 MODEL = "model.json"
 TOP = {*(f.name for f in fields(Config)), "experiment"}
-_PLAIN = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
 
 
 def simulate(
@@ -53,20 +54,21 @@ def simulate(
 
 def collect(
     *settings: Given,
-    flights: Iterable[Place | Flight] = (),
+    flights: Place | Flight | Iterable[Place | Flight] = (),
     out: Place | None = None,
     conf: Place | None = None,
     force: bool = False,
     progress: bool = False,
     **keywords: Any,
 ) -> Dataset:
-    """Fly for data, or take `flights`, and return what the rigid body does not explain, as `quadexp collect`.
+    """Fly for data, or take `flights`, one or several, and return what the rigid body does not explain, as `quadexp collect`.
 
     A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
     """
     scratch = Scratch()
     path = _path(out) or scratch / "residuals.parquet"
-    recorded = [_file(flight, scratch, f"flight_{i:03d}") for i, flight in enumerate(flights)]
+    several = [flights] if isinstance(flights, SINGLE) else flights
+    recorded = [_file(flight, scratch, f"flight_{i:03d}") for i, flight in enumerate(several)]
     with _shown("seconds of flight", progress) as shown:
         texts = overrides(settings, keywords, "collect")
         requests.collect(texts, path, _path(conf), flights=recorded, force=force, progress=shown)
@@ -192,7 +194,7 @@ def _request(kind: type[S], keywords: dict[str, Any]) -> S:
     """The record of a request, whose keys are taken from the keywords; one value stands for a list of one."""
     given = {name: keywords.pop(name) for name in declared(kind) if name in keywords}
     for name, value in given.items():
-        if get_origin(declared(kind)[name].type) is tuple and isinstance(value, (str, os.PathLike)):
+        if get_origin(declared(kind)[name].type) is tuple and isinstance(value, SINGLE):
             given[name] = (value,)
     return kind(**given)
 
@@ -226,16 +228,22 @@ class Scratch:
     """A folder that is removed when nothing refers to it any more, at the latest when Python ends."""
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="quadexp-", ignore_cleanup_errors=True)
+        self._folder = tempfile.mkdtemp(prefix="quadexp-")
+        weakref.finalize(self, _remove, self._folder, os.getpid())
 
     def __fspath__(self) -> str:
-        return self._folder.name
+        return self._folder
 
     def __truediv__(self, name: str) -> Path:
-        return Path(self._folder.name) / name
+        return Path(self._folder) / name
 
     def __reduce__(self) -> tuple[type[Path], tuple[str]]:
-        return Path, (self._folder.name,)  # a copy in another process does not own the folder
+        return Path, (self._folder,)  # a copy in another process does not own the folder
+
+
+def _remove(folder: str, owner: int) -> None:
+    if os.getpid() == owner:  # and not a process that was forked from it
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _results(folder: Path | Scratch) -> Results:
@@ -295,19 +303,6 @@ def _pairs(values: Mapping[str, Any], prefix: str, lists: bool) -> Iterator[str]
                 raise UsageError(f"{key}: an empty list leaves nothing to fly")
             if len(value) > MOST_CELLS:
                 raise UsageError(f"{key}: {len(value)} values; a sweep has at most {MOST_CELLS} cells")
-            yield f"{key}={','.join(_text(key, one) for one in value)}"
+            yield f"{key}={','.join(value_text(key, one) for one in value)}"
         else:
-            yield f"{key}={_text(key, value)}"
-
-
-def _text(key: str, value: Any) -> str:
-    """One value in the grammar of overrides."""
-    value = value.tolist() if hasattr(value, "tolist") else value
-    if value is None or isinstance(value, (bool, int, float)):
-        return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
-    if isinstance(value, (list, tuple, range)):
-        return f"[{','.join(_text(key, one) for one in value)}]"
-    if isinstance(value, (str, os.PathLike)):
-        text = os.fspath(value)
-        return text if _PLAIN.fullmatch(text) else quoted(text)
-    raise UsageError(f"{key}: a {type(value).__name__} is no value: numbers, text, paths, lists and dictionaries are")
+            yield f"{key}={value_text(key, value)}"

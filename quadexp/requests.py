@@ -163,9 +163,9 @@ def evaluate(
             landed=watching.landed if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows, record: None,
         )
-        files = dict(result.files) | drawn.end()
+        files = result.files | drawn.end()
     paper = papers.paper(settings.figures)
-    special = papers.write(paper, result.rows, out) if paper and figures else {}
+    special = papers.write(paper, result.rows, out) if paper and figures and files else {}
     lines = paper.overview(result.rows).lines() if paper and hasattr(paper, "overview") else []
     failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
     if missing := result.not_flown:
@@ -374,33 +374,14 @@ def margins(words: Overrides, conf: Path | None = None) -> list[dict[str, Any]]:
     in front of them the file of a flight, whose recorded settings they change."""
     from quadexp.experiment.identity import find_model
     from quadexp.experiment.loop_margins import path_margins
-    from quadexp.parts.compose import compose
+    from quadexp.parts.compose import session
 
-    if words and "=" not in words[0]:
-        from quadexp.log.store import read_metadata
+    with session(conf) as composer:
+        if words and ("=" not in words[0] or Path(words[0]).is_file()):
+            from quadexp.log.store import read_metadata
+            from quadexp.parts.recorded import recorded_words
 
-        words = [*_recorded(read_metadata(words[0], "flight").get("config") or {}), *words[1:]]
-    config = compose(words, conf)
+            record = read_metadata(words[0], "flight").get("config") or {}
+            words = recorded_words(composer, record, words[1:])
+        config = composer.compose(words)
     return path_margins(config, find_model(config))
-
-
-def _recorded(config: Mapping[str, Any]) -> list[str]:
-    """The overrides that give a flight's recorded settings again: its options first."""
-    import json
-
-    from quadexp.experiment.identity import FORMER_KEYS
-
-    def keys(value: Any, prefix: str) -> list[str]:
-        if isinstance(value, Mapping):
-            return [word for name, one in value.items() for word in keys(one, f"{prefix}.{name}")]
-        return [f"{prefix}={json.dumps(value)}"]
-
-    parts = {group: part for group, part in config.items() if isinstance(part, Mapping)}
-    settings = [
-        word for group, part in parts.items() for key, one in part.items() for word in keys(one, f"{group}.{key}")
-    ]
-    unset = [f"{group}.{key}=" for group in parts for key in ("name", "kind")]
-    unset += [f"plant.{key}=" for keys in FORMER_KEYS.values() for key in keys]
-    chosen = [f"{group}={part['name']}" for group, part in parts.items()]
-    others = [f"{key}={json.dumps(value)}" for key, value in config.items() if key not in parts and value is not None]
-    return [*chosen, *(word for word in settings if not word.startswith(tuple(unset))), *others]

@@ -8,8 +8,9 @@ same result.
 from __future__ import annotations
 
 import math
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
@@ -31,6 +32,7 @@ _WORD = re.compile(r"(?:\.{0,2}/)*[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
 _PATHS = re.compile(r"[A-Za-z./][^,]*(?:,[A-Za-z./][^,]*)*", re.ASCII)  # none that may pass for a number
 _RANGE = re.compile(r"range\((?:(\d{1,9}), ?)?(\d{1,9})\)", re.ASCII)
 _ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
+_NO_QUOTES = re.compile(r"[\w./:+-]+", re.ASCII)
 _NO_WORDS = {"null", "true", "false", "nan", "inf"}  # in any case of their letters
 
 
@@ -179,3 +181,18 @@ def quoted(value: str) -> str:
     """A value that stands for itself in Hydra's grammar: backslashes count double before a quote only."""
     escaped = re.sub(r"(\\*)'", lambda match: f"{match[1] * 2}\\'", value)
     return "'" + re.sub(r"\\+$", lambda match: match[0] * 2, escaped) + "'"
+
+
+def value_text(key: str, value: Any) -> str:
+    """A value as the text of an override; UsageError where it is none. key: for the message."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if value is None or isinstance(value, (bool, int, float)):
+        return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
+    if isinstance(value, (list, tuple, range)):
+        return f"[{','.join(value_text(key, one) for one in value)}]"
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{name}:{value_text(key, one)}' for name, one in value.items())}}}"
+    if isinstance(value, (str, os.PathLike)):
+        text = os.fspath(value)
+        return text if _NO_QUOTES.fullmatch(text) else quoted(text)
+    raise UsageError(f"{key}: a {type(value).__name__} is no value: numbers, text, paths, lists and dictionaries are")
