@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import tempfile
+import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_origin
@@ -31,6 +33,7 @@ from quadexp.requests import RESULTS
 from quadexp.tune import Tune
 
 Given = str | Mapping[str, Any]
+SINGLE = (str, os.PathLike, pd.DataFrame)  # what stands for a list of itself, where several are taken
 MODEL = "model.json"
 TOP = {*GROUPS, *declared(Config)}  # keys of the command line that stand in no group, and the groups
 
@@ -50,20 +53,21 @@ def simulate(
 
 def collect(
     *settings: Given,
-    flights: Iterable[Place | Flight] = (),
+    flights: Place | Flight | Iterable[Place | Flight] = (),
     out: Place | None = None,
     conf: Folders = None,
     force: bool = False,
     progress: bool = False,
     **keywords: Any,
 ) -> Dataset:
-    """Fly for data, or take `flights`, and return what the rigid body does not explain, as `quadexp collect`.
+    """Fly for data, or take `flights`, one or several, and return what the rigid body does not explain, as `quadexp collect`.
 
     A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
     """
     scratch = Scratch()
     path = _path(out) or scratch / "residuals.parquet"
-    recorded = [_file(flight, scratch, f"flight_{i:03d}") for i, flight in enumerate(flights)]
+    several = [flights] if isinstance(flights, SINGLE) else flights
+    recorded = [_file(flight, scratch, f"flight_{i:03d}") for i, flight in enumerate(several)]
     with _shown("seconds of flight", progress) as shown:
         texts = overrides(settings, keywords, "collect")
         requests.collect(texts, path, conf, flights=recorded, force=force, progress=shown)
@@ -189,7 +193,7 @@ def _request(kind: type[S], keywords: dict[str, Any]) -> S:
     """The record of a request, whose keys are taken from the keywords; one value stands for a list of one."""
     given = {name: keywords.pop(name) for name in declared(kind) if name in keywords}
     for name, value in given.items():
-        if get_origin(declared(kind)[name].type) is tuple and isinstance(value, (str, os.PathLike)):
+        if get_origin(declared(kind)[name].type) is tuple and isinstance(value, SINGLE):
             given[name] = (value,)
     return kind(**given)
 
@@ -223,16 +227,22 @@ class Scratch:
     """A folder that is removed when nothing refers to it any more, at the latest when Python ends."""
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="quadexp-", ignore_cleanup_errors=True)
+        self._folder = tempfile.mkdtemp(prefix="quadexp-")
+        weakref.finalize(self, _remove, self._folder, os.getpid())
 
     def __fspath__(self) -> str:
-        return self._folder.name
+        return self._folder
 
     def __truediv__(self, name: str) -> Path:
-        return Path(self._folder.name) / name
+        return Path(self._folder) / name
 
     def __reduce__(self) -> tuple[type[Path], tuple[str]]:
-        return Path, (self._folder.name,)  # a copy in another process does not own the folder
+        return Path, (self._folder,)  # a copy in another process does not own the folder
+
+
+def _remove(folder: str, owner: int) -> None:
+    if os.getpid() == owner:  # and not a process that was forked from it
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _results(folder: Path | Scratch) -> Results:

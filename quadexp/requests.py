@@ -160,9 +160,9 @@ def evaluate(
             flown=drawn.begin if figures else lambda rows, record: None,
             conf=given_folders(conf),
         )
-        files = dict(result.files) | drawn.end()
+        files = result.files | drawn.end()
     paper = papers.paper(settings.figures)
-    special = papers.write(paper, result.rows, out) if paper and figures else {}
+    special = papers.write(paper, result.rows, out) if paper and figures and files else {}
     lines = paper.overview(result.rows).lines() if paper and hasattr(paper, "overview") else []
     failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
     if missing := result.not_flown:
@@ -374,35 +374,15 @@ def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
     from quadexp.experiment.loop_margins import path_margins
     from quadexp.parts.compose import session
 
-    recorded: list[str] = []
-    if words and "=" not in words[0]:
-        from quadexp.log.store import read_metadata
-
-        recorded = _recorded(read_metadata(words[0], "flight").get("config") or {})
-        words = words[1:]
     with session(conf) as composer:
+        recorded: list[str] = []
+        if words and ("=" not in words[0] or Path(words[0]).is_file()):
+            from quadexp.log.store import read_metadata
+            from quadexp.parts.recorded import recorded_words
+
+            record = read_metadata(words[0], "flight").get("config") or {}
+            words = words[1:]
+            recorded = recorded_words(composer, record, words)
         composer.only("show --margins", words)
         config = composer.compose([*recorded, *words])
     return path_margins(config, find_model(config))
-
-
-def _recorded(config: Mapping[str, Any]) -> list[str]:
-    """The overrides that give a flight's recorded settings again: its options first."""
-    import json
-
-    from quadexp.experiment.identity import FORMER_KEYS
-
-    def keys(value: Any, prefix: str) -> list[str]:
-        if isinstance(value, Mapping):
-            return [word for name, one in value.items() for word in keys(one, f"{prefix}.{name}")]
-        return [f"{prefix}={json.dumps(value)}"]
-
-    parts = {group: part for group, part in config.items() if isinstance(part, Mapping)}
-    settings = [
-        word for group, part in parts.items() for key, one in part.items() for word in keys(one, f"{group}.{key}")
-    ]
-    unset = [f"{group}.{key}=" for group in parts for key in ("name", "kind")]
-    unset += [f"plant.{key}=" for keys in FORMER_KEYS.values() for key in keys]
-    chosen = [f"{group}={part['name']}" for group, part in parts.items()]
-    others = [f"{key}={json.dumps(value)}" for key, value in config.items() if key not in parts and value is not None]
-    return [*chosen, *(word for word in settings if not word.startswith(tuple(unset))), *others]

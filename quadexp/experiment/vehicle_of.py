@@ -48,7 +48,8 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Fol
 
     Raises DataError where the flights are of different vehicles, or of one with other parameters in the configuration.
     """
-    from quadexp.parts.compose import compose
+    from quadexp.parts.compose import session
+    from quadexp.parts.recorded import recorded_words
 
     flown = {str(path): dict(read_metadata(path).get("vehicle") or {}) for path in flights}
     named = {path: record for path, record in flown.items() if record.get("fingerprint")}
@@ -57,9 +58,14 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Fol
         raise DataError(f"the flights are of different vehicles: {', '.join(words)}")
     values = list(overrides)
     path, record = next(iter(named.items()), ("", {}))
-    if named and not any(text.startswith("vehicle=") for text in values):
-        values.insert(0, f"vehicle={record['name']}")
-    config = compose(values, conf, "validate")
+    with session(conf) as composer:
+        if named and not any(text.startswith("vehicle=") for text in values):
+            config = read_metadata(path).get("config") or {}
+            if record["name"] in composer.options("vehicle") or "vehicle" not in config:
+                values.insert(0, f"vehicle={record['name']}")
+            else:  # a name of its own
+                values = [*recorded_words(composer, {"vehicle": config["vehicle"]}, values), *values]
+        config = composer.compose(values, "validate")
     vehicle = build_vehicle(config.vehicle)
     if named and vehicle.fingerprint != record["fingerprint"]:
         has = f"the configuration has {vehicle.name} ({vehicle.fingerprint})"

@@ -43,6 +43,11 @@ class CellStore:
         check_output(self.root, folder=True, force=True)
         make_inside(self.root, self.folder)
 
+    @property
+    def is_frozen(self) -> bool:
+        """Whether it is there and takes no files, as on a disk that can only be read."""
+        return self.folder.is_dir() and not os.access(self.folder, os.W_OK)
+
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
         """Refuse a second sweep in this folder while one runs; raises UsageError."""

@@ -95,7 +95,7 @@ def _decoded(file: Path) -> dict[str, Any]:
         return msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
+    except (ValueError, msgspec.MsgspecError, RecursionError) as error:
         raise DataError(f"{file}: damaged, or not a model of quadexp ({_line(error)}); fit it again") from None
 
 

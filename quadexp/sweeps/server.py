@@ -34,7 +34,12 @@ def start_server(preload: Sequence[str] = PRELOAD) -> None:
     with undisturbed(), same_imports(), environment(dict.fromkeys(THREADS, "1")):
         resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
         with deaf_children():
-            forkserver.ensure_running()
+            try:
+                forkserver.ensure_running()
+            except ChildProcessError:  # that of the process which this one was forked from
+                forkserver._forkserver.__init__()  # type: ignore[misc]  # to forget it
+                forkserver.set_forkserver_preload(list(dict.fromkeys(preload)))
+                forkserver.ensure_running()
 
 
 @contextlib.contextmanager

@@ -121,7 +121,10 @@ def run_sweep(
         for config in (job.cell.config for job in jobs.values() if not job.invalid):
             vehicle = build_vehicle(config.vehicle)
             check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
-    with flying(store, lambda: f"{len(store.done().intersection(jobs))} of {len(jobs)} done"):
+    flown_before = not force and done.issuperset(job.key for job in jobs.values() if not job.invalid)
+    frozen = flown_before and store.is_frozen  # its table can be shown all the same
+    state = flying(store, lambda: f"{len(store.done().intersection(jobs))} of {len(jobs)} done")
+    with contextlib.nullcontext() if frozen else state:
         if force:
             store.remove(jobs)
         else:
@@ -147,9 +150,13 @@ def run_sweep(
             "flown_by": flown_by(in_order), "provenance": provenance(),
             "folder": str(Path.cwd()), "conf": [str(folder.absolute()) for folder in conf],
         }  # fmt: skip
-        flown(in_order, record)
-        statistics, shown, files, altered = write_results(store.root, in_order, record)
-        store.listed(jobs)
+        if frozen:
+            notes.append(f"{store.root}: cannot be written: tables and figures in it are as they were")
+        else:
+            flown(in_order, record)
+        statistics, shown, files, altered = write_results(store.root, in_order, record, write=not frozen)
+        if not frozen:
+            store.listed(jobs)
     return SweepResult(store.root, in_order, todo, shown, statistics, files, [*notes, *altered])
 
 

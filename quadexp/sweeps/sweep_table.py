@@ -60,16 +60,19 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
 
 
 def write_results(
-    root: Path, rows: Sequence[Row], record: Mapping[str, Any]
+    root: Path, rows: Sequence[Row], record: Mapping[str, Any], *, write: bool = True
 ) -> tuple[Statistics, Table, dict[str, str], list[str]]:
     """Write the rows and all that is made from them; returns statistics, the error table, name -> path, and a line for
     each file that no longer held what was written.
 
-    record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows.
+    record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows. write:
+    False only makes statistics and table.
     """
     statistics = results_statistics(rows, baseline=record["baseline"], confidence=record["confidence"])
-    csv, columns, path = to_csv(rows), to_columns(rows), root / RESULTS
     table, texts = comparison_texts(statistics, record["metric"])
+    if not write:
+        return statistics, table, {}, []
+    csv, columns, path = to_csv(rows), to_columns(rows), root / RESULTS
     made = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in {**texts, "results.csv": csv}.items()}
     record = {**record, "made": made, "statistics": statistics.fingerprint}
     wrong = []

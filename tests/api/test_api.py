@@ -8,6 +8,7 @@ import os
 import pickle
 import subprocess
 import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import pandas as pd
 import pytest
 
 import quadexp as qx
+from quadexp.api import Scratch
 from quadexp.log.store import read_flight, read_table
 from tests.cli.command import run
 from tests.log.flights import straight_flight
@@ -171,6 +173,13 @@ class TestLearning:
             qx.fit_drag(data, "vehicle=crazyflie")
 
 
+    def test_one_flight_stands_for_a_list_of_it(self, here):
+        flown = qx.simulate("trajectory=random", "trajectory.speed=5", *INTERPRETED, out="a.parquet")
+        among = [qx.collect(flights=flights) for flights in (flown, [flown], "a.parquet", Path("a.parquet"))]
+        among += [qx.collect(flights=flights) for flights in (("a.parquet",), iter([flown]))]
+        assert len(among[0]) > 100 and all(rows.equals(among[0]) for rows in among)
+
+
 class TestSweep:
     def test_it_is_the_command_to_the_last_bit(self, here):
         swept = ("controller=nominal_mpc,perfect_mpc", "trajectory.height=1,2", "seed=0,1")
@@ -248,6 +257,47 @@ class TestSweep:
             [sys.executable, str(script)], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
         )
         assert done.stdout == f"begun\n['ok', 'ok'] {script}\n", done.stderr
+
+
+    def test_it_may_be_started_in_a_process_of_a_pool(self, tmp_path):
+        """Whose processes may have no children; also where they are forked from one that has flown a sweep."""
+        script = tmp_path / "pool.py"
+        script.write_text(
+            "import multiprocessing\nimport quadexp as qx\n"
+            "def flown(seed):\n"
+            f"    return list(qx.sweep(*{QUICK!r}, seed=[seed, seed + 1]).outcome)\n"
+            "if __name__ == '__main__':\n"
+            "    first = flown(0)\n"
+            "    with multiprocessing.get_context('fork').Pool(1) as pool:\n"
+            "        print(first + pool.map(flown, [2])[0])\n"
+        )
+        known = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run([sys.executable, script], capture_output=True, text=True, env=known)
+        assert done.stdout == f"{['ok'] * 4}\n", done.stderr
+
+    def test_a_dictionary_in_a_list_is_a_value(self):
+        change = {"plant.schedule": [{"t": 0.1, "payload": 0.1}]}
+        flown = qx.simulate(*QUICK, change, vehicle="lei_li", plant="blade_element")
+        assert flown.record["config"]["plant"]["schedule"] == [{"t": 0.1, "payload": 0.1}]
+
+
+def test_folders_that_nobody_keeps_go_without_a_word(monkeypatch):
+    """And not with a copy of what refers to them in a process that was forked meanwhile."""
+    said = []
+    monkeypatch.setattr(sys, "unraisablehook", said.append)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ResourceWarning)
+        scratch = Scratch()
+        folder = Path(os.fspath(scratch))
+        if not (child := os.fork()):
+            del scratch
+            gc.collect()
+            os._exit(0)
+        os.waitpid(child, 0)
+        assert folder.is_dir()
+        del scratch
+        gc.collect()
+    assert not folder.exists() and not said
 
 
 class TestLoad:

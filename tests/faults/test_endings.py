@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.command import ROOT, START, one_line, run
+from quadexp.log.store import read_flight
+from tests.faults.command import FLY, ROOT, START, one_line, run
 
 FULL = Path("/dev/full")
 LONG = (
@@ -70,7 +71,62 @@ def test_a_flight_that_is_asked_to_end(tmp_path, number):
     error = started.communicate(timeout=600)[1]
     said = "error: interrupted: no file is left half written: run the same command again"
     assert error.splitlines()[-1] == said and "Traceback" not in error
-    assert started.returncode == 1 and not list(tmp_path.iterdir())
+    assert started.returncode == 128 + number and not list(tmp_path.iterdir())
+
+
+PAUSED = """
+import builtins, os, sys, time
+importing = builtins.__import__
+def slowly(name, *rest):
+    if name == {name!r}:
+        print("importing", flush=True)
+        time.sleep(60)
+    return importing(name, *rest)
+builtins.__import__ = slowly
+sys.argv = ["quadexp", "options"]
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("name", ["quadexp.cli.app", "typer", "quadexp.parts.listing"])
+def test_a_command_that_is_asked_to_end_while_it_imports(name, number):
+    """From the first module that is imported to the last: in one line, of which a shell sees the signal."""
+    command = [sys.executable, "-c", PAUSED.format(name=name) + START]
+    known = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    started = subprocess.Popen(command, env=known, **pipes)
+    assert started.stdout.readline() == "importing\n"
+    started.send_signal(number)
+    (line,) = started.communicate(timeout=600)[1].splitlines()
+    assert line.startswith("error: interrupted: ") and started.returncode == 128 + number
+
+
+def test_ctrl_c_in_an_evaluated_text_is_no_other_ending():
+    """CPython ends by the signal where the last text that was evaluated was interrupted, whatever the exit code is."""
+    code = "from quadexp.cli import terminal\ntry: eval('raise_()', {'raise_': lambda: (_ for _ in ()).throw(KeyboardInterrupt)})\n"
+    code += "except KeyboardInterrupt: terminal.end(130)"
+    known = {**os.environ, "PYTHONPATH": str(ROOT)}
+    assert subprocess.run([sys.executable, "-c", code], env=known).returncode == 130
+
+
+OUT_OF_USE = {"closed stdout": ">&-", "closed stderr": "2>&-", "closed stdin": "<&-", "all closed": "<&- >&- 2>&-"}
+OUT_OF_USE |= {"full stderr": "2>/dev/full", "full stdout": ">/dev/full"}
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("streams", OUT_OF_USE.values(), ids=OUT_OF_USE)
+def test_streams_that_take_nothing(tmp_path, streams):
+    """What is written is as it would be; only an output that is lost is an error."""
+    words = [*FLY, "--out", str(tmp_path / "a.parquet")]
+    shell = f'exec "$0" -c "$1" "${{@:2}}" {streams}'
+    known = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = ["bash", "-c", shell, sys.executable, START]
+    for asked, code in ((words, 0), (["show", str(tmp_path / "a.parquet")], 0), (["show", "nope"], 2)):
+        done = subprocess.run([*command, *asked], capture_output=True, text=True, env=known)
+        lost = streams == ">/dev/full" and code == 0
+        assert done.returncode == (1 if lost else code), done.stderr
+        assert "Traceback" not in done.stderr and (not lost or "the output could not be written" in done.stderr)
+    assert read_flight(tmp_path / "a.parquet").outcome == "ok"
 
 
 def test_a_sweep_that_is_interrupted_while_its_processes_start(tmp_path):
@@ -85,8 +141,8 @@ def test_a_sweep_that_is_interrupted_while_its_processes_start(tmp_path):
     time.sleep(0.1)
     os.killpg(started.pid, signal.SIGINT)
     error = started.communicate(timeout=600)[1]
-    assert "Traceback" not in error and started.returncode == 1, error
-    assert "run the same command to continue" in error or "interrupted before anything was done" in error
+    assert "Traceback" not in error and started.returncode == 130, error
+    assert "run the same command to continue" in error or "nothing was done" in error
     again = run(*words)
     assert again.returncode == 0, again.stderr
     assert len((tmp_path / "r" / "results.csv").read_text().splitlines()) == 3

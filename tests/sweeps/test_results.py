@@ -1,6 +1,7 @@
 """`quadexp results`: what lies in a folder, and what may go."""
 
 import json
+import os
 import shutil
 
 import pytest
@@ -212,6 +213,16 @@ class TestPruneKeeps:
         (flown / "cells" / "asked.json").symlink_to(tmp_path / "mine")
         interrupted(flown, LARGER, 5)
         assert (tmp_path / "mine").read_text() == "[]" and prune(flown).keys == []
+
+
+def test_a_finished_sweep_in_a_folder_that_takes_no_files(flown, monkeypatch):
+    """On a disk that can only be read: the table is shown, and what is there stays. More cannot be flown."""
+    written = {path: path.read_bytes() for path in flown.rglob("*") if path.is_file()}
+    monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK)
+    result = fly(expand(GRID), flown)
+    assert len(result.rows) == 12 and result.flown == 0 and result.table.rows
+    assert "cannot be written: tables and figures in it are as they were" in " ".join(result.notes)
+    assert {path: path.read_bytes() for path in flown.rglob("*") if path.is_file()} == written
 
 
 class TestCommand:

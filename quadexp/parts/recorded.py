@@ -1,0 +1,64 @@
+"""Recorded settings of a flight as the overrides that give them again.
+
+A record names no option: the name of a part may be any. An option of that name is taken where its class has the keys
+that are recorded, and otherwise any one whose class has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from quadexp.errors import UsageError
+from quadexp.parts.compose import Composer
+from quadexp.parts.override import in_grammar
+from quadexp.parts.part import Part
+from quadexp.parts.schema import PARTS
+from quadexp.parts.settings import declared
+
+
+def recorded_words(composer: Composer, record: Mapping[str, Any], chosen: Sequence[str] = ()) -> list[str]:
+    """The overrides that give a recorded configuration again, options first.
+
+    chosen: overrides that follow them; a group whose option they choose is not taken from the record.
+    """
+    replaced = {text.partition("=")[0] for text in chosen}
+    words: list[str] = []
+    for key, value in record.items():
+        if key in replaced or value is None:
+            continue
+        if key in PARTS:
+            option, part = _option(composer, key, value)
+            words.append(f"{key}={option}")
+            value = {name: value[name] for name in declared(part) if name in value and name != "name"}
+        words += _texts(value, key)
+    return sorted(words, key=lambda text: "." in text.partition("=")[0])
+
+
+def _option(composer: Composer, group: str, record: Mapping[str, Any]) -> tuple[str, type[Part]]:
+    """The option that a recorded part is of, and its class: that with most of the recorded keys, and no others."""
+    classes: dict[str, type[Part]] = {}
+    for option in composer.options(group):
+        part = composer.part(group, option)
+        if part is None or part.former_kind != record.get("kind", ""):
+            continue
+        if all(key in record or key in part.added for key in declared(part)):
+            classes[option] = part
+    most = max((len(declared(part)) for part in classes.values()), default=0)
+    classes = {option: part for option, part in classes.items() if len(declared(part)) == most}
+    name = str(record.get("name"))
+    if name not in classes and len({*classes.values()}) != 1:
+        raise UsageError(
+            f"{group}={name}: no such option, and {len({*classes.values()})} kinds of {group} have its keys: give"
+            f" {group}=OPTION, or the --conf that it was flown with"
+        )
+    option = name if name in classes else next(iter(classes))
+    return option, classes[option]
+
+
+def _texts(value: Any, key: str) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _texts(inner, f"{key}.{name}")
+    else:
+        yield f"{key}={in_grammar(key, value)}"

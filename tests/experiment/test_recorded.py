@@ -1,0 +1,67 @@
+"""A stored flight is composed again, whatever its parts are called and wherever its files lie."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from quadexp.errors import UsageError
+from quadexp.experiment.identity import flight_record
+from quadexp.experiment.vehicle_of import config_for
+from quadexp.parts.compose import compose, session
+from quadexp.parts.recorded import recorded_words
+from tests.cli.command import run
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SETTINGS = {
+    "truth": ["truth.mass=1.2", "truth.thrust_coefficient=1.1"],
+    "names": ["controller.name=ours", "plant.name=x", "trajectory.name=q", "wind=constant", "wind.name=breeze"],
+    "blank": ["vehicle.name='my quad'", "observer=disturbance", "observer.name='of mine'"],
+    "path": ["model='a b/model'", "plant=from_model", "plant.model='c d/it is, mine'"],
+    "schedule": ["vehicle=lei_li", "plant=blade_element", "plant.schedule=[{t: 1, payload: 0.1},{t: 2, lift_scale: 0.9}]"],
+    "health": ["health=rotor_loss", "seed=7", "sensor=low", "payload=fixed", "payload.name=cup"],
+    "inner keys": ["controller=rls_mpc", "vehicle=lei_li", "controller.rls.noise=0.1", "controller.name=theirs"],
+    "name of another option": ["controller=pid", "controller.name=nominal_mpc"],
+    "world": ["world=everything", "remedies=auto"],
+    "bundle": ["vehicle=sun", "plant=sun", "trajectory=ellipse", "trajectory.name='e 1'"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
+def test_the_record_is_that_of_the_configuration(settings):
+    config = flight_record(compose(settings))
+    with session() as composer:
+        again = flight_record(composer.compose(recorded_words(composer, config)))
+        changed = composer.compose(recorded_words(composer, config, ["seed=3", "trajectory=circle"]))
+    names = {group: part.pop("name") for group, part in config.items() if isinstance(part, dict)}
+    for group in names:
+        again[group].pop("name")
+    assert again == config
+    assert changed.seed == 3 and changed.trajectory.name == "circle"
+
+
+def test_a_part_of_ones_own_needs_its_folder():
+    settings = ["controller=geometric", "controller.name=mine", "trajectory=helix", "trajectory.speed=3"]
+    config = flight_record(compose(settings, EXAMPLES))
+    with session(EXAMPLES) as composer:
+        again = composer.compose(recorded_words(composer, config))
+    assert type(again.trajectory).__name__ == "HelixTrajectory" and again.trajectory.speed == 3
+    with session() as composer, pytest.raises(UsageError, match="trajectory=helix: no such option.*--conf"):
+        recorded_words(composer, config)
+
+
+def test_margins_of_a_file_with_any_name(here):
+    hover = ["trajectory=hover", "trajectory.duration=0.2", "controller=geometric", "controller.name=ours"]
+    assert run("simulate", *hover, "truth.mass=1.1", "--out", "a.parquet")[0] == 0
+    Path("my runs").mkdir()
+    shutil.copy("a.parquet", "my runs/a=b.parquet")
+    first, second = (run("show", "--margins", path) for path in ("a.parquet", "my runs/a=b.parquet"))
+    assert first[0] == 0 and first[1] == second[1], first[2] + second[2]
+
+
+def test_the_vehicle_of_a_flight_has_a_name_of_its_own(here):
+    named = ["vehicle.name='my quad'", "vehicle.mass=1.1"]
+    assert run("simulate", "trajectory=hover", "trajectory.duration=0.2", *named, "--out", "a.parquet")[0] == 0
+    config = config_for([Path("a.parquet")], ["seed=3"])
+    assert (config.vehicle.mass, config.seed) == (1.1, 3)
+    assert config_for([Path("a.parquet")], named).vehicle.name == "my quad"
