@@ -115,8 +115,8 @@ def test_validation_scores_are_the_known_errors(flights):
 def test_the_interval_of_a_validation_is_over_flights(flights, spread, lengths):
     """Flights differ from one another by `spread`: 95 % intervals of RMS and ratio contain those of flights in general.
 
-    It was 33 to 44 % of them by blocks of time. 150 trials: a standard deviation of 95 % is 1.8 %."""
-    rng, trials, held = np.random.default_rng([flights, int(100 * spread), len(lengths)]), 150, np.zeros(2)
+    It was 33 to 44 % of them by blocks of time. 80 trials: a standard deviation of 95 % is 2.4 %."""
+    rng, trials, held = np.random.default_rng([flights, int(100 * spread), len(lengths)]), 80, np.zeros(2)
     for _ in range(trials):
         samples = {
             "equal": np.full(flights, 60),
@@ -131,7 +131,7 @@ def test_the_interval_of_a_validation_is_over_flights(flights, spread, lengths):
         row = score_rows(results)[2]
         truth = np.exp(spread**2)  # sqrt(mean of exp(2 spread z))
         held += row["rms_low"] <= np.sqrt(3) * truth <= row["rms_high"], row["share_low"] <= truth <= row["share_high"]
-    assert np.all(held / trials >= 0.90 - 0.02) and np.all(held / trials <= 1.0)
+    assert np.all(held / trials >= 0.90 - 0.03) and np.all(held / trials <= 1.0)
 
 
 @pytest.mark.parametrize("flights", [1, 2])
