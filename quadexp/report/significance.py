@@ -113,7 +113,7 @@ class Tests:
         text = (
             f"bold: the least of its line, told apart from every other there (p < {1 - self.confidence:.2g}), by a"
             " controller that completed no fewer flights; best: the same over all lines; *: told apart from the"
-            " baseline; p: of all ways to exchange the errors of two controllers, seed by seed, on the flights that both"
+            " baseline; p: of all ways to exchange the errors of two controllers, seed by seed, on flights that both"
             " completed, the share in which they differ as clearly as flown, in view of all lines and of"
             f" {count(self._times, 'pair')} (Holm)"
         )
