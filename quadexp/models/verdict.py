@@ -10,8 +10,8 @@ g_f and d_f the RMSEs of model and drag on held-out flight f, per axis,
 
     ratio = exp(mean_f log(g_f / d_f)),     95 % interval over the flights (regression.between_flights)
 
-better: the whole interval is below 1. worse: it is above 1. open: neither. few: fewer than LEAST_FLIGHTS are held out,
-of which no interval tells anything; the text says how to hold out as many.
+better: the whole interval is below 1. worse: it is above 1. open: neither, or fewer than LEAST_FLIGHTS are held out, of
+which no interval tells anything; the text says so, and how to hold out as many.
 
 The noise of the data is estimated as half the variogram of a flight's residual r at LAG rows,
 
@@ -43,12 +43,7 @@ Row = dict[str, Any]
 ACCELERATION = list(AXIS)
 LAG = 2
 CONFIDENCE = 0.95
-WORDS = {
-    "better": "BETTER than linear drag",
-    "worse": "WORSE than linear drag",
-    "open": "NOT SHOWN TO BE BETTER",
-    "few": "TOO FEW FLIGHTS TO TELL",
-}
+WORDS = {"better": "BETTER than linear drag", "worse": "WORSE than linear drag", "open": "NOT SHOWN TO BE BETTER"}
 
 
 class Fit(NamedTuple):
@@ -165,8 +160,6 @@ class Ratio(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        if np.isnan(self.low):
-            return "few"
         return "better" if self.high < 1 else "worse" if self.low > 1 else "open"
 
     def record(self) -> dict[str, Any]:
@@ -238,13 +231,14 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
 def verdict_lines(report: dict[str, Any]) -> list[str]:
     """The comparison as text."""
     flights = "1 held-out flight" if report["flights"] == 1 else f"{report['flights']} held-out flights"
-    lines = _more_lines(report) if report["flights"] < LEAST_FLIGHTS else []
+    few = report["flights"] < LEAST_FLIGHTS
+    lines = _more_lines(report) if few else []
     lines += [
         f"verdict on {flights}: RMSE relative to linear drag's, paired over flights, 95 % interval",
         "  (noise: from the variogram of the residual at a lag of two rows, an upper bound)",
     ]
     for output, row in report["outputs"].items():
-        lines.append(f"  {output}  {WORDS[row['verdict']]}: {row['text']}")
+        lines.append(f"  {output}  {'TOO FEW FLIGHTS TO TELL' if few else WORDS[row['verdict']]}: {row['text']}")
         lines.append(
             f"       RMSE {row['rmse']:.3g} m/s^2 (linear drag {row['drag_rmse']:.3g}): noise of the data at most"
             f" {row['noise']:.3g}, unexplained at least {row['unexplained']:.3g}"

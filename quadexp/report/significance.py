@@ -5,8 +5,8 @@
     statement  on a pair: in a line (one condition), over the lines of a plant and vehicle, or over all lines
     d_i        mean of d_ci over the conditions of a statement, whole (pairing.py)
     p          of the d_i by sign flips; joint over all statements on the pair (inference.sign_flips)
-    p_holm     of a pair with the baseline, by Holm over these m pairs; of any other pair n joint, n = max(m, k - 1)
-               for k contestants
+    p_holm     of a pair with the baseline (without one, with the first who flew), by Holm over these m pairs; of any
+               other pair n joint, n = max(m, k - 1) for k contestants
 
 A pair is told apart in a statement where p_holm < alpha. The family are all statements that a table of one metric can
 make: that some contestant differs from the baseline, in any line or over all of them, is said falsely with a
@@ -96,7 +96,7 @@ class Tests:
         if (pair := frozenset((one, other))) in self._corrected:
             times, p_holm = len(self._corrected), self._corrected[pair][statement]
         else:
-            times, p_holm = self._times, min(1.0, self._times * found.joint)
+            times, p_holm = self._times, min(self._times * found.joint, 1.0)  # NaN stays
         return replace(found, p_holm=p_holm, comparisons=times * found.comparisons)
 
     @cached_property
@@ -107,29 +107,18 @@ class Tests:
         if len(self._flew) < 2:
             return []
         whole, line = (least_seeds(self._times * n, self.confidence) for n in (1, len(conditions)))
-        if seeds < whole or not self._vary:
+        if seeds < whole or not self._corrected:
             single = f", {line} in a single line" if seeds < whole < line else ""
             return [too_few(seeds, whole, self.confidence, ", so that nothing is bold, * or called best") + single]
         text = (
             f"bold: the least of its line, told apart from every other there (p < {1 - self.confidence:.2g}), by a"
-            f" controller that completed no fewer flights; best: the same over all lines;{self._star} p: of all ways to"
-            " exchange the errors of two controllers, seed by seed, on the flights that both completed, the share in"
-            f" which they differ as clearly as flown, in view of all lines and of {count(self._times, 'pair')} (Holm)"
+            " controller that completed no fewer flights; best: the same over all lines; *: told apart from the"
+            " baseline; p: of all ways to exchange the errors of two controllers, seed by seed, on flights that both"
+            " completed, the share in which they differ as clearly as flown, in view of all lines and of"
+            f" {count(self._times, 'pair')} (Holm)"
         )
         few = [f"{count(seeds, 'seed')}: nothing is bold or *, which takes {line} in a single line"]
         return [text, *(few if seeds < line else [])]
-
-    @property
-    def _star(self) -> str:
-        baselines = dict.fromkeys(self.groups.baseline(who) for who in self.groups.contestants)
-        names = [self.groups.labels[who].partition(" ")[0] for who in baselines if who is not None]
-        return f" *: told apart from {names[0]};" if names else ""
-
-    @property
-    def _vary(self) -> bool:
-        """Whether seeds change anything for the first who flew against any other."""
-        first, *others = self._flew
-        return any(of.varies for who in others for of in self._pair(who, first).values())
 
     @cached_property
     def _flew(self) -> list[Contestant]:
@@ -144,9 +133,10 @@ class Tests:
 
     @cached_property
     def _corrected(self) -> dict[frozenset[Contestant], dict[Statement, float]]:
-        """The p_holm of every pair with the baseline that can be tested."""
+        """The p_holm of every pair with the baseline that can be tested; without one, with the first who flew."""
         pairs = [(who, rival) for who in self.groups.contestants if (rival := self.groups.baseline(who)) is not None]
-        tested = [pair for pair in pairs if not all(math.isnan(of.p) for of in self._pair(*pair).values())]
+        pairs = pairs or [(who, self._flew[0]) for who in self._flew[1:]]
+        tested = [pair for pair in pairs if any(of.varies for of in self._pair(*pair).values())]
         joint = np.array([[of.joint for of in self._pair(*pair).values()] for pair in tested])
         corrected = holm(joint).tolist()
         return {

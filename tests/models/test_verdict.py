@@ -48,6 +48,33 @@ def test_one_flight_shows_nothing():
     assert ratio.verdict == "open" and "no interval" in str(ratio)
 
 
+@pytest.mark.parametrize(
+    ("flights", "of", "identified", "said"),
+    [
+        (2, 10, False, "2 held-out flights are too few to tell, 3 the least: gp.holdout=0.3 holds out 3 of these 10"),
+        (1, 7, True, "1 held-out flight is too few to tell, 3 the least: gp.holdout=0.43 holds out 3 of these 7"),
+        (1, 2, False, "collect 7 in all (collect.duration=70), and gp.holdout=0.43 holds out 3 of them"),
+        (1, 2, True, "collect 7 in all (add flights), and gp.holdout=0.43 holds out 3 of them"),
+        (3, 10, False, ""),
+    ],
+)
+def test_too_few_held_out_flights_are_called_that_and_what_would_do(flights, of, identified, said):
+    """Two of README's own course said that a model a hundred times better was not shown to be better."""
+    row = paired_ratio(np.full(10 * flights, 0.01), np.ones(10 * flights), np.repeat(np.arange(flights), 10)).record()
+    row |= {"rmse": 0.01, "drag_rmse": 1.0, "noise": 0.003, "unexplained": 0.009}
+    model = {"model": "this fit", "rms": 0.01, "share": 0.1}
+    report = {"outputs": {"a_y": row}, "flights": flights, "of": of, "duration": 10.0 * of}
+    report |= {"identified": [model, {**model, "model": "linear drag", "rms": 1.0} | row]} if identified else {}
+    lines = verdict_lines(report)
+    assert (said in lines[0]) == bool(said) or not said
+    assert any("TOO FEW FLIGHTS TO TELL: 0.01 (no interval)" in line for line in lines) == bool(said)
+    assert not any("NOT SHOWN" in line for line in lines)
+    if said and (share := float(lines[0].partition("gp.holdout=")[2].split()[0])):
+        every = max(of, 7)
+        data = ResidualDataset({"flight": np.arange(every)}, {})
+        assert len(split_by_flight(data, share)[1].flights) == 3
+
+
 @pytest.mark.parametrize("memory", [0, 1], ids=["white", "derivative"])
 def test_noise_is_found_below_a_slow_effect(memory):
     """White noise of .05 (or that of a differentiated velocity, which errs against its neighbour) below a slow .3."""

@@ -144,7 +144,7 @@ class TestIntervals:
         latex = table.latex()
         assert rf"\textbf{{{mean}}} {text}$^*$" in latex and r"flown &  & 6 of 7 & 7 of 7 \\" in latex
         assert r"trajectory & m/s & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
-        assert r"\*: told apart from nominal_mpc;" in table.markdown()
+        assert r"\*: told apart from the baseline;" in table.markdown()
         mean_note, test, *_ = table.notes
         assert (
             mean_note == "mean over the flights of a line that all completed, of 7 seeds [95 % interval: Student's t]"
