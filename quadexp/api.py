@@ -2,8 +2,8 @@
 
 Settings are given as on the command line ("trajectory.speed=8"), as dictionaries ({"trajectory.speed": 8}, or nested
 {"trajectory": {"speed": 8}}), or as keywords; see `overrides`. Nothing is written unless `out` is given.
-conf: a configuration folder of your own, or several, as --conf. force: replace what is at `out`. progress: show it on the error
-stream. Errors are QuadexpError and its kinds (quadexp/errors.py) with a one-line message.
+conf: a configuration folder of your own, or several, as --conf. force: replace what is at `out`. progress: show it
+on the error stream. Errors are QuadexpError and its kinds (quadexp/errors.py) with a one-line message.
 """
 
 from __future__ import annotations
@@ -60,8 +60,9 @@ def collect(
     progress: bool = False,
     **keywords: Any,
 ) -> Dataset:
-    """Fly for data, or take `flights`, one or several, and return what the rigid body does not explain, as `quadexp collect`.
+    """Fly for data, or take recorded flights, and return what the rigid body does not explain, as `quadexp collect`.
 
+    flights: one, or several.
     A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
     """
     scratch = Scratch()

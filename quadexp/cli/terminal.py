@@ -52,9 +52,9 @@ def prepare() -> None:
     replaced, control characters (which a file may contain) are written out, and a stream that is closed takes what is
     printed: otherwise the next file that is opened would."""
     _signals.clear()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, leave):
-            signal.signal(number, _interrupt)
+    for ending in (signal.SIGTERM, signal.SIGINT):
+        if signal.getsignal(ending) in (signal.SIG_DFL, signal.default_int_handler, leave):
+            signal.signal(ending, _interrupt)
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             with contextlib.suppress(OSError):

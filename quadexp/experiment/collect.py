@@ -1,9 +1,10 @@
 """Flights for learning, and the data set made from them.
 
-mode "random": smooth random paths, one lap each or its first `flight_duration` seconds, with peak speeds spread evenly over [speed_min, speed_max]; a path
-that exceeds the total thrust of all rotors is replaced by another. Single rotors may reach their limits, unlike on the
-paths of trajectory=random, so that the data cover the whole range of the vehicle. mode "setpoints": jumps between
-random points, each held for the duration of a minimum-snap move to the next one at a peak speed of that range.
+mode "random": smooth random paths, one lap each or its first `flight_duration` seconds, with peak speeds spread evenly
+over [speed_min, speed_max]; a path that exceeds the total thrust of all rotors is replaced by another. Single rotors
+may reach their limits, unlike on the paths of trajectory=random, so that the data cover the whole range of the vehicle.
+mode "setpoints": jumps between random points, each held for the duration of a minimum-snap move to the next one at a
+peak speed of that range.
 
 Paths and noise depend on the seed only, not on controller or plant, so that their data can be compared. Collection
 stops at a simulated time, so the same command gives the same data set on every machine: the last path is flown to its

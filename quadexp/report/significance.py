@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -78,7 +78,7 @@ class Tests:
 
     def __init__(self, groups: Groups, place: int = 0, confidence: float = 0.95) -> None:
         self.groups, self.confidence, self._place = groups, confidence, place
-        kinds = (
+        kinds: tuple[Sequence[Statement], ...] = (
             [(condition,) for condition in groups.conditions],
             [tuple(conditions) for conditions in groups.worlds.values()],
             [tuple(groups.conditions)],
@@ -185,7 +185,7 @@ class Tests:
         causes: Mapping[Condition, Mapping[str, int]],
     ) -> Difference:
         flights = {(at, seed): log for at in statement for seed, log in of.get(at, {}).items()}
-        kept = whole(flights) if flights else frozenset()
+        kept: frozenset[tuple[Condition, int]] = whole(set(flights)) if flights else frozenset()
         logs = seed_means(flights)
         left_out = Counter[str]()
         for at in statement:

@@ -28,11 +28,13 @@ def rank(
     any; all others against it, the nearest first; and how many flights each of all completed."""
     flights = tests.groups.flights(conditions)
     ranked = [who for who, flown in flights.items() if flown.ended and not is_bound(who.controller)]
-    least, *others = sorted(ranked, key=lambda who: -flights[who].share) or [None]
+    if not ranked:
+        return None, {}, flights
+    least, *others = sorted(ranked, key=lambda who: -flights[who].share)
     for other in others:
         if tests.difference(other, least, conditions).ratio.value < 1:
             least = other
-    against = {who: tests.difference(who, least, conditions) for who in ranked if least is not None and who != least}
+    against = {who: tests.difference(who, least, conditions) for who in ranked if who != least}
     nearest = sorted(against.items(), key=lambda item: (math.isnan(item[1].ratio.value), item[1].ratio.value))
     return least, dict(nearest), flights
 

@@ -172,7 +172,6 @@ class TestLearning:
         with pytest.raises(qx.DataError, match="flown by vehicle torrente"):
             qx.fit_drag(data, "vehicle=crazyflie")
 
-
     def test_one_flight_stands_for_a_list_of_it(self, here):
         flown = qx.simulate("trajectory=random", "trajectory.speed=5", *INTERPRETED, out="a.parquet")
         among = [qx.collect(flights=flights) for flights in (flown, [flown], "a.parquet", Path("a.parquet"))]
@@ -257,7 +256,6 @@ class TestSweep:
             [sys.executable, str(script)], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
         )
         assert done.stdout == f"begun\n['ok', 'ok'] {script}\n", done.stderr
-
 
     def test_it_may_be_started_in_a_process_of_a_pool(self, tmp_path):
         """Whose processes may have no children; also where they are forked from one that has flown a sweep."""

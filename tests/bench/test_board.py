@@ -66,7 +66,7 @@ def test_tables_say_who_lost_and_which_settings():
     assert table.notes == ["3 seeds cannot show p < 0.05: at least 6 are needed; nobody is told apart"]
     errors = error_table(ROWS, metric="mean_error", by=("task",))
     assert list(errors.columns) == ["task", "nominal_mpc", "other"]
-    assert errors.rows[0] == ["circle", "**200.0**", "100.0 (1 lost)"]
+    assert errors.rows[0] == ["circle", "200.0", "100.0 (1 lost)"]
 
 
 def test_markdown_is_written_between_its_marks(tmp_path):

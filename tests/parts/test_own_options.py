@@ -1,4 +1,4 @@
-"""A user's own options come before those that ship, from one folder or from several, and a note says what they cover."""
+"""A user's own options come before those that ship, from one folder or from several; a note says what they cover."""
 
 import re
 
