@@ -20,7 +20,6 @@ from quadexp.messages import ending_in, suggestion
 from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
-from quadexp.parts.former import FORMER_TARGET, refuse_former
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, OptionFiles, merge, nested
 from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader
 from quadexp.parts.part import TARGET, import_from, part_class
@@ -229,7 +228,7 @@ def _joined(name: str, layers: Sequence[Layer]) -> tuple[Any, type | None]:
         merge(content, layer.values)
     if schema is None:
         option = layers[0].option
-        target = content.pop(FORMER_TARGET, None) or content.pop(TARGET, None)
+        target = content.pop(TARGET, None)
         if target is None:
             raise UsageError(
                 f"{option}: its file names no class; let it begin with `{TARGET}: MODULE.CLASS`, or extend another"
@@ -239,7 +238,6 @@ def _joined(name: str, layers: Sequence[Layer]) -> tuple[Any, type | None]:
         for layer in layers[1:]:
             for key in layer.values:
                 if key not in declared(schema):
-                    refuse_former(f"{name}.{key}")
                     raise UsageError(f"{layer.by}: sets {name}.{key}, which {option} does not have")
         content.setdefault("name", option.partition("=")[2])
     filled = plain(schema)
@@ -254,7 +252,6 @@ def check_key(content: Any, key: str, files: OptionFiles) -> None:
         if isinstance(content, dict) and part in content:
             content = content[part]
             continue
-        refuse_former(key)
         others = files.having(key)
         if isinstance(content, dict) and [*content] == ["name"] and key not in others:
             group = parts[0]

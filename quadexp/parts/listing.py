@@ -10,7 +10,6 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.former import refuse_former
 from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.part import import_from
 from quadexp.parts.schema import CHOSEN, PARTS, Config
@@ -37,7 +36,6 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
     if option and group in files.groups:
         name = files.named(group, option)
         if name is None:
-            refuse_former(asked)
             raise UsageError(f"{asked}: no such {group}{suggestion(option, files.options(group))}")
         return _keys(files, group, name)
     keys = _all_keys(files)
@@ -107,7 +105,7 @@ def key_words(group: str | None = None) -> dict[str, list[str]]:
         for name, key in declared(node).items():
             if key.node is not None:
                 nodes.append((f"{prefix}{name}.", key.node))
-            elif name not in ("options", "_target_"):
+            elif name != "options":
                 words = key.words or (("true", "false") if key.type is bool else ())
                 keys.setdefault(prefix + name, {}).update(dict.fromkeys(words))
     return {key: list(words) for key, words in sorted(keys.items())}

@@ -97,7 +97,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
 
 def margin_line(margins: Mapping[str, Any] | None) -> str:
     """What a loop tolerates beyond what it was flown with; "" where no record says. margins: see
-    experiment.loop_margins; in flights of earlier versions those of the MPC by itself, beyond what it predicts."""
+    experiment.loop_margins."""
     if not margins:
         return ""
     if why := margins.get("unknown"):
@@ -105,8 +105,6 @@ def margin_line(margins: Mapping[str, Any] | None) -> str:
     if not margins["delay"]:
         return "is not stable at hover"
     delay, lag = (_milliseconds(margins[name]) for name in ("delay", "lag"))
-    if "growth" not in margins:
-        return f"the bare MPC tolerates {delay} of unmodelled delay, {lag} of unmodelled lag (at hover)"
     return f"tolerates {delay} more of delay, {lag} more of motor lag (at hover)"
 
 
