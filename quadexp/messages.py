@@ -144,17 +144,12 @@ def raw(stream: Any) -> Any:
     return stream.raw if isinstance(stream, CleanStream) else stream
 
 
-RENAMED = {"static_thrust": "thrust_coefficient"}  # former name of a key -> its name now
 MOST_NAMED = 8  # names that a question lists at most
 LIKE = 0.6  # of 1: likeness from which a name may have been meant
 
 
 def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = None) -> str:
     """A name that may have been meant, or the names that exist, as the end of an error message."""
-    last = found.rpartition(".")[2]
-    renamed = found.removesuffix(last) + RENAMED.get(last, last)
-    if renamed != found and renamed in known:
-        return f"; it is called {renamed} now"
     near = ending_in(found, known) or _nearest(found, known)
     if near:
         more = ", ..." if len(near) > MOST_NAMED else ""

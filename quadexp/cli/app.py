@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable
-from functools import cache, partial
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Iterable
+from functools import cache
+from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 
 from quadexp import __version__
 from quadexp.cli import NOTHING, extend, fly, learn, logs, look
@@ -34,46 +33,7 @@ COMMANDS = {each.name: each for group in GROUPS.values() for each in group}
 INTERRUPTED = 130  # what typer returns for Ctrl-C
 
 
-class _Given(NamedTuple):
-    """Texts, paths and options that are not given are taken as they are; typer would load pydantic for them (.07 s).
-
-    kind: of a value. usual: makes typer's own way, for numbers, choices, and a path that may not be read.
-    """
-
-    kind: Any
-    usual: Callable[[], Any]
-
-    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Called by typer; value: the words, or what stands for an option that is not given."""
-        if value is None:
-            return () if param.multiple or param.nargs == -1 else None
-        if value == param.default:
-            return value
-        words = value if isinstance(value, (list, tuple)) else [value]
-        kind = {str: str, list[str]: str, Path: Path, list[Path]: Path}.get(self.kind)
-        if kind is None or (kind is Path and any(os.path.exists(x) and not os.access(x, os.R_OK) for x in words)):
-            return self.usual().coerce(value, param=param, ctx=ctx)
-        return [kind(word) for word in words] if words is value else kind(value)
-
-
-class Direct:
-    """Of a command: see _Given."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Called by typer."""
-        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # of the command beside it
-        for each in parameters:
-            usual = getattr(each, "get_runtime_param", None)  # which typer has since it uses pydantic
-            if usual and not isinstance(usual, partial):
-                each.get_runtime_param = partial(_Given, each.type_descriptor.annotation, usual)
-        return parameters
-
-
-class Single(Direct, TyperCommand):
-    """One command."""
-
-
-class Grouped(Direct, TyperGroup):
+class Grouped(TyperGroup):
     """Commands in the help by what they are for."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -112,7 +72,7 @@ def application(commands: Iterable[Command] = COMMANDS.values()) -> typer.Typer:
     )  # fmt: skip
     program.callback()(root)
     for each in commands:
-        program.command(each.name, cls=Single)(each.typed())
+        program.command(each.name)(each.typed())
     return program
 
 

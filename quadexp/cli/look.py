@@ -123,11 +123,8 @@ def _verify(folder: Path) -> Answer:
     count = len(checked.wrong)
     rows = [{"file": path, "what": what} for path, what in checked.wrong.items()]
     lines = [f"{path}: {what}" for path, what in checked.wrong.items()]
-    if checked.unhashed:
-        earlier = f"{len(checked.unhashed)} files are of an earlier version, without a hash"
-        lines.append(f"{earlier}: an edit would not be noticed there; the first: {checked.unhashed[0]}")
     return Answer(
-        {"files": checked.files, "wrong": checked.wrong, "unhashed": checked.unhashed},
+        {"files": checked.files, "wrong": checked.wrong},
         rows or [{"files": checked.files, "wrong": 0}],
         [*lines, f"{checked.files} files, {count} wrong"],
         failed=[f"{folder}: {count} files do not hold what was written there"] if count else [],

@@ -12,7 +12,7 @@ from quadexp.log.store import read_metadata
 from quadexp.parts.options import Folders
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import made
-from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
+from quadexp.physics.vehicle import Vehicle
 
 
 def own_vehicle(flight: Flight, conf: Folders = None) -> Vehicle | None:
@@ -39,8 +39,7 @@ def recorded_vehicle(flight: Flight, path: Path) -> Vehicle:
     record = (flight.metadata.get("config") or {}).get("vehicle")
     if not record:
         raise DataError(f"{path}: has no record of its vehicle: pass --vehicle NAME")
-    current = {former: name for name, former in FORMER_NAMES.items()}  # flights of earlier versions
-    return build_vehicle(made(Vehicle, {current.get(key, key): value for key, value in record.items()}))
+    return build_vehicle(made(Vehicle, record))
 
 
 def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Folders = None) -> Config:

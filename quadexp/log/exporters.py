@@ -100,13 +100,6 @@ FORMATS = {  # suffix of the file, and what writes it
     "tum": (".tum", write_poses),
     "rerun": (".rrd", write_recording),
 }
-_TRACKERS = "went: log the rows of results.csv, or of qx.load(FOLDER), from Python"
-GONE = {
-    "px4csv": "went: --to csv has every column with unit and frame; NED and FRD are (y, x, -z) and (x, -y, -z)",
-    "mcap": "went: --to rerun is for a viewer, --to csv has every column with unit and frame",
-    "mlflow": _TRACKERS,
-    "wandb": _TRACKERS,
-}
 
 
 def export_flight(
@@ -117,8 +110,6 @@ def export_flight(
     out: file; beside the flight unless given.
     Raises UsageError for an unknown format, an extra that is not installed, or a path that cannot be written.
     """
-    if form in GONE:
-        raise UsageError(f"--to {form}: {GONE[form]}")
     if form not in FORMATS:
         raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
     suffix, write = FORMATS[form]

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -39,58 +39,45 @@ def allowed_bytes(path: Path) -> int:
 def check_declared(path: str | Path, file: Any) -> None:
     """Raise DataError where an open pyarrow.parquet.ParquetFile declares more than a file of its size holds, or columns
     that are neither numbers nor text. Only the footer is read, and of text that many rows share its dictionary."""
-    size, allowed = Path(path).stat().st_size, allowed_bytes(Path(path))
-    declared, suspected = 0, []
-    widths = dict(_widths(path, file.schema_arrow))
-    for group in _groups(path, file.metadata):
-        for i, (name, width) in enumerate(widths.items()):
-            chunk = group.column(i)
-            if chunk.num_values != group.num_rows:
-                rows = f"{chunk.num_values} of {group.num_rows} rows"
-                raise DataError(f"{path}: damaged, column {name!r} declares {rows}")
+    allowed, metadata = allowed_bytes(Path(path)), file.metadata
+    text = _text_columns(path, file.schema_arrow)
+    rows = declared = 0
+    for i in range(metadata.num_row_groups):
+        group = metadata.row_group(i)
+        rows += group.num_rows
+        for k, name in enumerate(file.schema_arrow.names):
+            chunk = group.column(k)
+            if chunk.num_values != group.num_rows or group.num_rows < 0:
+                shown = f"{chunk.num_values} of {group.num_rows} rows"
+                raise DataError(f"{path}: damaged, column {name!r} declares {shown}")
+            width = PER_TEXT if name in text else 8
             declared += max(chunk.num_values * width, chunk.total_uncompressed_size)
-            if width == PER_TEXT and chunk.num_values * chunk.total_uncompressed_size > ALWAYS:
-                suspected.append(name)
-    _refuse(path, file, declared, allowed, size)
-    if suspected:
-        _refuse(path, file, declared + _letters(path, sorted(set(suspected))), allowed, size)
-
-
-def _refuse(path: str | Path, file: Any, declared: int, allowed: int, size: int) -> None:
+    if rows != metadata.num_rows:
+        raise DataError(f"{path}: damaged, it declares {metadata.num_rows} rows and has parts of {rows}")
+    if text and declared <= allowed:
+        declared += _letters(path, text)
     if declared > allowed:
         raise DataError(
-            f"{path}: declares {file.metadata.num_rows} rows of {file.metadata.num_columns} columns,"
-            f" {declared / 1e6:.0f} MB, in a file of {size / 1e3:.0f} kB; {allowed / 1e6:.0f} MB are allowed for it:"
-            " damaged, or made to fill the memory"
+            f"{path}: declares {rows} rows of {metadata.num_columns} columns, {declared / 1e6:.0f} MB, in a file of"
+            f" {Path(path).stat().st_size / 1e3:.0f} kB; {allowed / 1e6:.0f} MB are allowed for it: damaged, or made to"
+            " fill the memory"
         )
 
 
-def _widths(path: str | Path, schema: Any) -> Iterator[tuple[str, int]]:
-    """Bytes that a value of each column takes."""
+def _text_columns(path: str | Path, schema: Any) -> list[str]:
+    """The names of the columns of text; DataError for columns that hold neither numbers nor text."""
     import pyarrow as pa
 
-    for field in schema:
-        kind = field.type
-        if pa.types.is_floating(kind) or pa.types.is_integer(kind):
-            yield field.name, 8
-        elif pa.types.is_string(kind) or pa.types.is_large_string(kind):
-            yield field.name, PER_TEXT
-        else:
-            raise DataError(f"{path}: column {field.name!r} holds {kind}, numbers or text are needed")
     if len(set(schema.names)) < len(schema.names):
         raise DataError(f"{path}: damaged, two columns have one name")
-
-
-def _groups(path: str | Path, metadata: Any) -> Iterator[Any]:
-    rows = 0
-    for i in range(metadata.num_row_groups):
-        group = metadata.row_group(i)
-        if group.num_rows < 0:
-            raise DataError(f"{path}: damaged, it declares {group.num_rows} rows")
-        rows += group.num_rows
-        yield group
-    if rows != metadata.num_rows:
-        raise DataError(f"{path}: damaged, it declares {metadata.num_rows} rows and has parts of {rows}")
+    text = []
+    for field in schema:
+        kind = field.type
+        if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+            text.append(field.name)
+        elif not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+            raise DataError(f"{path}: column {field.name!r} holds {kind}, numbers or text are needed")
+    return text
 
 
 def _letters(path: str | Path, names: list[str]) -> int:

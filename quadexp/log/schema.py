@@ -66,8 +66,8 @@ FLIGHT_COLUMNS: Columns = {
     **_besides("est_", _BIAS, "{}, as the filter has it"),
     **_besides("est_var_", _VARIANCE, "variance of the error of {}, as the filter has it"),
     "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
-    "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
-    "sweeps": Column("1", "", "exchanges of the active set in the control step (sweeps, where last_resort occurs)"),
+    "status": Column("1", "", "0 riccati, 1 active_set, 3 failed"),
+    "sweeps": Column("1", "", "exchanges of the active set in the control step"),
     "active": Column("1", "", "input bounds active over the horizon"),
     "unconverged": Column("1", "", "1: the first step's iterations ended away from a stationary point"),
     "kkt": Column("1", "", "KKT residual of the control step"),
@@ -108,7 +108,6 @@ RESULT_COLUMNS: Columns = {
     "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
     "peak_speed": Column("m/s", "world", "largest speed flown"),
     "duration": Column("s", "", "length of the flight"),
-    "last_resort_count": Column("1", "", "in tables of earlier versions; always 0 in later ones"),
     "unconverged_count": Column("1", "", "1 where the first step ended away from a stationary point"),
     "reference_residual": Column(
         "1",

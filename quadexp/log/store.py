@@ -13,7 +13,6 @@ import contextlib
 import hashlib
 import json
 import shlex
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -32,7 +31,6 @@ from quadexp.log.integrity import (
     sealed_value,
 )
 from quadexp.log.schema import Flight, describe
-from quadexp.messages import printable
 from quadexp.names import check_names
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.progress import doing
@@ -94,9 +92,9 @@ def _schema(kind: str, columns: tuple[tuple[str, Any], ...]) -> tuple[Any, list[
     return pa.schema(fields), [name for name, type_ in columns if pa.types.is_string(type_)]
 
 
-def _digest(record: bytes, names: list[str], content: bytes | None) -> bytes:
-    """Hash of a table's record, of its columns' names, and of the hash of its columns where it has one."""
-    parts = [record, *(name.encode() for name in names), *([] if content is None else [content])]
+def _digest(record: bytes, names: list[str], content: bytes) -> bytes:
+    """Hash of a table's record, of its columns' names, and of the hash of its columns."""
+    parts = [record, *(name.encode() for name in names), content]
     return hashlib.sha256(b"\0".join(parts)).hexdigest().encode()
 
 
@@ -134,7 +132,7 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
         raise WrongFileError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
     if version != SCHEMA:
         raise DataError(f"{path}: written with schema {version}, this program reads schema {SCHEMA}: make it again")
-    if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names, schema.metadata.get(CONTENT_KEY)):
+    if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names, schema.metadata.get(CONTENT_KEY, b"")):
         raise DataError(f"{path}: damaged, its record does not match its hash: make it again")
     wrong = [name for name, type_ in RECORD.items() if not isinstance(record.get(name), type_ | None)]
     if wrong:
@@ -196,9 +194,12 @@ def read_table(
         with pq.ParquetFile(path, page_checksum_verification=True) as file:  # pq.read_table imports pandas for it
             check_declared(path, file)
             columns, content = _read_columns(file)
-            _check_content(path, file.schema_arrow.metadata or {}, content, kind)
+            stored = (file.schema_arrow.metadata or {}).get(CONTENT_KEY)
     except (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError) as error:
         raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
+    if stored != content:
+        text = "its columns do not match their hash: it was edited or damaged after it was written; make it again"
+        raise DataError(f"{path}: {text}{_remade(kind)}")
     missing = [name for name in required if name not in columns]
     if missing:
         raise DataError(f"{path}: column {missing[0]!r} is missing (it has {', '.join(list(columns)[:12])}, ...)")
@@ -228,23 +229,6 @@ def _read_columns(file: Any) -> tuple[dict[str, np.ndarray], bytes]:
     return columns, content
 
 
-_unhashed: list[str] = []  # files without a hash of their columns that were read
-
-
-def _check_content(path: str | Path, metadata: Mapping[bytes, bytes], content: bytes, kind: str) -> None:
-    """Raise DataError where the columns are not those that were written; a file of before there was a hash is said,
-    once a process, so that a hundred files are not a hundred lines."""
-    stored = metadata.get(CONTENT_KEY)
-    if stored is None:
-        if not _unhashed:
-            text = "written before columns were hashed, so an edited number would not be noticed"
-            print(f"note: {printable(path)}: {text} (`quadexp show FILE` says it of each file)", file=sys.stderr)
-        _unhashed.append(str(path))
-    elif stored != content:
-        text = "its columns do not match their hash: it was edited or damaged after it was written; make it again"
-        raise DataError(f"{path}: {text}{_remade(kind)}")
-
-
 def column_names(path: str | Path, kind: str) -> tuple[list[str], dict[str, Any]]:
     """Names of the columns and record of a table, without its rows; raises as `read_metadata` does."""
     import pyarrow.parquet as pq
@@ -253,16 +237,8 @@ def column_names(path: str | Path, kind: str) -> tuple[list[str], dict[str, Any]
     return list(pq.read_schema(path).names), record
 
 
-def has_content_hash(path: str | Path) -> bool:
-    """Whether a table carries the hash of its columns; files of earlier versions do not."""
-    import pyarrow.parquet as pq
-
-    return CONTENT_KEY in (pq.read_schema(path).metadata or {})
-
-
 def read_record(path: str | Path, kind: str) -> dict[str, Any]:
-    """The record of a table that holds, byte for byte, what was written: by the hash of its bytes, or (a file of an
-    earlier version) by reading all of it.
+    """The record of a table that holds, byte for byte, what was written, by the hash of its bytes.
 
     Raises UsageError where there is no such file, DataError where it has changed or is of another kind.
     """
@@ -282,7 +258,7 @@ def read_record(path: str | Path, kind: str) -> dict[str, Any]:
     except (TypeError, ValueError, KeyError):
         pass
     _, record = read_table(path, kind)
-    if sealed is None and has_content_hash(path):
+    if sealed is None:
         raise DataError(f"{path}: was written anew by another program")
     return record
 

@@ -58,7 +58,7 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: boo
     document = _decoded(file)
     schema, digest = document.get("schema"), document.get("sha256")
     payload: Any = document.get("payload")
-    if schema not in (1, SCHEMA):
+    if schema != SCHEMA:
         raise DataError(f"{file}: has schema {schema}, this program reads schema {SCHEMA}; fit it again")
     if _hash(payload) != digest:
         raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
@@ -66,7 +66,7 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: boo
         kind = payload["kind"]
         if kind not in STORED:
             raise ValueError(f"kind is {str(kind)[:60]!r}, none of {', '.join(STORED)}")
-        model: Model = record_of(_today(payload, schema), model_class(kind))
+        model: Model = record_of(payload, model_class(kind))
         check_names({"vehicle": model.vehicle}, str(file))
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None
@@ -131,22 +131,3 @@ def _array(kind: type, value: Any) -> np.ndarray:
     if not np.isfinite(array).all():
         raise ValueError(f"holds {str(value)[:60]}; finite numbers are needed")
     return array
-
-
-def _today(payload: Any, schema: int) -> Any:
-    """The payload of an earlier version, which had F as its upper triangle and a mean function without its kind (schema
-    1), and vehicles with a fitted torque that nothing flies."""
-    if payload["kind"] == "vehicle_model":
-        return {name: value for name, value in payload.items() if name != "torque"}
-    if schema != 1 or payload["kind"] != "gaussian_process":
-        return payload
-    outputs = []
-    for output in payload["outputs"]:
-        m = len(output["alpha"])
-        factor = np.zeros((m, m))
-        factor[np.triu_indices(m)] = output["variance_factor"]
-        outputs.append({**output, "variance_factor": factor.tolist()})
-    mean = payload["mean"]
-    if mean is not None:
-        mean = {"kind": "terms" if "model" in mean else "linear_drag", **mean}
-    return {**payload, "outputs": outputs, "mean": mean}

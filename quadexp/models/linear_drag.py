@@ -36,11 +36,7 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
 N_PARAMETERS = 7
-LABELS = {
-    "flight": "95 % interval over {flights} flights",
-    "hc1": "95 % interval as if rows were independent, too narrow for flights",  # of earlier versions
-    "blocks": "95 % interval of quadexp identify",
-}
+LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % interval of quadexp identify"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,9 +138,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
             return LABELS[self.errors].format(flights=self.flights)
         if self.flights == 1:
             return "no interval: one flight does not show how flights differ"
-        if self.flights:
-            return "no interval: without one of its flights the coefficients are not determined"
-        return "no interval: fitted by an older version, which treated rows as independent; fit it again"
+        return "no interval: without one of its flights the coefficients are not determined"
 
     def __str__(self) -> str:
         def term(name: str, value: float, half: float, digits: int, unit: str) -> str:

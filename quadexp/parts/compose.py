@@ -19,7 +19,6 @@ from quadexp.messages import ending_in, suggestion
 from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
-from quadexp.parts.former import FORMER_TARGET, refuse_former
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, in_grammar
 from quadexp.parts.part import TARGET, part_class
@@ -250,7 +249,7 @@ def _joined(name: str, layers: Sequence[Layer], files: OptionFiles) -> tuple[Any
         merge(content, layer.values)
     if schema is None:
         option = layers[0].option
-        target = content.pop(FORMER_TARGET, None) or content.pop(TARGET, None)
+        target = content.pop(TARGET, None)
         if target is None:
             raise UsageError(
                 f"{option}: its file names no class; let it begin with `{TARGET}: MODULE.CLASS`, or extend another"
@@ -264,7 +263,6 @@ def _joined(name: str, layers: Sequence[Layer], files: OptionFiles) -> tuple[Any
                 if layer.option.startswith("experiment=") and f"{name}.{key}" in files.having(key):
                     content.pop(key, None)
                 else:
-                    refuse_former(f"{name}.{key}")
                     raise UsageError(f"{layer.by}: sets {name}.{key}, which {option} does not have")
         content.setdefault("name", option.partition("=")[2])
     filled = plain(schema)
@@ -279,7 +277,6 @@ def check_key(content: Any, key: str, files: OptionFiles) -> None:
         if isinstance(content, dict) and part in content:
             content = content[part]
             continue
-        refuse_former(key)
         others = files.having(key)
         if isinstance(content, dict) and [*content] == ["name"] and key not in others:
             group = parts[0]

@@ -10,7 +10,6 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.former import refuse_former
 from quadexp.parts.options import Folders, OptionFiles, given_folders, groups
 from quadexp.parts.schema import CHOSEN, PARTS, Config
 from quadexp.parts.settings import REQUIRED, Declared, declared, lists
@@ -38,7 +37,6 @@ def listed(asked: str = "", conf: Folders = None) -> list[Record]:
     if option and group in files.groups:
         name = files.named(group, option)
         if name is None:
-            refuse_former(asked)
             raise UsageError(f"{asked}: no such {group}{suggestion(option, files.options(group))}")
         return _keys(files, group, name)
     keys = _all_keys(files)

@@ -41,7 +41,6 @@ from typing import Any, NamedTuple
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in, note
 from quadexp.parts.crazyflies import CRAZYFLIE, crazyflie_numbers
-from quadexp.parts.former import FORMER_CLASSES, FORMER_TARGET, former_name, refuse_former
 from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
@@ -212,8 +211,6 @@ class OptionFiles:
                 chosen |= self._choices(path, entry)
             elif not isinstance(entry, str):
                 raise UsageError(f"{path}: defaults: {text}: an option extends others of its group, by their names")
-            elif former := former_name(text, path):
-                merge(values, self._former(former))
             else:
                 extended = self._read_option(group, text.removesuffix(".yaml"), (*extending, definition))
                 merge(values, extended.values)
@@ -229,21 +226,13 @@ class OptionFiles:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)
             if name is None:
-                refuse_former(f"{group}={option}", f"{path}: defaults: ")
                 raise UsageError(f"{path}: defaults: {key}: {option}: there is no such option of {group}")
             choices[group] = name
         return choices
 
-    def _former(self, name: str) -> dict[str, str]:
-        if name in FORMER_CLASSES:
-            return {FORMER_TARGET if "/custom" in name else TARGET: f"quadexp.{FORMER_CLASSES[name]}"}
-        group, _, option = name.partition("/")
-        return {TARGET: OptionFiles().option(group, option).values[TARGET]}
-
     def part_of(self, group: str, option: str) -> type[Part] | None:
         """The class of an option's part; None where its file, and those that it extends, name none."""
-        values = self.option(group, option).values
-        target = values.get(FORMER_TARGET) or values.get(TARGET)
+        target = self.option(group, option).values.get(TARGET)
         return part_class(group, str(target)) if target and group in PARTS else None
 
     def parts(self, group: str) -> dict[str, type[Part]]:

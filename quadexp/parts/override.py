@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, get_args
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.former import refuse_former
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import CHOSEN, PARTS, Config
 from quadexp.parts.settings import find
@@ -85,7 +84,6 @@ class OverrideReader:
     def _option(self, key: str, value: Any) -> str:
         option = self._files.named(key, value)
         if option is None:
-            refuse_former(f"{key}={value}")
             raise UsageError(f"{key}={value}: no such {key}{suggestion(str(value), self._files.options(key))}")
         return option
 

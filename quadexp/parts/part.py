@@ -58,7 +58,7 @@ class Part(Settings):
     @property
     def shipped(self) -> bool:
         """Whether it is of this program, and not a user's own."""
-        return type(self).__module__.partition(".")[0] == OWN and not hasattr(self, TARGET)
+        return type(self).__module__.partition(".")[0] == OWN
 
     def recorded(self) -> dict[str, Any]:
         """Its settings as plain data, for files and hashes."""
@@ -127,13 +127,13 @@ def part_class(key: str, target: str) -> type[Part]:
     return target_class
 
 
-def imported(key: str, target: str, own: str = OWN) -> Any:
-    """What a dotted name stands for; see part_class. own: the package that is open to any option, "" for none."""
+def imported(key: str, target: str) -> Any:
+    """What a dotted name stands for; see part_class."""
     said = f"{key}.{TARGET}={target}"
     module_name, _, attribute = str(target).rpartition(".")
     if not module_name:
         raise UsageError(f"{said}: expected MODULE.NAME, such as my_package.helix.Helix")
-    ours = module_name.partition(".")[0] == own
+    ours = module_name.partition(".")[0] == OWN
     if not ours and (outside := lies_outside(module_name)):
         raise ModuleError(f"{said}: {outside}")
     try:

@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, ge
 from quadexp.errors import ForbiddenValueError, UsageError
 from quadexp.messages import suggestion
 from quadexp.names import is_name
-from quadexp.parts.former import refuse_former
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -177,7 +176,6 @@ def made(node: type[S], values: Mapping[str, Any], prefix: str | None = None) ->
     names = keys_of(node)
     for name in values:
         if name not in names:
-            refuse_former(f"{prefix}{name}")
             raise UsageError(f"{prefix}{name}: no such key{suggestion(str(name), names)}")
     lacking = _lacking(node, values, prefix)
     if len(lacking) == 1:

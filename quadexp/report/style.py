@@ -1,9 +1,10 @@
 """The look of all figures and of the report's page: colour and marker per controller, style, legends, logarithmic axes;
 and how a figure is written.
 
-A controller looks the same in every figure and on the page, and so does a model of the air: `gp_mpc` and a GP are blue.
-Variants of a controller (settings, checkpoint) have its hue in another shade, hollow markers, another dash. All colours
-have a contrast of 3:1 and are distinct for colour-blind readers (tests/report/test_style.py).
+A controller whose option states its look has it in every figure and on the page, and so does a model of the air:
+`gp_mpc` and a GP are blue. Variants of a controller (settings, checkpoint) have its hue in another shade, hollow
+markers, another dash; all others take what is free of a cycle. All colours have a contrast of 3:1 and are distinct for
+colour-blind readers (tests/report/test_style.py).
 """
 
 from __future__ import annotations
@@ -11,11 +12,10 @@ from __future__ import annotations
 import base64
 import io
 import math
-import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,6 @@ from quadexp.messages import clean, html
 from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
 from quadexp.report import FORMATS
-from quadexp.report.pairing import grouped
 from quadexp.writer import written
 
 HUES = {
@@ -175,81 +174,37 @@ MODELS = {  # of the air
     "blade element": Look("vermillion", "D", "-."),
 }
 LOOKS = MODELS | _looks_of_options()
-SELDOM = ("green", "sky", "pink", "brown", "vermillion")  # hues that controllers without a look of their own get first
 BLUE, ORANGE, GREY = HUES["blue"], HUES["orange"], "#777777"
 # Light for small errors, dark for large ones; without the end that is invisible on white paper.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
 )
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # of data behind curves
-MOST_VARIANTS = 4  # of one controller that share its hue; with more, each has a hue of its own
+SHADES = 1 + len(USUAL_SHADES)  # of a hue, itself among them
+CYCLE = tuple(  # the looks of those that state none: every hue, then every hue in another shade
+    Look(hue, marker, DASHES[shade], shade)
+    for (shade, hue), marker in zip(product(range(SHADES), HUES), cycle(MARKERS), strict=False)
+)
 
 
 def looks(labels: Sequence[str]) -> dict[str, Look]:
-    """Label -> look. The first word of a label is the controller, which decides hue and marker, whoever else is there;
-    one with remedies (gp_mpc+wind) has the hue of the controller, and a shade and a hollow marker of the remedies.
-
-    A controller without a look of its own gets one by its name; only where that is taken by another label, the next
-    one that is free. The plain variant of a controller is the one on the plant ("@plant") of most labels.
+    """Label -> look; no two have one colour, up to the length of CYCLE. The first word of a label is the controller. A
+    controller that states its look has it, in whatever company; its variants, and the same with remedies
+    (gp_mpc+wind), have the shades of its hue that are free, with hollow markers. All others take what is free in CYCLE.
     """
     labels = list(dict.fromkeys(labels))
-    plants = [next((word for word in label.split(" ") if word.startswith("@")), "") for label in labels]
-    usual = {label: plants.count(plant) for label, plant in zip(labels, plants, strict=True)}
-    variants = grouped((name_of(label), label) for label in sorted(labels, key=lambda label: -usual[label]))
-    many = {name for name, alike in variants.items() if len(alike) > MOST_VARIANTS}
-    taken = [(LOOKS[name].hue, LOOKS[name].marker) for name in variants if name in LOOKS and name not in many]
     order = {name: place for place, name in enumerate(LOOKS)}
     chosen: dict[str, Look] = {}
-    for name in sorted(variants, key=lambda name: ("+" in name, order.get(name, len(order)))):
-        if name in many:
-            free = [[x for x in every if all(x not in pair for pair in taken)] or every for every in (HUES, MARKERS)]
-            for i, (label, hue, marker) in enumerate(zip(variants[name], *map(cycle, free), strict=False)):
-                chosen[label] = Look(hue, marker, DASHES[i // len(HUES) % len(DASHES)])
-            continue
-        controller, plus, remedies = name.partition("+")
-        plain = LOOKS.get(name) or Look(*_pair_of(controller, chosen, taken), "-")
-        taken.append((plain.hue, plain.marker))
-        dashes = [plain.dash, *(other for other in DASHES if other != plain.dash)]
-        for i, label in enumerate(variants[name]):
-            look = replace(plain, dash=dashes[i], shade=i, filled=i == 0)
-            others = list(chosen.values())
-            chosen[label] = _with_remedies(look, f"{remedies} {i}", others) if plus else _apart(look, others)
+    for label in sorted(labels, key=lambda label: order.get(name_of(label), len(order))):
+        candidates = list(CYCLE)
+        stated = LOOKS.get(name_of(label).partition("+")[0])
+        if stated is not None:
+            variants = [replace(stated, shade=k, filled=False, dash=DASHES[k]) for k in range(1, SHADES)]
+            candidates = [stated, *variants, *CYCLE]
+        worn = {look.colour for look in chosen.values()}
+        again = replace(CYCLE[len(chosen) % len(CYCLE)], filled=False)
+        chosen[label] = next((look for look in candidates if look.colour not in worn), again)
     return {label: chosen[label] for label in labels}
-
-
-def _pair_of(name: str, chosen: Mapping[str, Look], taken: Sequence[tuple[str, str]]) -> tuple[str, str]:
-    """Hue and marker of a controller without a look of its own: with remedies that of the plain one, otherwise by its
-    name, as far as nobody else has them."""
-    if (plain := chosen.get(name) or LOOKS.get(name)) is not None:
-        return plain.hue, plain.marker
-    at = zlib.crc32(name.encode())
-    hues = [*_turned(SELDOM, at), *(hue for hue in HUES if hue not in SELDOM)]
-    markers = _turned([m for m in MARKERS if m not in "os^v"], at // len(SELDOM))  # which the usual controllers have
-    worn = {word for pair in taken for word in pair}
-    pairs = [(hue, marker) for hue in hues for marker in markers]
-    return min(pairs, key=lambda pair: (pair[0] in worn, pair[1] in worn, pair in taken))
-
-
-def _turned(values: Sequence[Any], by: int) -> list[Any]:
-    return [values[(by + i) % len(values)] for i in range(len(values))]
-
-
-def _with_remedies(look: Look, remedies: str, others: Sequence[Look]) -> Look:
-    """The look of a controller with remedies: a shade, marker and dash of these, as far as nobody else has them."""
-    at, worn = zlib.crc32(remedies.encode()), {(other.hue, other.shade, other.marker, other.filled) for other in others}
-    look, shades = replace(look, dash=DASHES[1 + at % (len(DASHES) - 1)], filled=False), range(1, MOST_VARIANTS)
-    markers = enumerate(_turned(MARKERS, at // 7))
-    pairs = ((shade, marker) for k, marker in markers for shade in _turned(shades, at + k * len(shades)))
-    free = (pair for pair in pairs if (look.hue, *pair, False) not in worn)
-    shade, marker = next(free, (look.shade, look.marker))
-    return replace(look, marker=marker, shade=shade)
-
-
-def _apart(look: Look, others: Sequence[Look]) -> Look:
-    """A look in a shade that no other label of the same hue has; the first one of a hue is unchanged."""
-    worn = {other.shade for other in others if other.hue == look.hue}
-    free = (shade for shade in (look.shade, *range(MOST_VARIANTS)) if shade not in worn)
-    return replace(look, shade=next(free, look.shade))
 
 
 def name_of(label: str) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import describe
-from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
+from quadexp.log.store import check_finite, read_metadata, read_table
 from quadexp.parts.schema import WORLD
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
@@ -101,7 +101,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
 
 def margin_line(margins: Mapping[str, Any] | None) -> str:
     """What a loop tolerates beyond what it was flown with; "" where no record says. margins: see
-    experiment.loop_margins; in flights of earlier versions those of the MPC by itself, beyond what it predicts."""
+    experiment.loop_margins."""
     if not margins:
         return ""
     if why := margins.get("unknown"):
@@ -109,8 +109,6 @@ def margin_line(margins: Mapping[str, Any] | None) -> str:
     if not margins["delay"]:
         return "is not stable at hover"
     delay, lag = (_milliseconds(margins[name]) for name in ("delay", "lag"))
-    if "growth" not in margins:
-        return f"the bare MPC tolerates {delay} of unmodelled delay, {lag} of unmodelled lag (at hover)"
     return f"tolerates {delay} more of delay, {lag} more of motor lag (at hover)"
 
 
@@ -141,7 +139,7 @@ def _table(path: Path) -> dict[str, Any]:
         "path": str(path), "kind": kind, "schema": record["schema"], "rows": rows, "bytes": size,
         "columns": {name: describe(name, kind)._asdict() for name in columns}, "config": record.get("config"),
         "seed": record.get("seed"), "versions": record.get("versions", {}), "sources": record.get("sources", ""),
-        "provenance": record.get("provenance", {}), "hashed": has_content_hash(path),
+        "provenance": record.get("provenance", {}),
     }  # fmt: skip
     lines = [f"{path}: {kind}, {rows} rows, {len(columns)} columns, {_size(size)}"]
     if kind == "flight" and "row" in record:
@@ -157,8 +155,6 @@ def _table(path: Path) -> dict[str, Any]:
         created = summary["provenance"].get("created")
         return summary | {"lines": lines + ([f"table       written {created}"] if created else [])}
     lines += _unit_lines(summary["columns"]) + _provenance_lines(record)
-    if not summary["hashed"]:
-        lines.append("hash        none of the columns: written by an earlier version, an edit would not be noticed")
     return summary | {"lines": lines}
 
 

@@ -1,7 +1,4 @@
-"""Whether a folder of results holds what was written there: every flight, every table, every figure of a row.
-
-Files of versions that wrote no hashes cannot be verified; they are listed and are no fault.
-"""
+"""Whether a folder of results holds what was written there: every flight, every table, every figure of a row."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from typing import Any
 
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import has_content_hash, read_table
+from quadexp.log.store import read_table
 from quadexp.provenance import content_hash
 from quadexp.report.checked import COMPARED
 from quadexp.report.frame import RESULTS
@@ -25,25 +22,20 @@ TEXTS = ("results.csv", "statistics.csv", "table.md", "table.tex", "comparison.t
 
 @dataclass
 class Verified:
-    """files: how many were looked at. wrong: file -> what is wrong with it. unhashed: files without hashes, which can
-    only be read."""
+    """files: how many were looked at. wrong: file -> what is wrong with it."""
 
     files: int = 0
     wrong: dict[str, str] = field(default_factory=dict)
-    unhashed: list[str] = field(default_factory=list)
 
     def look(self, path: Path, read: Callable[[], Any]) -> Any:
         """Count a file and read it; None where it is damaged."""
         self.files += 1
         try:
-            found = read()
-            if not has_content_hash(path):
-                self.unhashed.append(str(path))
+            return read()
         except QuadexpError as error:
             text = str(error).removeprefix(f"{path}: ")
             self.wrong[str(path)] = text.partition(";")[0].partition(": make it again")[0]
             return None
-        return found
 
 
 def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Verified:
@@ -110,7 +102,3 @@ def _verify_made(root: Path, record: dict[str, Any], verified: Verified) -> None
     statistics = verified.look(path, lambda: read_table(path, "statistics")) if path.exists() else None
     if statistics and record.get("statistics", statistics[1].get("fingerprint")) != statistics[1].get("fingerprint"):
         verified.wrong[str(path)] = f"is not of the rows of {RESULTS}"
-    if not made:
-        texts = [str(root / name) for name in TEXTS if (root / name).is_file()]
-        verified.files += len(texts)
-        verified.unhashed += texts

@@ -37,7 +37,7 @@ CALLS = {  # of each command: a call that answers with a table
     "export": ("export", "a.parquet", "--to", "csv", "--out", "x.csv", "--force"),
     "animate": ("animate", "a.parquet", "--rate", "5", "--to", "0.4", "--out", "g.gif", "--force"),
     "tune": ("tune", "controller=open_loop", "--conf", "mine", "plant=ideal", "trajectory=hover",
-             "trajectory.duration=0.2", "evaluate.workers=1", "--vary", "controller.options.share=0.8..2",
+             "trajectory.duration=0.2", "evaluate.workers=1", "--vary", "controller.share=0.8..2",
              "--seeds", "1", "--flights", "2", "--out", "t"),
     "bench": ("bench", "--only", "--add", "board.parquet", "--out", "b"),
     "new": ("new", "vehicle", "mine_{}", "--to", "parts"),

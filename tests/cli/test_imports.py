@@ -13,7 +13,7 @@ from tests.cli.command import run
 ROOT = Path(__file__).parents[2]
 SCIPY = ("interpolate", "spatial", "stats", "optimize", "signal", "ndimage", "linalg", "special")
 HEAVY = (
-    "torch", "gpytorch", "pandas", "matplotlib", "hydra", "omegaconf", "pydantic", "pebble", "distributed", "casadi",
+    "torch", "gpytorch", "pandas", "matplotlib", "hydra", "omegaconf", "pebble", "distributed", "casadi",
     "minsnap_trajectories", *(f"scipy.{name}" for name in SCIPY),
 )  # fmt: skip
 INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]

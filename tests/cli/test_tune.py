@@ -6,7 +6,7 @@ from tests.cli.command import run
 from tests.tune.parts import open_loop
 
 TASK = ["plant=ideal", "trajectory=hover", "trajectory.duration=0.2", "evaluate.workers=1"]
-SHARE = ["--vary", "controller.options.share=0.8..2", "--seeds", "1"]
+SHARE = ["--vary", "controller.share=0.8..2", "--seeds", "1"]
 
 
 def tune(*words):
@@ -24,7 +24,7 @@ def test_it_tunes_in_worker_processes_says_what_was_found_and_goes_on(here):
     code, out, _ = tune("--flights", "5", "--json")
     found = json.loads(out)
     assert code == 0 and found["flights"] == 5 and found["choice"] == "controller=open_loop_tuned"
-    assert found["settings"]["controller.options.share"] == [1.0, 1.0]
+    assert found["settings"]["controller.share"] == [1.0, 1.0]
     code, out, _ = tune("--flights", "2", "--seed", "1", "--force", "--json")
     assert code == 0 and json.loads(out)["flights"] == 2
     assert run("show", "t/history.parquet")[0] == 0

@@ -58,12 +58,9 @@ def test_an_edited_class_is_flown_anew(tmp_path, monkeypatch):
     conf = tmp_path / "conf"
     shutil.copytree(EXAMPLES, conf)
     module = conf / "circle_of_mine.py"
-    text = "from quadexp.reference.hover import Hover\n\ndef make(duration):\n    return Hover(duration=duration)\n"
+    text = "from quadexp.reference.hover import Hover\n\nclass Mine(Hover): pass\n"
     module.write_text(text)
-    (conf / "trajectory" / "mine.yaml").write_text(
-        "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: circle_of_mine.make\n"
-        "options: {duration: 1.0}\n"
-    )
+    (conf / "trajectory" / "mine.yaml").write_text("_target_: circle_of_mine.Mine\nduration: 1.0\n")
     monkeypatch.syspath_prepend(str(conf))
 
     def sweep():

@@ -66,10 +66,6 @@ def test_who_keeps_its_memory_to_itself_says_so(tmp_path):
     assert margin_line(None) == world_note({}) == world_note(margins) == ""
     assert margin_line({"growth": 3.0, "delay": 0.0, "lag": 0.0}) == "is not stable at hover"
     assert "over 500 ms more of motor lag" in margin_line({"growth": -1.0, "delay": 0.1, "lag": 0.5})
-    former = {"delay": 0.1, "lag": 0.05, "early": 0.0, "dead_time": 0.0, "world_stable": True}
-    assert (
-        margin_line(former) == "the bare MPC tolerates 100 ms of unmodelled delay, 50 ms of unmodelled lag (at hover)"
-    )
 
 
 @pytest.mark.parametrize("late", [["link=latency", "link.latency=0.1"], ["estimator.delay=0.1"]])

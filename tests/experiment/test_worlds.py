@@ -90,11 +90,11 @@ def test_the_accelerometers_noise_is_that_of_the_time():
 
 def test_a_plant_that_only_advances_is_refused_in_one_line(tmp_path):
     (tmp_path / "plant").mkdir()
-    (tmp_path / "plant" / "still.yaml").write_text(
-        "defaults: [/schema/plant/custom@_here_, _self_]\nname: still\n_target_: still_plant.Still\n"
-    )
+    (tmp_path / "plant" / "still.yaml").write_text("_target_: still_plant.StillPart\n")
     (tmp_path / "still_plant.py").write_text(
-        "class Still:\n    def __init__(self, vehicle, step):\n        self.vehicle = vehicle\n"
+        "from quadexp.world.base import PlantPart\n"
+        "class StillPart(PlantPart):\n    def build(self, given): return Still(given.vehicle)\n"
+        "class Still:\n    def __init__(self, vehicle):\n        self.vehicle = vehicle\n"
         "    def reset(self): pass\n    def advance(self, x, u, duration, rng): return x, x[:3]\n"
         "    def residual(self): raise NotImplementedError\n"
     )

@@ -9,11 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from quadexp.errors import DataError, QuadexpError
-from quadexp.log import store
 from quadexp.log.integrity import CONTENT_KEY, FILE_KEY, content_hash
-from quadexp.log.schema import Flight
-from quadexp.log.store import HASH_KEY, METADATA_KEY, read_flight, read_record, read_table, write_flight, write_table
-from quadexp.report.summary import summarise
+from quadexp.log.store import METADATA_KEY, read_record, read_table, write_flight, write_table
 from tests.log.flights import straight_flight
 
 NAMES = ("first", "count", "word")
@@ -159,27 +156,3 @@ def test_the_record_is_the_one_that_arrow_reads(tmp_path):
         assert read_record(path, "estimates") == json.loads(pq.read_schema(path).metadata[METADATA_KEY])
         with pytest.raises(DataError, match="is a table of estimates, a flight is needed"):
             read_record(path, "flight")
-
-
-@pytest.fixture
-def old(tmp_path):
-    """A flight as the version before wrote it."""
-    new = write_flight(tmp_path / "old.parquet", straight_flight(seed=5))
-    table = pq.read_table(new)
-    raw, names = table.schema.metadata[METADATA_KEY], [name.encode() for name in table.column_names]
-    digest = hashlib.sha256(b"\0".join([raw, *names])).hexdigest()
-    pq.write_table(table.replace_schema_metadata({METADATA_KEY: raw, HASH_KEY: digest}), new)
-    return new
-
-
-def test_an_old_file_is_read_and_said_once(old, capsys, monkeypatch):
-    monkeypatch.setattr(store, "_unhashed", [])
-    assert read_flight(old).metadata["seed"] == 5 and read_record(old, "flight")["seed"] == 5
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and str(old) in said and "would not be noticed" in said
-
-
-def test_show_says_whether_there_is_a_hash(old, tmp_path):
-    assert "hash        none of the columns" in "\n".join(summarise(old)["lines"])
-    new = write_flight(tmp_path / "new.parquet", Flight(straight_flight().columns, {"seed": 1}))
-    assert summarise(new)["hashed"] and "hash        none" not in "\n".join(summarise(new)["lines"])

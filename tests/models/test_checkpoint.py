@@ -18,8 +18,8 @@ from quadexp.models.linear_drag import fit_linear_drag
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 
-FORMER = Path(__file__).parent / "former"
-EXPECTED = json.loads((FORMER / "expected.json").read_text())
+STORED = Path(__file__).parent / "stored"
+EXPECTED = json.loads((STORED / "expected.json").read_text())
 
 
 def assert_same_bits(a, b) -> None:
@@ -63,8 +63,8 @@ def test_damaged_or_foreign_checkpoints_are_refused(tmp_path, model):
     tamper(path, lambda d: d.__setitem__("schema", 99))
     with pytest.raises(DataError, match="schema 99, this program reads schema 2"):
         load_model(path)
-    text = json.dumps({"schema": 1})
-    for damaged in (text, "[]", '{"schema": 1, "sha', "\x00\x01"):
+    text = json.dumps({"schema": 2})
+    for damaged in (text, "[]", '{"schema": 2, "sha', "\x00\x01"):
         (path / "model.json").write_text(damaged)
         with pytest.raises(DataError, match="damaged"):
             load_model(path)
@@ -113,9 +113,9 @@ def test_loading_needs_no_torch(tmp_path, model):
 
 
 @pytest.mark.parametrize("name", sorted(EXPECTED))
-def test_a_checkpoint_of_schema_1_predicts_what_it_did(name):
-    """Stored by the version before, with what it predicted at three rows (of an identified vehicle: at one state)."""
-    model = load_model(FORMER / f"{name}.json")
+def test_a_stored_checkpoint_predicts_what_it_did(name):
+    """Stored with what it predicted at three rows (of an identified vehicle: at one state)."""
+    model = load_model(STORED / f"{name}.json")
     if name == "vehicle_model":
         velocity, rotors = np.array([[1.0, -2.0, 0.5]]), np.full((1, 4), 2.5)
         found = {kind: terms.acceleration(velocity, rotors)[0] for kind, terms in model.models.items()}

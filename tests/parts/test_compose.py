@@ -213,7 +213,6 @@ MISTAKES = {
     "trajectory.speed=fast": "^trajectory.speed=fast: must be a number$",
     "trajectory.radius=": "^trajectory.radius=: must be a number$",
     "speed=8": r"^speed: no such key; did you mean trajectory.speed\?$",
-    "vehicle.static_thrust=1e-5": r"^vehicle.static_thrust: no such key; it is called vehicle.thrust_coefficient now$",
     "seed=range(1,": "a bracket or quote is left open",
     "trajectory.sped=3": r"trajectory.sped: no such key; did you mean trajectory.speed\?",
     "controler=gp_mpc": r"controler: no such key; did you mean controller\?",
@@ -299,10 +298,10 @@ class TestOwnFolder:
             ),
             ("- name\n", "racer.yaml: must be a mapping"),
             ("", "vehicle=racer: its file names no class"),
-            ("defaults: [/schema/plant/idle@_here_]\n", "plant=idle: there is no file plant/idle.yaml"),
-            ("defaults: [/schema/plant/simplified@_here_]\n", "Simplified: is a part of plant, not of vehicle"),
+            ("defaults: [idle]\n", "vehicle=idle: there is no file vehicle/idle.yaml"),
+            ("_target_: quadexp.world.simplified.Simplified\n", "Simplified: is a part of plant, not of vehicle"),
             (
-                "defaults: [/schema/vehicle/rigid@_here_, _self_]\nname: racer\nmass: 1.0\nrate_max: 9.0\n",
+                "_target_: quadexp.physics.vehicle.Vehicle\nname: racer\nmass: 1.0\nrate_max: 9.0\n",
                 (
                     "vehicle.inertia, vehicle.rotor_position, vehicle.rotor_spin, vehicle.thrust_max,"
                     " vehicle.thrust_min, vehicle.torque_coefficient: have no value; give each as KEY=VALUE,"

@@ -9,11 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadexp.errors import UsageError
-from quadexp.parts.compose import compose, session
-from quadexp.parts.former import FORMER
+from quadexp.parts.compose import session
 from quadexp.parts.override import plain_override
-from quadexp.parts.schema import CHOSEN
-from tests.docs.commands import ROOT
 
 WORDS = [
     "circle", "gp_mpc", "models/gp", "a.b", "v1.2", "a-b", "TRUE", "False", "null", "None", "NaN", "Inf", "-inf", "e5",
@@ -110,23 +107,3 @@ def test_what_is_suggested_exists():
         for key, options in composer._files.having("velocity").items():
             for option in options:
                 assert composer.compose([option, f"{key}=[1,0,0]"])
-
-
-@pytest.mark.parametrize("text", FORMER)
-def test_each_is_refused_with_what_replaces_it(text):
-    group = text.partition(".")[0]
-    asked = [text] if "=" in text else [f"{group}={CHOSEN[group]}", f"{text}=1"]
-    with pytest.raises(UsageError) as error:
-        compose(asked)
-    assert str(error.value) == f"{text}: is no more; instead: {FORMER[text]}"
-    assert text.replace("=", ".") in (ROOT / "docs" / "migrating.md").read_text().replace("=", ".")
-
-
-def test_in_a_file_of_the_users_own_too(tmp_path):
-    (tmp_path / "engine").mkdir()
-    content = "defaults: [/schema/engine/jobs@_here_, _self_]\nname: ours\nqueue: short\n"
-    (tmp_path / "engine" / "ours.yaml").write_text(content)
-    with pytest.raises(
-        UsageError, match="engine.queue: is no more; instead: engine=jobs 'engine.options={queue: NAME}'"
-    ):
-        compose(["engine=ours"], tmp_path)

@@ -77,16 +77,6 @@ def test_nothing_else_is_named(own, target, message):
         compose([f"trajectory._target_={target}"])
 
 
-def test_the_former_form_says_what_replaces_it(own, capsys):
-    folder = own("function")
-    file = folder / "trajectory" / "wait.yaml"
-    file.write_text(f"defaults: [/schema/trajectory/custom@_here_, _self_]\n{file.read_text()}")
-    for _ in range(2):
-        assert build_trajectory(compose(["trajectory=wait"], folder).trajectory).duration == 5.0
-    said = capsys.readouterr().err
-    assert said.count("is the former form of `_target_: MODULE.CLASS`") == 1 and str(file) in said
-
-
 def test_the_shipped_ones_go_the_same_way():
     files = OptionFiles()
     assert {*WORLD, *REMEDIES} < set(PARTS)

@@ -10,7 +10,7 @@ from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
 from quadexp.parts.options import MOST_VALUES, read_data
 
-BASE = "defaults: [/schema/trajectory/circle@_here_, _self_]\nname: mine\n"
+BASE = "defaults: [circle, _self_]\nname: mine\n"
 LEVELS = "\n".join(f"{name}: &{name} [{', '.join([f'*{below}'] * 9)}]" for below, name in pairwise("abcdefgh"))
 SECRETS = ("oc.env:SECRET", "oc.select:seed", "hydra:run.dir", ".speed", "a[0]")
 
@@ -40,7 +40,7 @@ def test_no_resolver_is_asked(folder, resolver):
     assert "trajectory.name: refers to what cannot be read" in refused([f"trajectory.name='${{{resolver}}}'"], folder)
     file.write_text(f"defaults: ['circle', {{/vehicle: '${{{resolver}}}'}}, _self_]\n")
     assert str(file) in refused(["trajectory=mine"], folder)
-    file.write_text(BASE.replace("circle@_here_, ", "circle@_here_, base, "))
+    file.write_text(BASE.replace("circle, ", "circle, base, "))
     (folder / "trajectory" / "base.yaml").write_text(f"speed: ${{{resolver}}}\n")
     assert "base.yaml" in refused(["trajectory=mine"], folder), "a file that another one extends"
 

@@ -14,56 +14,50 @@ from quadexp.sweeps.engine import Task
 from quadexp.sweeps.sweep import build_engine
 from tests.faults.command import FLY, ROOT, apart, one_line
 
-TRAJECTORY = (
-    "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: {target}\noptions: {options}\n"
-)
+TRAJECTORY = "_target_: {target}\n{keys}\n"
 
 
 @pytest.fixture
 def trajectory(tmp_path):
-    """A function that makes the trajectory of a `_target_` and its options."""
+    """A function that makes the trajectory of a `_target_` and its keys."""
     (tmp_path / "trajectory").mkdir()
     (tmp_path / "mine_module.py").write_text(
-        "from os import system\nfrom quadexp.reference.circle import Circle\n"
-        "def wrong(): return 3\ndef broken(): raise RuntimeError('no luck')\nnumber = 4\n"
-        "def circle(**options): return Circle(**options)\n"
+        "from os import system\nfrom quadexp.reference.base import TrajectoryPart\n"
+        "from quadexp.reference.circle import Circle\n"
+        "class Wrong(TrajectoryPart):\n    def build(self, vehicle): return 3\n"
+        "class Mine(Circle): pass\nnumber = 4\n"
     )
 
-    def build(target, options="{}"):
-        (tmp_path / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target=target, options=options))
+    def build(target, keys=""):
+        (tmp_path / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target=target, keys=keys))
         return build_trajectory(compose(["trajectory=mine"], tmp_path).trajectory)
 
     return build
 
 
 @pytest.mark.parametrize(
-    ("target", "options", "message"),
+    ("target", "keys", "message"),
     [
-        ("Helix", "{}", "trajectory._target_=Helix: expected MODULE.NAME"),
-        (
-            "nowhere_at_all.Helix",
-            "{}",
-            "there is no module nowhere_at_all in the --conf folder /.*, nor in an installed",
-        ),
-        ("scipy.optimize.minimize", "{}", "there is no module scipy in the --conf folder"),
-        ("quadexp.reference.circle.Circle", "{speed: 3.0}", "there is no module quadexp in the --conf folder"),
-        ("mine_module.system", "{}", "mine_module.system: comes from module posix, which is neither"),
-        ("mine_module.Circle", "{}", "comes from module quadexp.reference.circle, which is neither"),
-        ("mine_module.Absent", "{}", "module mine_module has no class or function 'Absent'"),
-        ("mine_module.wrong", "{}", "made no trajectory, a int without duration, peak_speed, flat_output"),
-        ("mine_module.wrong", "{radius: 3}", "cannot be called with radius"),
-        ("mine_module.broken", "{}", "raised RuntimeError: no luck"),
-        ("mine_module.circle", "{speed: -1.0}", "trajectory.speed"),
+        ("Helix", "", "trajectory._target_=Helix: expected MODULE.NAME"),
+        ("nowhere_at_all.Helix", "", "there is no module nowhere_at_all in the --conf folder /.*, nor in an installed"),
+        ("scipy.optimize.minimize", "", "there is no module scipy in the --conf folder"),
+        ("mine_module.system", "", "mine_module.system: comes from module posix, which is neither"),
+        ("mine_module.Circle", "", "comes from module quadexp.reference.circle, which is neither"),
+        ("mine_module.Absent", "", "module mine_module has no class or function 'Absent'"),
+        ("mine_module.number", "", "mine_module.number: is no part"),
+        ("mine_module.Wrong", "", "made no trajectory, a int without duration, peak_speed, flat_output"),
+        ("mine_module.Wrong", "radius: 3", "trajectory.radius: no such key"),
+        ("mine_module.Mine", "speed: -1.0", "trajectory.speed"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(trajectory, target, options, message):
+def test_what_is_wrong_is_said_in_one_line(trajectory, target, keys, message):
     with pytest.raises(UsageError, match=message) as error:
-        trajectory(target, options)
+        trajectory(target, keys)
     assert "\n" not in str(error.value)
 
 
 def test_what_lies_in_the_folder_is_called(trajectory):
-    assert trajectory("mine_module.circle", "{speed: 3.0}").peak_speed == pytest.approx(3.273, abs=1e-3)
+    assert trajectory("mine_module.Mine", "speed: 3.0").peak_speed == pytest.approx(3.273, abs=1e-3)
 
 
 @pytest.fixture
@@ -72,10 +66,10 @@ def foreign(tmp_path):
     conf, elsewhere = tmp_path / "conf", tmp_path / "elsewhere"
     (conf / "trajectory").mkdir(parents=True)
     elsewhere.mkdir()
-    (conf / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target="tool.make", options="{}"))
+    (conf / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target="tool.Short", keys="duration: 0.4"))
     (elsewhere / "tool.py").write_text(
         f"open({str(tmp_path / 'mark')!r}, 'w').close()\nfrom quadexp.reference.hover import Hover\n"
-        "def make(): return Hover(duration=0.4)\n"
+        "class Short(Hover): pass\n"
     )
     return conf, elsewhere, tmp_path / "mark"
 
@@ -88,7 +82,7 @@ def test_a_module_elsewhere_is_not_even_imported(foreign, tmp_path, command):
     words = [word.replace("trajectory=hover", "trajectory=mine") for word in words]
     environment = {"PYTHONPATH": f"{elsewhere}:{ROOT}"}
     done = apart(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
-    assert done.returncode == 2 and "trajectory._target_=tool.make: there is no module tool in" in one_line(done)
+    assert done.returncode == 2 and "trajectory._target_=tool.Short: there is no module tool in" in one_line(done)
     assert not mark.exists() and not (tmp_path / "out").exists()
     (elsewhere / "tool.py").rename(conf / "tool.py")
     done = apart(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
@@ -119,7 +113,7 @@ def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
 def test_a_name_that_python_has_already(tmp_path):
     """Which of the two is meant would depend on what was imported before."""
     (tmp_path / "trajectory").mkdir()
-    (tmp_path / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target="random.make", options="{}"))
+    (tmp_path / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target="random.Make", keys=""))
     (tmp_path / "random.py").write_text("def make(): pass\n")
     with pytest.raises(UsageError, match=r"the name random is taken by /.*random.py: give the module in the --conf"):
         build_trajectory(compose(["trajectory=mine"], tmp_path).trajectory)
@@ -137,12 +131,10 @@ def test_an_installed_package_brings_options(tmp_path):
     record.mkdir()
     (record / "METADATA").write_text("Metadata-Version: 2.1\nName: my-lab\nVersion: 1.0\n")
     (record / "entry_points.txt").write_text("[quadexp.conf]\nmy_lab = my_lab.conf\n")
-    (package / "paths.py").write_text(
-        "from quadexp.reference.hover import Hover\ndef make(): return Hover(duration=1.5)\n"
-    )
+    (package / "paths.py").write_text("from quadexp.reference.hover import Hover\nclass Lab(Hover): pass\n")
     (package / "conf" / "trajectory").mkdir()
     (package / "conf" / "trajectory" / "lab.yaml").write_text(
-        TRAJECTORY.format(target="my_lab.paths.make", options="{}")
+        TRAJECTORY.format(target="my_lab.paths.Lab", keys="duration: 1.5")
     )
     code = (
         "from quadexp.parts.compose import compose\nfrom quadexp.parts.options import groups\n"

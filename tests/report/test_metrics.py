@@ -8,20 +8,16 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_table, write_table
+from quadexp.log.store import write_table
 from quadexp.report.metrics import (
     ERRORS,
     METRICS,
-    ROW_COLUMNS,
     attitude_error,
     flight_metrics,
-    from_columns,
     position_error,
     saturated_share,
     to_columns,
-    to_csv,
 )
-from quadexp.report.tables import error_table
 from quadexp.report.text import shown
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep_table import table_row
@@ -98,16 +94,6 @@ def test_a_flight_that_was_not_flown_to_its_end_has_no_error(tmp_path, outcome):
 
 def test_every_error_is_shown_with_its_unit():
     assert [shown(name)[1] for name in ERRORS] == ["mm", "mm", "mm", "°", "°"]
-
-
-def test_rows_have_no_count_of_last_resorts_and_tables_of_earlier_versions_are_read(tmp_path):
-    made = flight_metrics(straight_flight(5), 0.0, 20.0)
-    assert set(made) == set(METRICS) and not any("resort" in name for name in (*made, *ROW_COLUMNS))
-    columns = to_columns([row()]) | {"last_resort_count": np.array([3])}
-    write_table(tmp_path / "results.parquet", columns, {}, "results")
-    (old,) = from_columns(read_table(tmp_path / "results.parquet", "results")[0])
-    assert old["last_resort_count"] == 3 and "resort" not in to_csv([old])
-    assert error_table([old]).columns[2:] == ["nominal_mpc"]
 
 
 def test_a_flight_that_did_not_happen_has_no_errors_but_every_column():

@@ -1,6 +1,5 @@
 """`quadexp results --verify`, and what the next run of a sweep does about what was edited or damaged."""
 
-import json
 import shutil
 
 import pyarrow as pa
@@ -36,7 +35,7 @@ def untimed(folder):
 
 def test_a_sound_folder(folder):
     found = verify_results(folder)
-    assert not found.wrong and not found.unhashed
+    assert not found.wrong
     assert found.files == sum(path.is_file() for path in folder.rglob("*"))
     code, out, _ = run("results", folder, "--verify")
     assert code == 0 and out.strip() == f"{found.files} files, 0 wrong"
@@ -122,27 +121,6 @@ def test_what_is_not_there_is_written_anew(folder, name):
     assert fly(folder).flown == 0 and not verify_results(folder).wrong
     made_again = (folder / name).read_bytes() == before[(folder / name).relative_to(folder)]
     assert made_again or name == "results.parquet"  # whose record says when it was made
-
-
-def test_a_folder_of_before_there_were_hashes_is_said_and_is_no_failure(folder):
-    import hashlib
-
-    from quadexp.log.store import HASH_KEY, METADATA_KEY
-
-    for path in [*folder.glob("cells/*/*.parquet"), *folder.glob("*.parquet")]:
-        table = pq.read_table(path)
-        record = json.loads(table.schema.metadata[METADATA_KEY])
-        record.pop("made", None)
-        raw = json.dumps(record, sort_keys=True).encode()
-        digest = hashlib.sha256(b"\0".join([raw, *(name.encode() for name in table.column_names)])).hexdigest()
-        pq.write_table(table.replace_schema_metadata({METADATA_KEY: raw, HASH_KEY: digest}), path)
-    found = verify_results(folder)
-    assert not found.wrong and len(found.unhashed) == found.files == sum(p.is_file() for p in folder.rglob("*"))
-    code, out, _ = run("results", folder, "--verify")
-    assert code == 0 and f"{found.files} files are of an earlier version, without a hash" in out
-    assert fly(folder).flown == 0, "they are read in full instead"
-    flip(cell(folder), 3000)
-    assert fly(folder).flown == 1
 
 
 def test_a_folder_of_other_things(tmp_path):

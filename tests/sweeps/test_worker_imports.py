@@ -85,9 +85,7 @@ def test_nothing_that_lies_where_the_user_stands_is_executed(standing, tmp_path,
     mine = tmp_path / "mine"
     (mine / "trajectory").mkdir(parents=True)
     (mine / "my_parts.py").write_text(PART)
-    (mine / "trajectory" / "mine.yaml").write_text(
-        "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: my_parts.Short\noptions: {}\n"
-    )
+    (mine / "trajectory" / "mine.yaml").write_text("_target_: my_parts.Short\n")
     given = ["trajectory=mine", "controller=nominal_mpc", "seed=0,1", "--conf", mine, *FIXED]
     done = command("evaluate", "--sweep", *engine, *given, "--out", tmp_path / "r")
     assert not (standing / "executed").exists(), (standing / "executed").read_text()
@@ -163,10 +161,7 @@ class TestDask:
         for name, more in (("mine", ""), ("theirs", "# theirs\n")):
             (tmp_path / name / "trajectory").mkdir(parents=True)
             (tmp_path / name / "parts_of_test.py").write_text(PART + more)
-        (tmp_path / "mine" / "trajectory" / "mine.yaml").write_text(
-            "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: parts_of_test.Short\n"
-            "options: {duration: 0.4}\n"
-        )
+        (tmp_path / "mine" / "trajectory" / "mine.yaml").write_text("_target_: parts_of_test.Short\nduration: 0.4\n")
         monkeypatch.syspath_prepend(str(tmp_path / "mine"))
         cluster = Cluster(tmp_path / "cluster", workers=0)
         cluster.add_worker(PYTHONPATH=f"{ROOT}{os.pathsep}{tmp_path / 'theirs'}")

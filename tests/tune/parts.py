@@ -18,9 +18,21 @@ BEST = 40.0  # position weight
 HOVER = ["trajectory=hover", "trajectory.duration=0.5"]
 
 OPEN_LOOP = '''
+from dataclasses import dataclass
+
 import numpy as np
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.part import ControllerPart
+from quadexp.parts.settings import key
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenLoopPart(ControllerPart):
+    share: float = key(1.0, "of the weight", "[0, 10]")
+
+    def build(self, given):
+        return OpenLoop(given.vehicle, share=self.share)
 
 
 class OpenLoop:
@@ -43,10 +55,7 @@ class OpenLoop:
     def log(self):
         return {}
 '''
-OPEN_LOOP_OPTION = (
-    "defaults: [/schema/controller/custom@_here_, _self_]\nname: open_loop\n_target_: open_loop_part.OpenLoop\n"
-    "options: {share: 1.0}\n"
-)
+OPEN_LOOP_OPTION = "_target_: open_loop_part.OpenLoopPart\n"
 
 
 def open_loop(folder: Path) -> Path:

@@ -104,7 +104,7 @@ def test_a_controller_of_the_users_own_is_tuned_to_what_is_known_to_be_best(tmp_
 def tuned(folder, *more, **options):
     """A search of the share of that controller."""
     given = ["controller=open_loop", "plant=ideal", *HOVER, *more, "seed=7"]
-    asked = Tune(vary=("controller.options.share=0.8..2",), **options)
+    asked = Tune(vary=("controller.share=0.8..2",), **options)
     return tune(given, asked, conf=open_loop(folder / "mine"), out=folder / "t", isolate=False, figure=False)
 
 

@@ -38,7 +38,6 @@ class Status(IntEnum):
 
     RICCATI = 0  # no bound active
     ACTIVE_SET = 1
-    LAST_RESORT = 2  # only in flights recorded by earlier versions
     FAILED = 3
 
 
