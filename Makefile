@@ -74,9 +74,9 @@ reproduce-lei-li: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=lei_li_example1 --out results/lei_li_example1 --refly
 	$(QUADEXP) evaluate --sweep experiment=lei_li_example2 --out results/lei_li_example2 --refly
 	$(QUADEXP) collect vehicle=lei_li plant=blade_element --out data/lei_li_blade_element.parquet --force
-	$(QUADEXP) fit-gp data/lei_li_blade_element.parquet vehicle=lei_li plant=blade_element gp=blade_element --out models/lei_li/blade_element --force
+	$(QUADEXP) fit-gp data/lei_li_blade_element.parquet vehicle=lei_li gp=blade_element --out models/lei_li/blade_element --force
 	$(QUADEXP) collect vehicle=lei_li plant=simplified --out data/lei_li_simplified.parquet --force
-	$(QUADEXP) fit-gp data/lei_li_simplified.parquet vehicle=lei_li plant=simplified gp=zero_mean --out models/lei_li/simplified --force
+	$(QUADEXP) fit-gp data/lei_li_simplified.parquet vehicle=lei_li gp=zero_mean --out models/lei_li/simplified --force
 	$(QUADEXP) evaluate --sweep experiment=families --out results/families --refly
 	$(QUADEXP) evaluate --sweep experiment=adaptation --out results/adaptation --refly
 
@@ -94,7 +94,7 @@ reproduce-sun: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=sun --out results/sun --refly
 	$(QUADEXP) evaluate --sweep experiment=sun_infeasible --out results/sun_infeasible --refly
 	$(QUADEXP) collect vehicle=sun plant=sun actuator=speed_lag_30ms collect.extent=20 --out data/sun.parquet --force
-	$(QUADEXP) fit-gp data/sun.parquet vehicle=sun plant=sun gp=sun --out models/sun --force
+	$(QUADEXP) fit-gp data/sun.parquet vehicle=sun gp=sun --out models/sun --force
 	$(QUADEXP) evaluate --sweep experiment=sun_ours --out results/sun_ours --refly
 
 # Settings tuned with the same budget for every controller, on the same cells (Lei & Li's, on their vehicle); what is

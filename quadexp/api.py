@@ -2,8 +2,8 @@
 
 Settings are given as on the command line ("trajectory.speed=8"), as dictionaries ({"trajectory.speed": 8}, or nested
 {"trajectory": {"speed": 8}}), or as keywords; see `overrides`. Nothing is written unless `out` is given.
-conf: a configuration folder of your own, or several, as --conf. force: replace what is at `out`. progress: show it on the error
-stream. Errors are QuadexpError and its kinds (quadexp/errors.py) with a one-line message.
+conf: a configuration folder of your own, or several, as --conf. force: replace what is at `out`. progress: show it on
+the error stream. Errors are QuadexpError and its kinds (quadexp/errors.py) with a one-line message.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from quadexp.bench import Bench
 from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
+from quadexp.parts.options import Folders, Place
 from quadexp.parts.override import GROUPS, MOST_CELLS, quoted
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
@@ -30,16 +31,14 @@ from quadexp.progress import Progress
 from quadexp.requests import RESULTS
 from quadexp.tune import Tune
 
-Place = str | os.PathLike[str]
 Given = str | Mapping[str, Any]
-Conf = Place | Iterable[Place] | None
 MODEL = "model.json"
 TOP = {*GROUPS, *declared(Config)}  # keys of the command line that stand in no group, and the groups
 _PLAIN = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
 
 
 def simulate(
-    *settings: Given, out: Place | None = None, conf: Conf = None, force: bool = False, **keywords: Any
+    *settings: Given, out: Place | None = None, conf: Folders = None, force: bool = False, **keywords: Any
 ) -> Flight:
     """Fly one configuration, as `quadexp simulate`.
 
@@ -47,7 +46,7 @@ def simulate(
     Returns the flight, a row a control instant; how it went is its `outcome`, no error.
     Raises UsageError for wrong settings, a missing model, or a path that the vehicle cannot fly.
     """
-    flight = requests.simulate(overrides(settings, keywords), _path(out), folders(conf), force=force).flight
+    flight = requests.simulate(overrides(settings, keywords), _path(out), conf, force=force).flight
     return Flight.of(flight.columns, flight.metadata)
 
 
@@ -55,7 +54,7 @@ def collect(
     *settings: Given,
     flights: Iterable[Place | Flight] = (),
     out: Place | None = None,
-    conf: Conf = None,
+    conf: Folders = None,
     force: bool = False,
     progress: bool = False,
     **keywords: Any,
@@ -69,7 +68,7 @@ def collect(
     recorded = [_file(flight, scratch, f"flight_{i:03d}") for i, flight in enumerate(flights)]
     with _shown("seconds of flight", progress) as shown:
         texts = overrides(settings, keywords, "collect")
-        requests.collect(texts, path, folders(conf), flights=recorded, force=force, progress=shown)
+        requests.collect(texts, path, conf, flights=recorded, force=force, progress=shown)
     return Dataset.of(*read_table(path, "residuals"))
 
 
@@ -99,7 +98,7 @@ def _fit(
     settings: tuple[Given, ...],
     *,
     out: Place | None = None,
-    conf: Conf = None,
+    conf: Folders = None,
     force: bool = False,
     progress: bool = False,
     **keywords: Any,
@@ -108,14 +107,14 @@ def _fit(
     path = _path(out) or scratch / kind
     with _shown("fit", progress) as shown:
         file, texts = _file(data, scratch, "residuals"), overrides(settings, keywords, kind)
-        requests.fit(kind, file, texts, path, folders(conf), force=force, figures=False, progress=shown)
+        requests.fit(kind, file, texts, path, conf, force=force, figures=False, progress=shown)
     return Checkpoint(path, scratch if out is None else None)
 
 
 def sweep(
     *settings: Given,
     out: Place | None = None,
-    conf: Conf = None,
+    conf: Folders = None,
     force: bool = False,
     old: Literal["ask", "refly", "keep"] = "ask",
     progress: bool = False,
@@ -131,7 +130,7 @@ def sweep(
     folder = Scratch() if out is None else Path(out)
     texts = overrides(settings, keywords, lists=True)
     swept = requests.evaluate(
-        texts, Path(folder), folders(conf), figures=False, old=old, force=force,
+        texts, Path(folder), conf, figures=False, old=old, force=force,
         progress=lambda below: _shown("flights", progress),
     )  # fmt: skip
     results = _results(folder)
@@ -140,7 +139,7 @@ def sweep(
 
 
 def tune(
-    *settings: Given, out: Place | None = None, conf: Conf = None, force: bool = False,
+    *settings: Given, out: Place | None = None, conf: Folders = None, force: bool = False,
     progress: bool = False, **keywords: Any,
 ) -> Tuning:  # fmt: skip
     """Choose settings of a controller by flights, as `quadexp tune`.
@@ -155,7 +154,7 @@ def tune(
     from quadexp.tune.call import tune as tuned_by
 
     folder, asked = Scratch() if out is None else Path(out), _request(Tune, keywords)
-    place: dict[str, Any] = {"out": Path(folder), "conf": folders(conf), "force": force, "figure": out is not None}
+    place: dict[str, Any] = {"out": Path(folder), "conf": conf, "force": force, "figure": out is not None}
     with _shown("flights", progress) as shown:
         tuned = tuned_by(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
     table = Tuning.of(*read_table(Path(folder) / HISTORY, "tuning"), folder)
@@ -165,7 +164,7 @@ def tune(
 
 
 def bench(
-    *settings: Given, out: Place | None = None, conf: Conf = None, progress: bool = False, **keywords: Any
+    *settings: Given, out: Place | None = None, conf: Folders = None, progress: bool = False, **keywords: Any
 ) -> Leaderboard:
     """Rank controllers by a protocol that does not change, as `quadexp bench`.
 
@@ -182,7 +181,7 @@ def bench(
     folder, asked = Scratch() if out is None else Path(out), _request(Bench, keywords)
     with _shown("flights", progress) as shown:
         texts = overrides(settings, keywords, "evaluate")
-        board = ranked_by(texts, asked, out=Path(folder), conf=folders(conf), progress=shown)
+        board = ranked_by(texts, asked, out=Path(folder), conf=conf, progress=shown)
     table = Leaderboard.of(*read_table(Path(folder) / FILE, "leaderboard"), folder)
     table.attrs["notes"] = [*board.notes, *board.failed]
     return table
@@ -240,12 +239,6 @@ class Scratch:
 
 def _results(folder: Path | Scratch) -> Results:
     return Results.of(*read_table(folder / RESULTS, "results"), folder)
-
-
-def folders(conf: Conf) -> tuple[Path, ...]:
-    """Of one path, of several, or of none."""
-    places = [conf] if isinstance(conf, (str, os.PathLike)) else conf or ()
-    return tuple(map(Path, places))
 
 
 def _path(place: Place | None) -> Path | None:

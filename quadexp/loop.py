@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quadexp.api import Conf, Given, folders, overrides
+from quadexp.api import Given, overrides
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.compiled_loop import CompiledReference, UserLoop, goes_in_c
 from quadexp.control.mpc.active_set import Status
@@ -22,16 +22,17 @@ from quadexp.experiment.build import build_controller, build_trajectory, build_v
 from quadexp.experiment.identity import find_model
 from quadexp.experiment.rollout import Renewal, SampledReference
 from quadexp.parts.compose import compose
+from quadexp.parts.options import Folders
 from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 
 
-def controller(*settings: Given, conf: Conf = None, **keywords: Any) -> ControlLoop:
+def controller(*settings: Given, conf: Folders = None, **keywords: Any) -> ControlLoop:
     """The configured controller with the configured trajectory; settings as for qx.simulate.
 
     Builds everything, which compiles on first use: do it before take-off.
     """
-    config = compose(overrides(settings, keywords), folders(conf), "qx.controller")
+    config = compose(overrides(settings, keywords), conf, "qx.controller")
     with unshared():  # two loops of the same settings are two controllers
         vehicle = build_vehicle(config.vehicle)
         plant = build_world(config, vehicle)

@@ -21,12 +21,11 @@ from quadexp.experiment.identity import MODEL_FILE, digest, find_model
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
 from quadexp.parts.options import Folders
-from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
+from quadexp.parts.schema import REMEDIES, Config, remedies
 from quadexp.provenance import DECIDING, package_folder, source_hash
 from quadexp.tune.preset import BY_HAND, provenance_of
 from quadexp.writer import write_text
 
-ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
 SHIPPED = "as shipped"
 MAKING = (*DECIDING, "models", "experiment")  # sources that decide a checkpoint
 
@@ -58,12 +57,7 @@ def read_entries(texts: Sequence[str], composer: Composer, protocol: Protocol, e
         if not words:
             raise UsageError("--controller: is empty; give a controller's name")
         given = [word if "=" in word or i else f"controller={word}" for i, word in enumerate(words)]
-        for word in given:
-            if word.partition("=")[0].partition(".")[0] not in ALLOWED:
-                raise UsageError(
-                    f"--controller {text!r}: {word}: may set {', '.join(ALLOWED)} only; the rest is the protocol's"
-                )
-        config = composer.compose(given)
+        config = composer.compose(given, "bench --controller")
         name = " ".join(word.removeprefix("controller=") for word in given)
         settings = _settings(given, protocol, extra)
         entries.setdefault(name, Entry(name, tuple(given), config.controller.knows_plant, settings, _rule(config)))

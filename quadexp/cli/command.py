@@ -56,12 +56,7 @@ def complete(context: typer.Context, incomplete: str) -> list[str]:
     """Candidates for an override."""
     from quadexp.parts.listing import candidates
 
-    return candidates(list(context.params.get("overrides") or ()), incomplete, folders_of(context))
-
-
-def folders_of(context: typer.Context) -> list[Path]:
-    """The --conf folders of a line that is being typed."""
-    return [Path(folder) for folder in context.params.get("conf") or ()]
+    return candidates(list(context.params.get("overrides") or ()), incomplete, context.params.get("conf"))
 
 
 # Words and options that several commands have.
@@ -114,8 +109,7 @@ class Command(NamedTuple):
                 note.cache_clear()
                 shown = format_of(form, json)
                 given |= {key: tuple(given[key] or ()) for key in several}
-                if "conf" in given:
-                    given["conf"] = given_folders(given["conf"])
+                given_folders(given.get("conf"))
                 for argument, record in records.items():
                     given[argument] = record(**{key: given.pop(key) for key in declared(record)})
                 answer = self.function(**given, **({"form": shown} if "form" in hints else {}))
@@ -148,8 +142,8 @@ def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Paramete
 
 
 def _print(answer: Answer, form: str, what: str) -> None:
-    for note in answer.notes:
-        say(f"note: {note}")
+    for line in answer.notes:
+        say(f"note: {line}")
     if form == "json":
         emit(dict(answer.record))
     elif form in answer.texts:

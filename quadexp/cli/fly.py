@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.bench import Bench
-from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete, folders_of
+from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.progress import Progress
@@ -123,7 +123,7 @@ def tune(
 def _controllers(context: typer.Context, incomplete: str) -> list[str]:
     from quadexp.parts.options import groups
 
-    return [name for name in groups(folders_of(context))["controller"] if name.startswith(incomplete)]
+    return [name for name in groups(context.params.get("conf"))["controller"] if name.startswith(incomplete)]
 
 
 CONTROLLER = Ask("Takes part too, as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)

@@ -1,6 +1,7 @@
 """Flights for learning, and the data set made from them.
 
-mode "random": smooth random paths, one lap each or its first `flight_duration` seconds, with peak speeds spread evenly over [speed_min, speed_max]; a path
+mode "random": smooth random paths, one lap each or its first `flight_duration` seconds, with peak speeds spread evenly
+over [speed_min, speed_max]; a path
 that exceeds the total thrust of all rotors is replaced by another. Single rotors may reach their limits, unlike on the
 paths of trajectory=random, so that the data cover the whole range of the vehicle. mode "setpoints": jumps between
 random points, each held for the duration of a minimum-snap move to the next one at a peak speed of that range.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ from quadexp.experiment.identity import ModelFile, digest, find_model, flight_en
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
-from quadexp.parts.part import TARGET
 from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
 from quadexp.physics.state import POSITION
@@ -281,7 +279,8 @@ def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Fl
 def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[str, Any]:
     """The metadata of every flight."""
     record = flight_record(config)
-    classes = {group: _class_of(getattr(config, group)) for group, part in record.items() if isinstance(part, dict)}
+    parts = {group: getattr(config, group) for group, part in record.items() if isinstance(part, dict)}
+    classes = {group: f"{type(part).__module__}.{type(part).__qualname__}" for group, part in parts.items()}
     return {
         "config": record, "classes": classes, "config_hash": digest(record), "seed": config.seed,
         "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint},
@@ -290,14 +289,6 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
         "model": model.path if model else "", "model_sha256": model.sha256 if model else "",
         "versions": versions(), "sources": sources(), "provenance": provenance(),
     }  # fmt: skip
-
-
-def _class_of(part: Any) -> str:
-    """The class of a part, or what its option names in place of one, and its file where that is a user's own."""
-    kind = type(part)
-    name = str(getattr(part, TARGET, f"{kind.__module__}.{kind.__qualname__}"))
-    file = getattr(sys.modules.get(name.rpartition(".")[0]), "__file__", None)
-    return name if part.shipped else f"{name} ({file})"
 
 
 def result_row(config: Config, flight: Flight) -> dict[str, Any]:

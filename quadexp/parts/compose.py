@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -70,13 +70,12 @@ class Composer:
         parsed = self._overrides.read(overrides, sweep=True)
         grids = self._grids(parsed) if is_read("sweep", command) else [parsed]
         for override in (override for grid in grids for override in grid):
-            if override.key != "experiment":
-                refuse_unread(command, override.text, [override.key])
-            elif override.value is not None:
+            keys: Iterable[str] = [override.key]
+            if override.key == "experiment" and override.value is not None:
                 option = self._files.option("experiment", override.value)
-                refuse_unread(command, override.text, [*option.chosen, *_keys(option.values)])
-                if "sweep" in option.values and is_read("trajectory", command):  # which flies one cell of it, or all
-                    refuse_unread(command, override.text, ["sweep"])
+                flies_it = "sweep" in option.values and is_read("trajectory", command)
+                keys = ["sweep"] if flies_it else (*option.chosen, *_keys(option.values))
+            refuse_unread(command, override.text, keys)
 
     def compose(self, overrides: Sequence[str] = (), command: str | None = None) -> Config:
         """The configuration of one run. command: that is given the overrides, see `only`.

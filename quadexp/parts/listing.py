@@ -5,6 +5,7 @@ It is read from the files and the parts' classes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from quadexp.errors import UsageError
@@ -75,10 +76,7 @@ def _keys(files: OptionFiles, group: str, option: str) -> list[Record]:
 
 def _all_keys(files: OptionFiles) -> list[Record]:
     """Every key once, with the value that it has by default, else that of the first option that has it."""
-    records: dict[str, Record] = {}
-    for name, key in declared(Config).items():
-        settings = {f"{name}.{each}": about for each, about in declared(key.node).items()} if key.node else {name: key}
-        records |= {each: _key(each, about, about.default) for each, about in settings.items()}
+    records = {name: _key(name, key, key.default) for name, key in _walk(Config)}
     for group in files.groups:
         options = sorted(files.options(group), key=lambda option: option != CHOSEN.get(group))
         for option in options if files.parts(group) else ():
@@ -102,18 +100,23 @@ def key_words(group: str | None = None, conf: Folders = None) -> dict[str, list[
     """Every key that can be set, of whatever option, with its values where those are a few words. group: of one group
     alone; only the classes of its parts are imported. conf: folders of the user's own."""
     files = OptionFiles(given_folders(conf))
-    nodes: list[tuple[str, Any]] = [("", Config)]
-    nodes += [(f"{name}.", part) for name in PARTS if group in (None, name) for part in files.parts(name).values()]
+    of_groups = [name for name in PARTS if group in (None, name)]
+    found = [*_walk(Config)]
+    found += [each for name in of_groups for part in files.parts(name).values() for each in _walk(part, f"{name}.")]
     keys: dict[str, dict[str, None]] = {}
-    while nodes:
-        prefix, node = nodes.pop()
-        for name, key in declared(node).items():
-            if key.node is not None:
-                nodes.append((f"{prefix}{name}.", key.node))
-            elif name not in ("options", "_target_"):
-                words = key.words or (("true", "false") if key.type is bool else ())
-                keys.setdefault(prefix + name, {}).update(dict.fromkeys(words))
+    for name, key in found:
+        words = key.words or (("true", "false") if key.type is bool else ())
+        keys.setdefault(name, {}).update(dict.fromkeys(words))
     return {key: list(words) for key, words in sorted(keys.items())}
+
+
+def _walk(node: type, prefix: str = "") -> Iterator[tuple[str, Declared]]:
+    """The keys of a class and of the nodes below it, with what they hold."""
+    for name, key in declared(node).items():
+        if key.node is not None:
+            yield from _walk(key.node, f"{prefix}{name}.")
+        elif name not in ("options", "_target_"):
+            yield f"{prefix}{name}", key
 
 
 def candidates(words: list[str], incomplete: str, conf: Folders = None) -> list[str]:

@@ -32,7 +32,7 @@ import functools
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,7 +49,8 @@ NOTHING = "nothing"  # the sheet of the options that do nothing, for each of whi
 ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
 LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
 GLOBAL = ("experiment", *BUNDLES)  # groups whose options set values of the whole configuration
-Folders = Path | Sequence[Path] | None  # of a user's own, as given with --conf; the first comes first
+Place = str | os.PathLike[str]
+Folders = Place | Iterable[Place] | None  # of a user's own, as given with --conf; the first comes first
 MOST_BYTES = 1_000_000  # of a file
 MOST_VALUES = 20_000  # of a file, every alias counted as what it stands for
 DEEPEST = 40  # mappings and lists within each other
@@ -94,17 +95,20 @@ def given_folders(extra: Folders) -> tuple[Path, ...]:
     """The folders given with --conf, each once, whose modules can then be imported.
 
     UsageError where one is no folder, or has no option in it."""
-    given = [extra] if isinstance(extra, Path) else list(extra or ())
-    for folder in given:
+    folders = _resolved(extra)
+    for folder, given in folders.items():
         if not folder.is_dir():
-            raise UsageError(f"--conf {folder}: {'is a file, not a' if folder.is_file() else 'no such'} folder")
+            raise UsageError(f"--conf {given}: {'is a file, not a' if folder.is_file() else 'no such'} folder")
         if {path.parent.name for path in folder.glob("*/*.yaml")}.isdisjoint({*CHOSEN, "experiment", SHEETS}):
-            layout = "an option is a file GROUP/NAME.yaml, such as controller/mine.yaml"
-            raise UsageError(f"--conf {folder}: has no options; {layout}, or an entry of {SHEETS}/NAME.yaml")
-    folders = tuple(dict.fromkeys(folder.resolve() for folder in given))
-    for folder in folders:
+            raise UsageError(f"--conf {given}: has no options, such as a file controller/NAME.yaml in it")
         import_from(folder)
-    return folders
+    return tuple(folders)
+
+
+def _resolved(extra: Folders) -> dict[Path, Place]:
+    """The folders, each once, with what each is called."""
+    given = [extra] if isinstance(extra, (str, os.PathLike)) else extra or ()
+    return {Path(folder).resolve(): folder for folder in given}
 
 
 def groups(extra: Folders = None) -> dict[str, list[str]]:
@@ -117,9 +121,7 @@ class OptionFiles:
     one that counts first. groups: the options of every group. entries: the options that stand in sheets."""
 
     def __init__(self, extra: Folders = None) -> None:
-        given = [extra] if isinstance(extra, Path) else extra or ()
-        places = (*given, *plugin_folders().values(), conf_folder())
-        self.folders = list(dict.fromkeys(folder.resolve() for folder in places))
+        self.folders = [*_resolved([*_resolved(extra), *plugin_folders().values(), conf_folder()])]
         self.definitions: dict[str, list[Definition]] = {}
         for place, folder in enumerate(self.folders):
             files = (path for path in folder.glob("*/*.yaml") if path.is_file() and path.parent.name != SHEETS)
@@ -146,10 +148,6 @@ class OptionFiles:
         stated = ((name, each.path) for name in options for each in self.definitions[f"{group}/{name}"])
         return next((name for name, path in stated if path.match(f"{SHEETS}/{NOTHING}.yaml")), None)
 
-    def find(self, name: str) -> Path | None:
-        """The file of a name such as "plant/ideal"; None where there is none."""
-        return next((each.path for each in self.definitions.get(name, ())), None)
-
     def note_covered(self, group: str, option: str) -> None:
         """Say once where an option comes before another one of its name."""
         first, *others = self.definitions[f"{group}/{option}"]
@@ -160,11 +158,10 @@ class OptionFiles:
 
     def meaning(self, group: str, option: str) -> str:
         """What an option is, in words: as its sheet says, or the comment at the head of its file."""
-        name = f"{group}/{option}"
-        if name in self.entries:
-            return self.entries[name].meaning
-        path = self.find(name)
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path else []
+        first = self.definitions[f"{group}/{option}"][0]
+        if first.entry:
+            return first.entry.meaning
+        lines = first.path.read_text(encoding="utf-8", errors="replace").splitlines()
         return " ".join(line.lstrip("# ") for line in lines if line.startswith("#") and "@package" not in line)
 
     def look(self, group: str, option: str) -> Mapping[str, Any]:

@@ -91,19 +91,17 @@ class OverrideReader:
         """An override by Hydra's grammar."""
         key, _, value = text.partition("=")
         parsed = self._parsed(text)
-        if parsed is None and self._is_text(key):  # most letters that a path may have mean nothing to the grammar
-            parsed = self._parsed(f"{key}={_literal(value)}")
+        signs = re.search(r"['\"(]", value)  # a quoted text, or what the grammar calculates
+        if (parsed is None or not signs) and self._is_text(key):  # 2024_01 is not the number 202401
+            parsed = self._parsed(f"{key}={_literal(value)}") or parsed
         if parsed is None and (several := [word for word in text.split() if re.match(r"[\w.]+=", word)])[1:]:
             raise UsageError(f"{text!r}: {len(several)} settings within one pair of quotes; give each by itself")
         if parsed is None:
             open_or_sign = "a bracket or quote is left open, or the value has signs that need quotes (KEY=\"'VALUE'\")"
             raise UsageError(f"{text!r}: cannot be read as KEY=VALUE: {open_or_sign}")
-        content = parsed.value()
-        values = getattr(content, "list", [content]) if "(" not in value else []
         if parsed.is_range_sweep():
+            content = parsed.value()
             refuse_range(text, content.start, content.stop, content.step)
-        if any(map(_is_number, values)) and self._is_text(key):  # 2024_01 is not the number 202401
-            parsed = self._parsed(f"{key}={_literal(value)}") or parsed
         if parsed.is_add() or parsed.is_force_add() or parsed.is_delete():
             raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
         if parsed.package:
@@ -175,18 +173,10 @@ def _plain_value(text: str) -> int | float | str | list[Any] | None:
     return text if _WORD.fullmatch(text) and text.lower() not in _NO_WORDS else None
 
 
-def _is_number(value: Any) -> bool:
-    """Whether a value is one that the grammar takes for something else than a text, or such a value is in it."""
-    return any(map(_is_number, value)) if isinstance(value, list) else isinstance(value, (int, float))
-
-
 def _literal(value: str) -> str:
     """A value whose words stand for themselves, whatever the grammar makes of them; null stays what it is."""
-    items = _ITEM.findall(value)
-    if not any(item.startswith("[") for item in items) or ",".join(items) != value:
-        return ",".join(word if word == "null" else quoted(word) for word in value.split(","))
-    words = (map(quoted, map(str.strip, item.strip("[]").split(","))) for item in items)
-    return ",".join(f"[{','.join(each)}]" for each in words)
+    words = r"[^\[\],]+" if value.startswith("[") else r"[^,]+"
+    return re.sub(words, lambda word: "null" if word[0] == "null" else quoted(word[0]), value)
 
 
 def _text(value: Any) -> str:

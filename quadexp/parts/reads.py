@@ -1,66 +1,62 @@
 """What each command reads of the configuration. What is given besides is refused: it would be without effect.
 
-A name stands for a group, or for one key. `sweep`: what an experiment varies.
+A word stands for a group with its keys, or for one key. `sweep`: what an experiment varies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable
+from functools import reduce
 
 from quadexp.errors import UsageError
 from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
-from quadexp.parts.settings import Settings, declared, shown
+from quadexp.parts.settings import find, shown
 
-LOOP = ("vehicle", "plant", *WORLD, "controller", *PRESETS, *REMEDIES, *BUNDLES, "model", "seed")
-FLIGHT = (*LOOP, "trajectory")
-ENGINE = ("engine", "evaluate.workers", "evaluate.timeout", "evaluate.memory")
+CONTROLLER = " ".join(("controller remedies", *PRESETS, *REMEDIES))
+LOOP = " ".join(("vehicle plant model seed", CONTROLLER, *WORLD, *BUNDLES))
+FLIGHT = f"{LOOP} trajectory"
+ENGINE = "engine evaluate.workers evaluate.timeout evaluate.memory"
 READS = {
     "simulate": FLIGHT,
-    "evaluate": (*FLIGHT, "evaluate.metric", "evaluate.figures", "evaluate.log_period"),
-    "evaluate --sweep": (*FLIGHT, "evaluate", "engine", "sweep"),
-    "tune": (*FLIGHT, *ENGINE, "evaluate.metric", "evaluate.log_period", "sweep"),
+    "evaluate": f"{FLIGHT} evaluate.metric evaluate.figures evaluate.log_period",
+    "evaluate --sweep": f"{FLIGHT} evaluate engine sweep",
+    "tune": f"{FLIGHT} {ENGINE} evaluate.metric evaluate.log_period sweep",
     "bench": ENGINE,
-    "collect": (*LOOP, "collect"),
-    "collect --sweep": (*LOOP, "collect", "sweep"),
-    "collect --flight": (
-        "vehicle",
-        *(f"collect.{key}" for key in ("frame", "thrust", "state", "target", "identified")),
-    ),
-    "fit-gp": ("vehicle", "gp"),
-    "fit-drag": ("vehicle", "drag"),
-    "fit-nn": ("vehicle", "nn"),
-    "validate": ("vehicle",),
+    "bench --controller": CONTROLLER,
+    "collect": f"{LOOP} collect",
+    "collect --sweep": f"{LOOP} collect sweep",
+    "collect --flight": "vehicle collect.frame collect.thrust collect.state collect.target collect.identified",
+    "fit-gp": "vehicle gp",
+    "fit-drag": "vehicle drag",
+    "fit-nn": "vehicle nn",
+    "validate": "vehicle",
     "show --margins": FLIGHT,
     "qx.controller": FLIGHT,
 }
 
 
-def refuse_idle(config: Config, key: str, given: str) -> None:
-    """UsageError where a key has no effect with the other settings of its part (Setting.when). given: its override."""
-    above, _, name = key.rpartition(".")
-    part: Any = config
-    for step in above.split(".") if above else ():
-        part = getattr(part, step, None)
-    about = declared(type(part)).get(name) if isinstance(part, Settings) else None
-    if about is None or not about.setting.when:
-        return
-    other, _, wanted = about.setting.when.partition("=")
-    value = getattr(part, other)
-    if shown(value) != wanted if wanted else not value:
-        raise UsageError(f"{given}: has no effect with {above}.{other}={shown(value)}")
-
-
 def is_read(key: str, command: str) -> bool:
-    """Whether a command reads a key, or some key of a group."""
-    return any(f"{key}.".startswith(f"{name}.") or name.startswith(f"{key}.") for name in READS[command])
+    """Whether a command reads a key, or the group of this name."""
+    return any(f"{key}.".startswith(f"{word}.") for word in READS[command].split())
 
 
-def refuse_unread(command: str, given: str, keys: Sequence[str]) -> None:
-    """UsageError where a command reads none of the keys that an override sets, and others do. given: its text."""
-    readers = [other for other in READS if any(is_read(key, other) for key in keys)]
+def refuse_unread(command: str, given: str, keys: Iterable[str]) -> None:
+    """UsageError where other commands read what an override sets, and this one reads none of it. given: its text."""
+    readers = list(dict.fromkeys(other for key in keys for other in READS if is_read(key, other)))
     if not readers or command in readers:
         return
-    names = keys if len(keys) == 1 else dict.fromkeys(key.partition(".")[0] for key in keys)
     advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"
-    raise UsageError(f"{given}: {command} does not use {' and '.join(names)}: {advice}")
+    raise UsageError(f"{given}: is not used by {command}; {advice}")
+
+
+def refuse_idle(config: Config, key: str, given: str) -> None:
+    """UsageError where a key has no effect with the other settings of its part (Setting.when). given: its override."""
+    group, _, name = key.partition(".")
+    about = find(type(getattr(config, group)), name) if name else None
+    if about is None or not about.setting.when:
+        return
+    above = key.rpartition(".")[0]
+    other, _, wanted = about.setting.when.partition("=")
+    value = getattr(reduce(getattr, above.split("."), config), other)
+    if shown(value) != wanted if wanted else not value:
+        raise UsageError(f"{given}: has no effect with {above}.{other}={shown(value)}")

@@ -107,11 +107,9 @@ def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
 
 def provenance_of(option: str, extra: Folders = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None where its file does not say."""
-    files, name = OptionFiles(extra), f"{group}/{option}"
-    if name in files.entries:
-        return files.entries[name].provenance
-    path = files.find(name)
-    return read_provenance(path.read_text(encoding="utf-8")) if path else None
+    for first in OptionFiles(extra).definitions.get(f"{group}/{option}", ())[:1]:
+        return first.entry.provenance if first.entry else read_provenance(first.path.read_text(encoding="utf-8"))
+    return None
 
 
 def read_provenance(text: str) -> dict[str, Any] | None:
