@@ -14,7 +14,7 @@ families:
     what: a hover
     given: [vehicle=torrente, plant=simplified]
     models:
-      collect: [collect.duration=6, collect.flight_duration=3]
+      collect: [collect.duration=6]
       fit: [gp.inducing=3, gp.max_iterations=1, gp.holdout=0, drag.holdout=0]
       network: ["nn.hidden=[4]", nn.max_iterations=5, nn.holdout=0]
     tasks: {hover: [trajectory=hover, trajectory.duration=0.2], step: [trajectory=step, trajectory.duration=0.4]}

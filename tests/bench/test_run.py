@@ -108,10 +108,7 @@ def test_protocols_are_not_mixed(protocol, monkeypatch, tmp_path):
     ("controller", "message"),
     [
         ("gpmpc", "no such controller; did you mean gp_mpc"),
-        (
-            "nominal_mpc trajectory.speed=3",
-            "trajectory.speed=3: may set controller, .* only; the rest is the protocol's",
-        ),
+        ("nominal_mpc trajectory.speed=3", "trajectory.speed=3: is not used by bench --controller"),
         ("rls_feedback", "has no part in small: .*needs vehicle.rotor"),
         ("", "is empty"),
     ],

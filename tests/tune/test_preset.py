@@ -13,7 +13,7 @@ from quadexp.parts.schema import REMEDIES
 from quadexp.parts.settings import record
 from quadexp.tune import Tune
 from quadexp.tune.call import fingerprint, tune
-from quadexp.tune.preset import hidden, options_of, provenance_of, read_provenance, write_preset
+from quadexp.tune.preset import options_of, provenance_of, read_provenance, write_preset
 from quadexp.tune.search import FIRST_SEED
 from tests.docs.commands import ROOT
 from tests.tune.parts import HOVER, WeightCell
@@ -104,7 +104,7 @@ def test_a_controller_and_its_remedies_are_one_bundle(given, tmp_path):
         config = composer.compose([*given, "controller.rate=150"])
         options = options_of(given, config)
         choice, path = write_preset(tmp_path, composer, options, config, {"flights": 7}, "mine")
-    assert choice == f"{given[0]} remedies=mine" and not hidden(path)
+    assert choice == f"{given[0]} remedies=mine"
     groups = ("controller", *REMEDIES)
     wanted = [record(getattr(config, group)) for group in groups]
     own = compose(choice.split(), tmp_path)
@@ -114,13 +114,13 @@ def test_a_controller_and_its_remedies_are_one_bundle(given, tmp_path):
         assert [[record(getattr(cell.config, group)) for group in groups] for cell in swept] == [wanted] * 2
 
 
-def test_what_is_called_as_a_shipped_option_is_hidden_by_it(tmp_path):
+def test_what_is_called_as_a_shipped_option_comes_before_it(tmp_path):
     """Flown and read alike: the one that is composed is the one whose provenance counts."""
     with session() as composer:
         config = composer.compose(["controller.nodes=12"])
-        _, path = write_preset(tmp_path, composer, {"controller": "nominal_mpc"}, config, {"flights": 7})
-    assert hidden(path) and compose(["controller=nominal_mpc_tuned"], tmp_path).controller.nodes != 12
-    assert provenance_of("nominal_mpc_tuned", tmp_path) == provenance_of("nominal_mpc_tuned")
+        write_preset(tmp_path, composer, {"controller": "nominal_mpc"}, config, {"flights": 7})
+    assert compose(["controller=nominal_mpc_tuned"], tmp_path).controller.nodes == 12
+    assert provenance_of("nominal_mpc_tuned", tmp_path) == {"flights": 7}
 
 
 SHIPPED = [tuple(name.split("/")) for name in sorted(OptionFiles().entries) if name.endswith("_tuned")]
