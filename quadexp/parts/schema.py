@@ -129,7 +129,10 @@ def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
     """
     if not any(part.names_world for part in world_parts(config).values()):
         return "clean"
-    differing = [
-        f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]
-    ]
+    differing = []
+    for group in WORLD:
+        part = getattr(config, group)
+        covered = bundle == "clean" and part.names_world  # an own option in place of one that does nothing
+        if covered or part != bundled[group]:
+            differing.append(f"{group}={part.name}")
     return ",".join(differing if bundle == "clean" else [bundle, *differing])
