@@ -24,6 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from quadexp.errors import UsageError
+from quadexp.log import signal
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
@@ -81,9 +82,8 @@ def flat_reference(
 
 def continuous(quaternion: np.ndarray) -> np.ndarray:
     """Quaternions (k, 4) with a continuous sign, which starts with w >= 0."""
-    flips = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-    first = np.where(quaternion[:1, 0] < 0, -1.0, 1.0)
-    return quaternion * np.cumprod(np.concatenate([first, flips]))[:, None]
+    sign = np.where(quaternion[:1, :1] < 0, -1.0, 1.0)
+    return sign * signal.continuous(quaternion)
 
 
 @dataclass(frozen=True)

@@ -95,8 +95,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     if share is not None and share < 1:
         contained = f"{math.floor(100 * share)} % of the residual ({name})"
         lines.append(f"reference   contains {contained}: with all of it none was found on this path")
-    unknown = {"model": row["model"], "share": None, "note": "flown by an older version"} if row.get("model") else None
-    return lines + outside_line(metadata.get("outside_data", unknown), always=always)
+    return lines + outside_line(metadata.get("outside_data"), always=always)
 
 
 def margin_line(margins: Mapping[str, Any] | None) -> str:

@@ -143,8 +143,9 @@ def low_pass(factor: int) -> np.ndarray:
 def interpolate(
     t: np.ndarray, values: np.ndarray, at: np.ndarray, *, sphere: bool = False, held: bool = False
 ) -> np.ndarray:
-    """values (k, m) given at t, at the times `at`: shape-preserving cubic, slerp (sphere) or the last value (held)."""
-    from scipy.interpolate import CubicHermiteSpline
+    """values (k, m) given at t, at the times `at`: shape-preserving cubic (Fritsch and Butland 1984), slerp (sphere) or
+    the last value (held)."""
+    from scipy.interpolate import PchipInterpolator
     from scipy.spatial.transform import Rotation, Slerp
 
     at = np.clip(at, t[0], t[-1])
@@ -157,19 +158,4 @@ def interpolate(
         t, values = t[whole], values[whole]
         at = np.clip(at, t[0], t[-1])
         return Slerp(t, Rotation.from_quat(values, scalar_first=True))(at).as_quat(scalar_first=True)
-    step = np.diff(t)
-    return CubicHermiteSpline(t, values, np.stack([_slopes(column, step) for column in values.T], axis=-1))(at)
-
-
-def _slopes(x: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Slopes at the samples, (k,), that make no overshoot: weighted harmonic means (Fritsch & Butland 1984)."""
-    secant = np.diff(x) / step
-    slopes = np.empty_like(x)
-    slopes[0], slopes[-1] = secant[0], secant[-1]
-    before, after = secant[:-1], secant[1:]
-    product = before * after
-    rising = product > 0
-    first, second = 2 * step[1:] + step[:-1], step[1:] + 2 * step[:-1]
-    denominator = np.where(rising, first * after + second * before, 1.0)
-    slopes[1:-1] = np.where(rising, (first + second) * product / denominator, 0.0)
-    return slopes
+    return np.stack([PchipInterpolator(t, column)(at) for column in values.T], axis=-1)
