@@ -18,8 +18,10 @@ from quadexp.parts.settings import declared
 
 
 def recorded_words(composer: Composer, record: Mapping[str, Any], chosen: Sequence[str] = ()) -> list[str]:
-    """The overrides that give a recorded configuration again, options first, and then `chosen`, which change it: a group
-    whose option they choose is not taken from the record."""
+    """The overrides that give a recorded configuration again, options first, and then `chosen`, which change it.
+
+    A group whose option they choose is not taken from the record.
+    """
     replaced = {text.partition("=")[0] for text in chosen}
     words: list[str] = []
     for key, value in record.items():
@@ -38,9 +40,10 @@ def _option(composer: Composer, group: str, record: Mapping[str, Any]) -> tuple[
     classes: dict[str, type[Part]] = {}
     for option in composer.options(group):
         part = composer.part(group, option)
-        if part is not None and part.former_kind == record.get("kind", ""):
-            if all(key in record or key in part.added for key in declared(part)):
-                classes[option] = part
+        if part is None or part.former_kind != record.get("kind", ""):
+            continue
+        if all(key in record or key in part.added for key in declared(part)):
+            classes[option] = part
     most = max((len(declared(part)) for part in classes.values()), default=0)
     classes = {option: part for option, part in classes.items() if len(declared(part)) == most}
     name = str(record.get("name"))

@@ -56,7 +56,9 @@ class Checked(NamedTuple):
         return f"{self.looked} of {count(self.flights, 'file')} of flights checked: {what} hold what the table says"
 
 
-def check_flights(root: str | Path, rows: Sequence[Row], table: Sequence[Row] | None = None, most: int = MOST) -> Checked:
+def check_flights(
+    root: str | Path, rows: Sequence[Row], table: Sequence[Row] | None = None, most: int = MOST
+) -> Checked:
     """Compare rows of results with the files of their flights in the folder `root`. table: all rows that the table has,
     where these are some of them."""
     store = CellStore(root)

@@ -3,12 +3,10 @@
 import json
 import shutil
 from functools import partial
-from types import SimpleNamespace
 
 import pytest
 
 from quadexp.experiment import evaluate as flying
-from quadexp.log.store import read_flight
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import Composer, session
 from quadexp.report.style import Figure
@@ -91,8 +89,8 @@ def test_every_experiment_ends_with_its_table_and_its_report(experiment, reduced
     answer = json.loads(out)
     assert answer["rows"] and not answer["not_flown"], err
     assert {row["outcome"] for row in answer["rows"]} <= {"ok", "left_corridor"}
-    for words in ([*words, "--no-figures"], ["report", "r", "--out", "r.html"], ["results", "r"]):
-        code, out, err = run(*words)
+    for looked in ([*words, "--no-figures"], ["report", "r", "--out", "r.html"], ["results", "r"]):
+        code, out, err = run(*looked)
         assert code == 0 and "r" in out, err
 
 

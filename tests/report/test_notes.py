@@ -31,7 +31,9 @@ def test_references_without_all_of_the_residual():
 
 def test_large_heading_errors_of_completed_flights():
     """And not of the tilt, which wind and drag demand: a position error shows one that they do not."""
-    rows = [row("static_feedback", seed=s) | {"heading_rmse": math.radians(a)} for s, a in enumerate((2, 9.9, 11, 51.5))]
+    rows = [
+        row("static_feedback", seed=s) | {"heading_rmse": math.radians(a)} for s, a in enumerate((2, 9.9, 11, 51.5))
+    ]
     rows.append(row("static_feedback", seed=4, outcome="lost") | {"heading_rmse": math.radians(170)})
     rows.append(row("static_feedback", seed=5, attitude_rmse=math.radians(47)) | {"heading_rmse": None})
     assert notes(rows) == [
