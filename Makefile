@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test test-fast test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
+.PHONY: all setup quick test test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
 
 all: quick
 
@@ -37,6 +37,23 @@ test: $(STAMP)
 test-fast: $(STAMP)
 	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests/physics tests/properties \
 		tests/experiment/test_compiled_flight.py tests/models/test_contract.py tests/parts/test_parts.py tests/test_walk.py
+
+# A selection with the lowest versions that pyproject.toml admits, in an environment of its own.
+LOWEST := $(VENV)-lowest
+SMOKE := tests/test_versions.py tests/log/test_store.py tests/parts/test_compose.py tests/models/test_contract.py \
+	tests/physics tests/report/test_animation.py tests/experiment/test_recorded.py tests/sweeps/test_results.py
+test-lowest:
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install -qq --disable-pip-version-check --constraint constraints-lowest.txt \
+		--editable . 'pytest>=8' 'hypothesis>=6.100'
+	$(LOWEST)/bin/python -m pytest -m 'not slow' $(SMOKE)
+
+# The same selection with another Python and the newest packages: make test-python PYTHON=python3.14
+test-python:
+	@command -v $(PYTHON) >/dev/null || { echo "skipped: no $(PYTHON) here"; exit 0; }; \
+	$(PYTHON) -m venv $(VENV)-python && \
+	$(VENV)-python/bin/python -m pip install -qq --disable-pip-version-check --editable . 'pytest>=8' 'hypothesis>=6.100' && \
+	$(VENV)-python/bin/python -m pytest -m 'not slow' $(SMOKE)
 
 # Dynamics, air, control step and worlds as on a machine without a compiler; what compiled code alone shows is skipped.
 test-interpreted: $(STAMP)
@@ -152,4 +169,4 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.all
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-lowest $(VENV)-python build dist *.egg-info

@@ -1,5 +1,15 @@
-"""`python -m quadexp` is the command `quadexp`."""
+"""The command `quadexp`, and `python -m quadexp`."""
 
-from quadexp.cli import main
+from quadexp.cli.early import listen
 
-main()
+
+def main() -> None:
+    """Entry point; the slow imports come after the handlers of signals."""
+    listen()
+    from quadexp.cli.app import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -16,8 +16,9 @@ import typer
 from typer.core import TyperGroup
 
 from quadexp import __version__
-from quadexp.cli import NOTHING, extend, fly, learn, logs, look
+from quadexp.cli import extend, fly, learn, logs, look
 from quadexp.cli.command import Command
+from quadexp.cli.early import NOTHING
 from quadexp.cli.terminal import end, fail, interrupted, is_interrupted, output_failed, prepare
 
 GROUPS: dict[str, tuple[Command, ...]] = {

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from typer import Abort, Exit
 
-from quadexp.cli import leave
+from quadexp.cli.early import leave
 from quadexp.errors import DEVICE, QuadexpError, UsageError
 from quadexp.messages import CleanStream, printable, raw
 from quadexp.progress import Waiting

@@ -18,11 +18,7 @@ SETTINGS = {
     "names": ["controller.name=ours", "plant.name=x", "trajectory.name=q", "wind=constant", "wind.name=breeze"],
     "blank": ["vehicle.name='my quad'", "observer=disturbance", "observer.name='of mine'"],
     "path": ["model='a b/model'", "plant=from_model", "plant.model='c d/it is, mine'"],
-    "schedule": [
-        "vehicle=lei_li",
-        "plant=blade_element",
-        "plant.schedule=[{t: 1, payload: 0.1},{t: 2, lift_scale: 0.9}]",
-    ],
+    "schedule": ["vehicle=lei_li", "plant=blade_element", "plant.schedule=[{t: 1, payload: 0.1},{t: 2}]"],
     "health": ["health=rotor_loss", "seed=7", "sensor=low", "payload=fixed", "payload.name=cup"],
     "inner keys": ["controller=rls_mpc", "vehicle=lei_li", "controller.rls.noise=0.1", "controller.name=theirs"],
     "name of another option": ["controller=pid", "controller.name=nominal_mpc"],

@@ -89,8 +89,8 @@ def test_every_experiment_ends_with_its_table_and_its_report(experiment, reduced
     answer = json.loads(out)
     assert answer["rows"] and not answer["not_flown"], err
     assert {row["outcome"] for row in answer["rows"]} <= {"ok", "left_corridor"}
-    for command in ([*words, "--no-figures"], ["report", "r", "--out", "r.html"], ["results", "r"]):
-        code, out, err = run(*command)
+    for looked in ([*words, "--no-figures"], ["report", "r", "--out", "r.html"], ["results", "r"]):
+        code, out, err = run(*looked)
         assert code == 0 and "r" in out, err
 
 

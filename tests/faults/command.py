@@ -10,7 +10,7 @@ from tests.cli.command import run_main as run
 
 __all__ = ["FLY", "ROOT", "START", "apart", "one_line", "run"]
 ROOT = Path(__file__).resolve().parents[2]
-START = "from quadexp.cli import main; main()"
+START = "from quadexp.__main__ import main; main()"
 FLY = (
     "simulate", "trajectory=hover", "trajectory.duration=0.4", "controller=nominal_mpc", "plant=ideal",
     "controller.backend=interpreted", "plant.backend=interpreted",

@@ -103,10 +103,14 @@ def test_a_command_that_is_asked_to_end_while_it_imports(name, number):
 
 def test_ctrl_c_in_an_evaluated_text_is_no_other_ending():
     """CPython ends by the signal where the last text that was evaluated was interrupted, whatever the exit code is."""
-    code = "from quadexp.cli import terminal\ndef interrupted(): raise KeyboardInterrupt\n"
-    code += "try: eval('interrupted()')\nexcept KeyboardInterrupt: terminal.end(130)"
+    lines = [
+        "from quadexp.cli import terminal",
+        "def interrupt(): raise KeyboardInterrupt",
+        "try: eval('interrupt()')",
+        "except KeyboardInterrupt: terminal.end(130)",
+    ]
     known = {**os.environ, "PYTHONPATH": str(ROOT)}
-    assert subprocess.run([sys.executable, "-c", code], env=known).returncode == 130
+    assert subprocess.run([sys.executable, "-c", "\n".join(lines)], env=known).returncode == 130
 
 
 OUT_OF_USE = {"closed stdout": ">&-", "closed stderr": "2>&-", "closed stdin": "<&-", "all closed": "<&- >&- 2>&-"}

@@ -174,7 +174,8 @@ class TestPruneKeeps:
         wait_for(process, 6)
         kill(process)
         there = CellStore(out).done()
-        assert 6 <= len(there) < 24 and prune(out, remove=True).keys == [] and CellStore(out).done() == there
+        assert 6 <= len(there) < 24 and prune(out, remove=True).keys == []
+        assert there <= CellStore(out).done()  # its processes may have ended a flight meanwhile
 
     def test_two_sweeps_of_which_the_other_ended(self, tmp_path):
         out = tmp_path / "r"
