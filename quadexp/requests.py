@@ -375,14 +375,13 @@ def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
     from quadexp.parts.compose import session
 
     with session(conf) as composer:
-        recorded: list[str] = []
-        if words and ("=" not in words[0] or Path(words[0]).is_file()):
+        of_flight = bool(words) and ("=" not in words[0] or Path(words[0]).is_file())
+        composer.only("show --margins", words[of_flight:])
+        if of_flight:
             from quadexp.log.store import read_metadata
             from quadexp.parts.recorded import recorded_words
 
             record = read_metadata(words[0], "flight").get("config") or {}
-            words = words[1:]
-            recorded = recorded_words(composer, record, words)
-        composer.only("show --margins", words)
-        config = composer.compose([*recorded, *words])
+            words = recorded_words(composer, record, words[1:])
+        config = composer.compose(words)
     return path_margins(config, find_model(config))

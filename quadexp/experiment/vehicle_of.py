@@ -63,7 +63,7 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Fol
             if record["name"] in composer.options("vehicle") or "vehicle" not in config:
                 values.insert(0, f"vehicle={record['name']}")
             else:  # a name of its own
-                values = [*recorded_words(composer, {"vehicle": config["vehicle"]}, values), *values]
+                values = recorded_words(composer, {"vehicle": config["vehicle"]}, values)
         config = composer.compose(values, "validate")
     vehicle = build_vehicle(config.vehicle)
     if named and vehicle.fingerprint != record["fingerprint"]:

@@ -18,9 +18,9 @@ from quadexp.parts.settings import declared
 
 
 def recorded_words(composer: Composer, record: Mapping[str, Any], chosen: Sequence[str] = ()) -> list[str]:
-    """The overrides that give a recorded configuration again, options first.
+    """The overrides that give a recorded configuration again, options first, and then `chosen`, which change it.
 
-    chosen: overrides that follow them; a group whose option they choose is not taken from the record.
+    A group whose option they choose is not taken from the record.
     """
     replaced = {text.partition("=")[0] for text in chosen}
     words: list[str] = []
@@ -32,7 +32,7 @@ def recorded_words(composer: Composer, record: Mapping[str, Any], chosen: Sequen
             words.append(f"{key}={option}")
             value = {name: value[name] for name in declared(part) if name in value and name != "name"}
         words += _texts(value, key)
-    return sorted(words, key=lambda text: "." in text.partition("=")[0])
+    return [*sorted(words, key=lambda text: "." in text.partition("=")[0]), *chosen]
 
 
 def _option(composer: Composer, group: str, record: Mapping[str, Any]) -> tuple[str, type[Part]]:
