@@ -144,7 +144,8 @@ class Composer:
                 raise UsageError(f"{override.text}: holds keys; set one of them, such as {override.key}.{first}=...")
         config = Config(**self._parts(tree, values))
         for override in values:
-            refuse_idle(config, override.key, override.text)
+            if override.value != _stated(tree, override.key):  # as in the settings of a recorded flight
+                refuse_idle(config, override.key, override.text)
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
@@ -268,6 +269,15 @@ def _joined(name: str, layers: Sequence[Layer], files: OptionFiles) -> tuple[Any
     filled = plain(schema)
     merge(filled, content)
     return filled, schema
+
+
+def _stated(tree: Mapping[str, Node], key: str) -> Any:
+    """What the chosen options state for a key; None where they do not."""
+    node, *names = key.split(".")
+    value: Any = tree[node].content if node in tree else None
+    for name in names:
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return value
 
 
 def check_key(content: Any, key: str, files: OptionFiles) -> None:
