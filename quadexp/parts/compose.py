@@ -53,13 +53,13 @@ class Node(NamedTuple):
 class Composer:
     """Composes configurations from conf/ and a user's own folders (extra); use `session`.
 
-    options(group): names of its options. part: see OptionFiles.part_of.
+    options(group): names of its options. option, part: see OptionFiles.
     """
 
     def __init__(self, extra: Folders = None) -> None:
         self._files = OptionFiles(extra)
         self._folders = own_folders()
-        self.options, self.part = self._files.options, self._files.part_of
+        self.options, self.option, self.part = self._files.options, self._files.option, self._files.part_of
         self._overrides = OverrideReader(self._files)
         self._trees: dict[tuple[str, ...], dict[str, Node]] = {}
         self._nodes: dict[tuple[str, ...], Node] = {}
@@ -75,7 +75,10 @@ class Composer:
             if override.key == "experiment" and override.value is not None:
                 option = self._files.option("experiment", override.value)
                 flies_it = "sweep" in option.values and is_read("trajectory", command)
-                keys = ["sweep"] if flies_it else (*option.chosen, *_keys(option.values))
+                stated = [*option.chosen, *_keys(option.values)]
+                if "sweep" in option.values:  # whose contestants are set so
+                    stated = [key for key in stated if not key.startswith("controller.")]
+                keys = ["sweep"] if flies_it else stated
             refuse_unread(command, override.text, keys)
 
     def compose(self, overrides: Sequence[str] = (), command: str | None = None) -> Config:
@@ -144,8 +147,7 @@ class Composer:
                 raise UsageError(f"{override.text}: holds keys; set one of them, such as {override.key}.{first}=...")
         config = Config(**self._parts(tree, values))
         for override in values:
-            if override.value != _stated(tree, override.key):  # as in the settings of a recorded flight
-                refuse_idle(config, override.key, override.text)
+            refuse_idle(config, override.key, override.text)
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
@@ -269,15 +271,6 @@ def _joined(name: str, layers: Sequence[Layer], files: OptionFiles) -> tuple[Any
     filled = plain(schema)
     merge(filled, content)
     return filled, schema
-
-
-def _stated(tree: Mapping[str, Node], key: str) -> Any:
-    """What the chosen options state for a key; None where they do not."""
-    node, *names = key.split(".")
-    value: Any = tree[node].content if node in tree else None
-    for name in names:
-        value = value.get(name) if isinstance(value, Mapping) else None
-    return value
 
 
 def check_key(content: Any, key: str, files: OptionFiles) -> None:

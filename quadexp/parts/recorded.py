@@ -14,7 +14,7 @@ from quadexp.parts.compose import Composer
 from quadexp.parts.override import in_grammar
 from quadexp.parts.part import Part
 from quadexp.parts.schema import PARTS
-from quadexp.parts.settings import declared
+from quadexp.parts.settings import declared, plain
 
 
 def recorded_words(composer: Composer, record: Mapping[str, Any], chosen: Sequence[str] = ()) -> list[str]:
@@ -30,7 +30,12 @@ def recorded_words(composer: Composer, record: Mapping[str, Any], chosen: Sequen
         if key in PARTS:
             option, part = _option(composer, key, value)
             words.append(f"{key}={option}")
-            value = {name: value[name] for name in declared(part) if name in value and name != "name"}
+            stated = {**plain(part), **composer.option(key, option).values}
+            value = {
+                name: value[name]
+                for name in declared(part)
+                if name in value and name != "name" and value[name] != stated.get(name)
+            }
         words += _texts(value, key)
     return [*sorted(words, key=lambda text: "." in text.partition("=")[0]), *chosen]
 
