@@ -55,13 +55,13 @@ def prepare() -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, leave):
             signal.signal(number, _interrupt)
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             with contextlib.suppress(OSError):
-                os.fstat(number)
+                os.fstat(descriptor)
                 continue
             os.open(os.devnull, os.O_RDWR)  # takes the least number that is free
-            setattr(sys, name, os.fdopen(number, "r" if name == "stdin" else "w"))
+            setattr(sys, name, os.fdopen(descriptor, "r" if name == "stdin" else "w"))
     codecs.register_error("quadexp", _plain)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="quadexp")
