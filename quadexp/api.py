@@ -60,9 +60,8 @@ def collect(
     progress: bool = False,
     **keywords: Any,
 ) -> Dataset:
-    """Fly for data, or take recorded flights, and return what the rigid body does not explain, as `quadexp collect`.
+    """Fly for data, or take `flights` (one or several), and return what the rigid body leaves, as `quadexp collect`.
 
-    flights: one, or several.
     A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
     """
     scratch = Scratch()

@@ -52,16 +52,16 @@ def prepare() -> None:
     replaced, control characters (which a file may contain) are written out, and a stream that is closed takes what is
     printed: otherwise the next file that is opened would."""
     _signals.clear()
-    for ending in (signal.SIGTERM, signal.SIGINT):
-        if signal.getsignal(ending) in (signal.SIG_DFL, signal.default_int_handler, leave):
-            signal.signal(ending, _interrupt)
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
+    for number in (signal.SIGTERM, signal.SIGINT):
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, leave):
+            signal.signal(number, _interrupt)
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             with contextlib.suppress(OSError):
-                os.fstat(number)
+                os.fstat(descriptor)
                 continue
             os.open(os.devnull, os.O_RDWR)  # takes the least number that is free
-            setattr(sys, name, os.fdopen(number, "r" if name == "stdin" else "w"))
+            setattr(sys, name, os.fdopen(descriptor, "r" if name == "stdin" else "w"))
     codecs.register_error("quadexp", _plain)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="quadexp")

@@ -183,7 +183,7 @@ class TestInterrupt:
         wait_for(process, 6)
         os.killpg(process.pid, signal.SIGINT) if whole_group else process.send_signal(signal.SIGINT)
         rest = process.communicate(timeout=600)[0]
-        assert process.returncode == 1
+        assert process.returncode == 130
         line = rest.strip().splitlines()[-1]
         done = int(line.split()[1])
         assert line.startswith(f"error: {done} of 40 done; run the same command to continue (what is done is kept in ")
