@@ -192,9 +192,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--draws", type=int, default=500)
-    parser.add_argument(
-        "--wider", action="store_true", help="vehicles, times, delays, rates and paths of wider_draws.py"
-    )
+    parser.add_argument("--wider", action="store_true", help="what wider_draws.py draws")
     parser.add_argument("--out", type=Path, required=True, help="one JSON object a draw")
     arguments = parser.parse_args()
     lines = arguments.out.read_text().splitlines() if arguments.out.exists() else []

@@ -1,4 +1,4 @@
-"""What `benchmarks.draws --wider` draws: vehicles, times, delays, rates, losses and paths beyond those of its own draws.
+"""What `benchmarks.draws --wider` draws: vehicles, times, delays, rates and paths beyond those of its own draws.
 
 vehicle     half as shipped, half of 30 g to 10 kg (lengths grow with the cube root of the mass, inertia with its
             5/3rd power) and a thrust of 1.3 to 8 times the weight; each off by up to 30 %

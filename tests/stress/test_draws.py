@@ -62,7 +62,7 @@ def test_wider_draws_are_the_same_again_can_be_flown_and_reach_further():
     assert min(shares) == 0.0 < max(shares) <= MISSING
     assert LENGTHS[0] <= of("trajectory.duration").min() and LENGTHS[1] >= of("trajectory.duration").max() > 40
     delays = np.concatenate([of("estimator.delay"), of("link.latency")])
-    assert 0 <= delays.min() and 0.04 < delays.max() <= LATEST and of("actuator.time_constant_up").max() <= LARGEST_LAG
+    assert delays.min() >= 0 and 0.04 < delays.max() <= LATEST and of("actuator.time_constant_up").max() <= LARGEST_LAG
     assert of("controller.rate").min() < 50 < 200 < of("controller.rate").max()
     assert of("vehicle.mass").min() < 0.5 and of("vehicle.mass").max() > 3
     assert {"hover", "rectangle", "file"} <= {each["trajectory"] for each in words}
