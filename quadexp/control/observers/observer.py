@@ -2,7 +2,7 @@
 
 The update is a function of the observer's state s and of what is known at a control instant,
 
-    (s, x, reading, read, thrust, mean, theta, settings) -> s_next, belief      belief = [F, tau, w, s_T, s_air], 11 numbers
+    (s, x, reading, read, thrust, mean, theta, settings) -> s_next, belief      belief = [F, tau, w, s_T, s_air], (11,)
 
 with the accelerometer's reading (3,), whether it was read now, the delivered thrusts now and over the last control
 period, (n,) each, and the parameters of the controller's model of the air. Where nothing was read it predicts, and what
