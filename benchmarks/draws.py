@@ -2,6 +2,7 @@
 worse, and how often the 95 % bands of what was believed at the end contain the truth.
 
     python -m benchmarks.draws --seed 7 --draws 100 --out draws.jsonl    # goes on where the file ends
+    python -m benchmarks.draws --wider --seed 7 --out wider.jsonl        # what wider_draws.py draws
 
 First a vehicle is drawn: one of VEHICLES with 70 to 130 % of its mass and of each moment of inertia, which no
 controller is told, its sensors and its world. It flies EACH times; of each flight a data sheet wrong by up to a factor
@@ -72,8 +73,8 @@ def drawn(seed: int, number: int) -> tuple[list[str], list[str], list[str]]:
     if path == "rectangle":
         common += ["trajectory.start=reference", "trajectory.duration=16"]
     believed = compose([*common, "plant=simplified"], EXAMPLES)
-    common += _of_size(believed)
-    while not _flyable([*common, f"trajectory.speed={speed:.2f}", f"truth.mass={mass}"]):
+    common += of_size(believed)
+    while not flyable([*common, f"trajectory.speed={speed:.2f}", f"truth.mass={mass}"]):
         speed *= SLOWER
     common.append(f"trajectory.speed={speed:.2f}")
     untold = [f"controller={controller}", f"truth.mass={mass}", f"truth.inertia={json.dumps(inertia)}"]
@@ -81,7 +82,7 @@ def drawn(seed: int, number: int) -> tuple[list[str], list[str], list[str]]:
     return common, [*untold, "controller.allow_unstable=true"], told
 
 
-def _of_size(config: Config) -> list[str]:
+def of_size(config: Config) -> list[str]:
     """Drag and noise of the plant, for the size of the vehicle."""
     reference, plant = compose([]).vehicle, config.plant
     heavier = config.vehicle.mass / reference.mass
@@ -92,7 +93,7 @@ def _of_size(config: Config) -> list[str]:
     return [f"plant.{name}={json.dumps(value)}" for name, value in of.items()]
 
 
-def _flyable(settings: list[str]) -> bool:
+def flyable(settings: list[str]) -> bool:
     """Whether the path is within the thrust of the vehicle that is believed and of the true one."""
     config = compose(settings, EXAMPLES)
     vehicle = build_vehicle(config.vehicle)
@@ -104,10 +105,19 @@ def _flyable(settings: list[str]) -> bool:
     return True
 
 
-def flown(seed: int, number: int) -> dict[str, Any]:
+def flown(seed: int, number: int, wider: bool = False) -> dict[str, Any]:
     """What came of a draw: errors (m) and outcomes, and what auto believed at the end."""
-    common, untold, told = drawn(seed, number)
-    record: dict[str, Any] = {"seed": seed, "draw": number, "sources": sources(), "settings": [*common, *untold]}
+    from benchmarks.wider_draws import drawn_wider, missing_readings
+
+    common, untold, told, missing = drawn_wider(seed, number) if wider else (*drawn(seed, number), 0.0)
+    with missing_readings(missing):
+        record = _flown(common, untold, told)
+    about = {"seed": seed, "draw": number, "sources": sources(), "settings": [*common, *untold]}
+    return about | ({"missing": missing} if wider else {}) | record
+
+
+def _flown(common: list[str], untold: list[str], told: list[str]) -> dict[str, Any]:
+    record: dict[str, Any] = {}
     flights = {name: _flight([*common, *untold, f"remedies={name}"]) for name in ("none", "auto")}
     auto = flights["auto"]
     if auto.outcome != "ok":
@@ -119,6 +129,7 @@ def flown(seed: int, number: int) -> dict[str, Any]:
     for name, flight in flights.items():
         record[name] = {"outcome": flight.outcome, "cause": flight.metadata.get("cause", "")}
         record[name]["error"] = float(position_error(flight).mean()) if len(flight) else None
+        record[name]["change"] = float(np.sqrt(np.mean(np.square(np.diff(flight.input, axis=0)))))  # N, of a command
     record["beliefs"] = {
         belief.name: [belief.value[-1], BAND * belief.deviation[-1], belief.true[-1], belief.identifiable]
         for belief in beliefs(auto)
@@ -181,6 +192,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--draws", type=int, default=500)
+    parser.add_argument("--wider", action="store_true", help="what wider_draws.py draws")
     parser.add_argument("--out", type=Path, required=True, help="one JSON object a draw")
     arguments = parser.parse_args()
     lines = arguments.out.read_text().splitlines() if arguments.out.exists() else []
@@ -189,7 +201,7 @@ def main() -> None:
     with arguments.out.open("a") as file:
         for number in (number for number in range(arguments.draws) if number not in done):
             try:
-                records.append(flown(arguments.seed, number))
+                records.append(flown(arguments.seed, number, arguments.wider))
             except QuadexpError as error:
                 raise SystemExit(f"draw {number}: {error}") from None
             file.write(json.dumps(records[-1]) + "\n")

@@ -17,6 +17,7 @@ from quadexp.control.compiled_loop import CompiledReference, UserLoop, goes_in_c
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.readings import ReadingGate
+from quadexp.control.wrapped import innermost
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, unshared
 from quadexp.experiment.identity import find_model
@@ -82,7 +83,7 @@ class ControlLoop:
     @property
     def rates(self) -> np.ndarray | None:
         """Body rates (3,) that an MPC predicts for its next node (rad/s), for stacks that take rates; None without."""
-        mpc = getattr(self.controller, "mpc", None)
+        mpc = getattr(innermost(self.controller), "mpc", None)
         return None if mpc is None or self.record is None else mpc.prediction[0][1, RATE]
 
     @property

@@ -18,7 +18,7 @@ class Measurement(NamedTuple):
     """What is known of the vehicle at a control instant, just before the new command.
 
     t: s. state: (13,). specific_force: accelerometer reading (3,), body (m/s^2). rotor_speed: (n,) (rad/s), or None
-    where the vehicle does not measure it. Both are None at the first instant, when nothing has been flown yet.
+    where the vehicle does not measure it. Both are None where nothing was read, as at the first instant.
     """
 
     t: float

@@ -18,13 +18,15 @@ def built(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) 
     Vehicles count by their numbers, residuals and functions by their structure: parameters may be others.
     """
     key = (make, backend, *map(_structure, arguments), *form.items())
-    if key not in _built:
+    functions = _built.get(key)
+    if functions is None:
         functions = make(*arguments, **form)
         together = isinstance(functions, (list, tuple))
-        if len(_built) >= MOST:
-            del _built[next(iter(_built))]
-        _built[key] = (realise_together if together else realise)(functions, resolve(backend))
-    return _built[key]
+        functions = (realise_together if together else realise)(functions, resolve(backend))
+        for oldest in list(_built)[: len(_built) + 1 - MOST]:  # another thread may have gone before
+            _built.pop(oldest, None)
+        _built[key] = functions
+    return functions
 
 
 def _structure(argument: Any) -> Hashable:

@@ -167,9 +167,8 @@ class UserLoop(CompiledLoop):
 
     def hand_over(self, gate: ReadingGate) -> None:
         """Let Python go on from here. gate: is told of the readings that C has admitted last."""
-        told = {"specific_force": self.running.told.force, "rotor_speed": self.running.told.speed}
         for name, t in self._read.items():
-            gate.keep(name, t, told[name])
+            gate.keep(name, t)
         self._read.clear()
 
 

@@ -160,6 +160,7 @@ class SentCommands:
     def __init__(self, rotors: int, period: float, reach: float) -> None:
         self._period = period
         self.values = np.zeros((math.ceil(reach / period - 1e-9) + 1, rotors))
+        self._weigh: dict[int, BufferedFunction] = {}  # by the number of spans; their buffers are this object's alone
         flat = self.values.reshape(-1)
         self._older, self._newer, self._newest = flat[:-rotors], flat[rotors:], flat[-rotors:]
 
@@ -174,7 +175,9 @@ class SentCommands:
     def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:
         """Weights (s, m) on the commands of the mean thrusts over spans (s, 2) (s): beginning and end, 0 is now, before
         the command of now is sent. A span of no length has the thrust at its time."""
-        function = _weights(len(self.values), self._period, len(spans))
+        if len(spans) not in self._weigh:
+            self._weigh[len(spans)] = BufferedFunction(weights_function(len(self.values), self._period, len(spans)))
+        function = self._weigh[len(spans)]
         given, found = function.arguments, function.results["weights"]
         given["spans"][...] = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
         given["delays"][...] = dead_time, lag
@@ -199,9 +202,8 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
 
 
 @lru_cache(maxsize=32)
-def _weights(count: int, period: float, spans: int) -> BufferedFunction:
-    """Of so many spans at once: spans (2, k), delays: dead time and lag -> weights (m, k)."""
+def weights_function(count: int, period: float, spans: int) -> ca.Function:
+    """`command_weights` of so many spans at once: spans (2, k), delays: dead time and lag -> weights (m, k)."""
     span, delays = ca.SX.sym("spans", 2, spans), ca.SX.sym("delays", 2)
     each = [command_weights(count, period, ca.vertsplit(one), delays[0], delays[1]) for one in ca.horzsplit(span)]
-    function = ca.Function("weights", [span, delays], [ca.horzcat(*each)], ["spans", "delays"], ["weights"])
-    return BufferedFunction(function)
+    return ca.Function("weights", [span, delays], [ca.horzcat(*each)], ["spans", "delays"], ["weights"])

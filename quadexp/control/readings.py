@@ -1,8 +1,8 @@
 """One gate for what a controller is told at a control instant: numbers that are not finite reach no controller.
 
     state                               refused, with the name of the value; so is an attitude of no length
-    accelerometer, rotor speeds         the last good reading takes their place, for HELD at most; after that, and where
-                                        there is none yet, refused
+    accelerometer, rotor speeds         missing, as a reading is that did not come, for HELD at most after the last good
+                                        one; after that, and where there is none yet, refused
 
 A number beyond LARGEST is treated alike, since sums of squares of such numbers need not be finite. A controller that is
 not called remembers nothing of what was refused: with the next good reading it goes on as if that instant had not been.
@@ -37,7 +37,7 @@ class ReadingGate:
 
     def begin(self) -> None:
         """Forget the readings of an earlier flight."""
-        self._good: dict[str, tuple[float, np.ndarray]] = {}
+        self._read_at: dict[str, float] = {}  # s, of the last good one
 
     def admit(self, measurement: Measurement) -> Measurement:
         """The measurement to step with. Raises QuadexpError where it is refused, UsageError for a wrong size."""
@@ -48,24 +48,23 @@ class ReadingGate:
             raise self._refusal("state", state, t)
         if not abs(q.dot(q) - 1) < LENGTH_ERROR:
             raise QuadexpError(f"t={t:g} s: the measured attitude has length {math.sqrt(q.dot(q)):.3g}, 1 is needed")
-        return Measurement(t, state, self._held("specific_force", force, t), self._held("rotor_speed", speed, t))
+        return Measurement(t, state, self._good("specific_force", force, t), self._good("rotor_speed", speed, t))
 
-    def _held(self, name: str, reading: Any, t: float) -> np.ndarray | None:
-        """The reading, or the last good one; None where there is no such sensor."""
+    def _good(self, name: str, reading: Any, t: float) -> np.ndarray | None:
+        """The reading; None where there is none, or where it may not be used."""
         if reading is None:
             return None
         values, admitted = self._read(name, reading)
         if admitted:
-            self.keep(name, t, values)
+            self.keep(name, t)
             return values
-        read_at, last = self._good.get(name, (-math.inf, values))
-        if not abs(t - read_at) <= HELD:
+        if not abs(t - self._read_at.get(name, -math.inf)) <= HELD:
             raise self._refusal(name, values, t)
-        return last
+        return None
 
-    def keep(self, name: str, t: float, values: np.ndarray) -> None:
-        """Take a reading for the last good one."""
-        self._good[name] = t, values.copy()
+    def keep(self, name: str, t: float) -> None:
+        """A good reading was taken at that time (s)."""
+        self._read_at[name] = t
 
     def _read(self, name: str, reading: Any) -> tuple[np.ndarray, bool]:
         """A reading as an array, and whether all its numbers may be used."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -47,10 +48,20 @@ def loop_margins(controller: Any, plant: Any) -> dict[str, Any]:
     known = _known.setdefault(controller, WeakKeyDictionary())
     if plant not in known:
         try:
-            known[plant] = margins(hover_loop(controller, plant))
+            with _settled(controller, plant):
+                known[plant] = margins(hover_loop(controller, plant))
         except UnknownLoopError as error:
             known[plant] = {"unknown": str(error)}
     return known[plant]
+
+
+def _settled(controller: Any, plant: Any) -> Any:
+    """Meanwhile a controller that finds out delays in flight has found those of the plant: the loop that it then flies
+    is judged, not that of its first instants, in which nothing is known yet."""
+    if not hasattr(controller, "settled"):
+        return nullcontext()
+    late, lag, age = (float(getattr(plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
+    return controller.settled(age, late - age, lag)
 
 
 def hover_loop(controller: Any, plant: Any) -> LinearLoop:

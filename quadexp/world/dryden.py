@@ -18,11 +18,10 @@ Axes, fixed in the world for a flight: "along" is the horizontal direction of th
 none), "across" is horizontal and 90 degrees to the left of it, "vertical" is up. The air is frozen while the vehicle
 passes at the airspeed V.
 
-The filters are advanced every 5 ms, or more often where the turbulence is finer (up to every 0.5 ms), and their wind
-is held in between, at times that depend on no control period and no integration step; V is that of the beginning of
-the control period. Held values have the asked intensity exactly. What holding changes
-lies near 200 Hz and beyond: with T = 0.3 s (6 m at 20 m/s) the corner of the spectrum is at 0.5 Hz, and a vehicle
-follows the air through its drag, within about a second.
+The filters are advanced every TICK of 0.5 ms, and their wind is held in between, at times that depend on no control
+period and no integration step; V is that of the beginning of the control period. Held values have the asked intensity
+exactly. They are half a TICK late, 0.25 ms, which is what an accelerometer sees of a gust beside all other sensors: a
+wind held for 5 ms would look like readings that are 2.5 ms older than they are.
 
 Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <= 1000 ft and the wind W_20 at 20 ft:
 
@@ -52,10 +51,8 @@ from quadexp.world.streams import NEVER, TICK, Ticking
 
 FOOT = 0.3048  # m
 N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
-N_PARAMETERS = 21
+N_PARAMETERS = 20
 TRANSVERSE = (math.sqrt(1.5), (1 - math.sqrt(3)) / math.sqrt(2))  # of z_1 and z_2
-HELD = 5e-3  # s, for which a wind is held at most
-SHARE, PASSING = 0.1, 20.0  # and at most this share of L / V, at this airspeed (m/s) where V is the vehicle's own
 IN_TIME = 1e-9  # s, by which an integration step may begin before the wind that it takes
 SMALL, TERMS = 0.1, 10  # s up to which moments are summed as series, and terms that reach rounding there
 
@@ -89,16 +86,22 @@ def stationary(noise: np.ndarray) -> np.ndarray:
     return np.array([along, *pairs[0], *pairs[1]])
 
 
+def transition(time_scale: Expression, step: Expression) -> tuple[Expression, Expression]:
+    """F and sqrt(Q) of all filters over a step (s), (5, 5) each; time_scale T = L / V, (3,) (s)."""
+    s = [step / time_scale[i] for i in range(3)]
+    F, roots = [ca.exp(-s[0])], [ca.sqrt(-ca.expm1(-2 * s[0]))]
+    for each in s[1:]:
+        decay = ca.exp(-each)
+        root_11, root_21, root_22 = _root(each)
+        F.append(ca.blockcat([[decay, 0], [decay * each, decay]]))
+        roots.append(ca.blockcat([[root_11, 0], [root_21, root_22]]))
+    return ca.diagcat(*F), ca.diagcat(*roots)
+
+
 def advanced(filters: Expression, noise: Expression, time_scale: Expression, step: Expression) -> Expression:
     """Filter states (5,) after a step (s); noise (5,) standard normal; time_scale T = L / V, (3,) (s)."""
-    s = [step / time_scale[i] for i in range(3)]
-    along = ca.exp(-s[0]) * filters[0] + ca.sqrt(-ca.expm1(-2 * s[0])) * noise[0]
-    rows = [along]
-    for i, first in ((1, 1), (2, 3)):
-        z, n, decay = filters[first : first + 2], noise[first : first + 2], ca.exp(-s[i])
-        root_11, root_21, root_22 = _root(s[i])
-        rows += [decay * z[0] + root_11 * n[0], decay * (s[i] * z[0] + z[1]) + root_21 * n[0] + root_22 * n[1]]
-    return ca.vertcat(*rows)
+    F, root = transition(time_scale, step)
+    return ca.mtimes(F, filters) + ca.mtimes(root, noise)
 
 
 def turbulence(filters: Expression, intensity: Expression) -> Expression:
@@ -115,7 +118,7 @@ class Dryden(MeanWind):
     ticks adds (3, 1 + k), world (m/s), column by column, and when each tick is (k,) (s).
 
     parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m);
-    least and largest airspeed at which the turbulence passes (m/s); how long a wind is held (s).
+    least and largest airspeed at which the turbulence passes (m/s).
     """
 
     intensity: Triple | None = key(
@@ -151,13 +154,8 @@ class Dryden(MeanWind):
     stage = "wind"
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        ticks = Ticking(N_NOISE, self.held(), clock.period)
+        ticks = Ticking(N_NOISE, TICK, clock.period)
         return Sizes(N_FILTER + 3 + 4 * ticks.slots, N_PARAMETERS, (ticks,))
-
-    def held(self) -> float:
-        """How long a wind is held (s)."""
-        finest = min(self._lengths()) / (PASSING if self.airspeed is None else self.airspeed)
-        return max(TICK, min(HELD, SHARE * finest))
 
     def _lengths(self) -> np.ndarray:
         return scale_lengths(self.altitude) if self.length is None else np.array(self.length)
@@ -168,24 +166,25 @@ class Dryden(MeanWind):
         at_6m = math.hypot(*self.velocity[:2]) if self.wind_at_6m is None else self.wind_at_6m
         intensity = intensities(self.altitude, at_6m) if self.intensity is None else self.intensity
         speeds = (self.airspeed_min, math.inf) if self.airspeed is None else (self.airspeed, self.airspeed)
-        held = self.held()
-        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, [held]])
+        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds])
         filters = stationary(rng.standard_normal(N_NOISE))
         first = _blown()(filters, parameters).full().ravel()
-        slots = Ticking(N_NOISE, held, start.clock.period).slots
+        slots = Ticking(N_NOISE, TICK, start.clock.period).slots
         return np.concatenate([filters, first, np.zeros(4 * slots)]), parameters
 
     def begin(self, at: Moment) -> Expression:
         """The winds of the period."""
         mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
         airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0]), limits[1])
+        F, root = transition(length / airspeed, TICK)
         filters = at.inner[:N_FILTER]
-        winds, times = [_velocity(filters, at.parameters)], []
-        for time, noise in (ca.vertsplit(slot, [0, 1, 1 + N_NOISE]) for slot in ca.vertsplit(at.draws, 1 + N_NOISE)):
-            after = advanced(filters, noise, length / airspeed, at.parameters[20])
-            filters = ca.if_else(time < NEVER, after, filters)
+        before, winds, times = filters, [_velocity(filters, at.parameters)], []
+        for slot in ca.vertsplit(at.draws, 1 + N_NOISE):
+            time, noise = ca.vertsplit(slot, [0, 1, 1 + N_NOISE])
+            before, filters = filters, ca.mtimes(F, filters) + ca.mtimes(root, noise)
             winds.append(_velocity(filters, at.parameters))
             times.append(time)
+        filters = ca.if_else(times[-1] < NEVER, filters, before)  # a period may have one tick less than there are slots
         return ca.vertcat(filters, winds[0], *(after - before for before, after in pairwise(winds)), *times)
 
     def wind(self, at: Moment) -> Expression:

@@ -374,6 +374,12 @@ class TestLoop:
             state, _ = loop.plant.advance(state, u, loop.period, np.random.default_rng(0))
         assert np.linalg.norm(state[:3] - goal[:3]) < 2e-3 and loop.rates.shape == (3,)
 
+    def test_rates_are_those_of_the_mpc_inside_its_remedies(self):
+        """Of an MPC with anything around it they were None."""
+        loop = qx.controller("controller=nominal_mpc", "delay=auto", "plant=ideal", "trajectory=hover", *INTERPRETED)
+        loop.step(loop.start, 0.0)
+        assert loop.rates.shape == (3,) and np.isfinite(loop.rates).all()
+
     def test_what_is_wrong_is_said(self):
         loop = qx.controller("controller=nominal_mpc", "trajectory=hover", *INTERPRETED)
         for call, message in (

@@ -1,12 +1,14 @@
 """Delivered thrusts: against a lag integrated over a late step-wise command, and from rotor speeds."""
 
+import sys
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import quadexp as qx
-from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.delivered import DeliveredThrust, SentCommands
 from quadexp.control.instant import Told, run
 
 PERIOD = 0.02
@@ -73,3 +75,25 @@ def test_speeds_that_say_nothing_change_no_flight(settings):
             state, reading = loop.plant.advance(state, thrusts[-1], loop.period, np.random.default_rng(0))
         flights.append(thrusts)
     np.testing.assert_array_equal(*flights)
+
+
+def test_controllers_of_one_size_share_no_buffers():
+    """Two threads asked one function for the weights of theirs, and each got those of the other's delays."""
+    spans, delays = np.array([[-PERIOD, 0.0]]), (0.0, 0.047)
+    alone = [SentCommands(4, PERIOD, 0.3).weights(spans, delay, 0.02) for delay in delays]
+    off, former = [], sys.getswitchinterval()
+
+    def ask(i: int) -> None:
+        sent = SentCommands(4, PERIOD, 0.3)
+        off.append(max(np.abs(sent.weights(spans, delays[i], 0.02) - alone[i]).max() for _ in range(2000)))
+
+    sys.setswitchinterval(1e-6)
+    try:
+        threads = [threading.Thread(target=ask, args=(i % 2,)) for i in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(former)
+    assert off == [0.0] * 4

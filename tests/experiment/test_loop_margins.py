@@ -110,3 +110,14 @@ def test_a_world_that_lags_more_than_the_loop_tolerates_is_noted(lag, grid, stab
 def test_a_lag_that_the_controller_knows_is_no_surprise():
     world = ["vehicle=lei_li", "plant=blade_element", "plant.motor_lag=0.2", "horizon=precise"]
     assert not world_note(flown(*world, "controller=nominal_mpc", "controller.motor_lag=0.2")["margins"])
+
+
+def test_a_loop_that_finds_delays_in_flight_is_judged_as_it_flies_then():
+    """A state 50 ms late, which is found within a second, was refused as not stable at hover; and the margin that was
+    said was that of the softest grid, 40 ms, where the stiffest flies."""
+    late = ["controller=perfect_mpc", *HOVER, "remedies=auto", "estimator=late"]
+    assert 0.005 < build_loop(compose([*late, "estimator.delay=0.05"]), None).margins["delay"] < 0.02
+    with pytest.raises(InfeasibleError, match="not stable at hover"):  # later than what is looked for
+        build_loop(compose([*late, "estimator.delay=0.2"]), None)
+    loop = build_loop(compose(["controller=perfect_mpc", *HOVER, "remedies=auto"]), None)
+    assert 0.008 < loop.margins["delay"] < 0.02 and loop.controller.log()["auto_grid"] == 0

@@ -171,12 +171,14 @@ def test_turbulence_passes_at_the_airspeed():
     assert np.abs(changes(8.0, 20.0) - changes(4.0, 20.0)).max() > 1e-3
 
 
-@pytest.mark.parametrize(("length", "winds"), [(8.0, 4), (0.2, 8)])
-def test_a_wind_is_held_for_5_ms_or_a_tenth_of_its_time_scale(length, winds):
-    """A control period of several winds is as many shorter ones: the same flight."""
+@pytest.mark.parametrize("length", [8.0, 0.2])
+def test_a_wind_is_held_for_half_a_millisecond(length):
+    """A control period of several winds is as many shorter ones: the same flight. A wind that is held for longer makes
+    a gust late beside the accelerometer, which reads it at once."""
+    winds = 40
     keys = {"intensity": (1.0, 2.0, 0.5), "length": (2 * length, length, 3 * length), "airspeed": 8.0}
     x, u, flown = np.r_[REST[:7], [3.0, -2.0, 1.0], np.zeros(3)], np.full(4, 2.4525), []
-    for parts in (1, winds):
+    for parts in (1, winds):  # of 20 ms
         effects = replace(PlantEffects.none(), linear_drag=(0.5, 0.4, 0.3))
         plant = World(SimplifiedPlant(VEHICLE, effects, step=5e-4, backend="interpreted"), [Dryden(**keys)])
         noise, now, states = plant.begin(x, 0.02 / parts, 1.0, np.random.default_rng(7)), x, []

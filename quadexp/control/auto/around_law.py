@@ -39,10 +39,11 @@ from quadexp.physics.vehicle import Vehicle
 
 SPACING = 2  # samples of the reference in a control period
 DERIVATIVES = 5  # of the path: position .. snap
-HELD, FREED = 0.05, 0.5  # s
+TURNING = 0.9  # of all rotors' thrust, for a force and what the path takes; the rest turns the vehicle
 SHARE, STEEPEST, BRAKES = 0.9, 2.6, 0.8  # of what the vehicle has, tangent of a tilt, share of a that brakes
 BACK, TURNS = 5.0, 20.0  # 1/s, of an offset from a path that jumped, and of its acceleration
 LOOKS, EARLY = 0.4, 1.0  # s, how far ahead a jump is seen; of |jump| / a, how long before it e begins
+SMALL = 1e-12  # N^2, of a force that is none
 ENDED = 1e-6  # s; m, m/s, m/s^2: an offset that has died out
 
 
@@ -95,12 +96,11 @@ class Sooner(WrappedController):
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, longest)
         self._rows = np.zeros(3)  # of the reference
         self._later = BufferedFunction(built(core.backend, later, core.vehicle, core.control_period))
-        self._world = BufferedFunction(built(core.backend, world_of, core.vehicle, core.control_period), into=world)
+        self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
-        self._world.arguments["share"][0] = 1.0
         for name in ("offset", "coming", "goes_on"):
             self._later.arguments[name][...] = 0.0
 
@@ -134,16 +134,11 @@ class Sooner(WrappedController):
         inside = copying.copy(told)
         inside.path, inside.yaw = left["path_then"], left["yaw_then"]
         inner = instant_of(self.inner, inside, then)
-        believing = []
-        if inner.held is not None and hasattr(self.inner, "believed_numbers"):
+        if hasattr(self.inner, "believed_numbers"):
             world, found = self._world.arguments, self._world.results
-            believing = [
-                copy(world["belief"], self.believed_numbers),
-                copy(world["held"], inner.held),
-                call(self._world),
-            ]
-            believing += [move(world["share"], found["share_next"]), copy(self.believed_numbers[:3], found["force"])]
-        return inner._replace(operations=[*believing, *predicted, *operations, *inner.operations])
+            believed = [copy(world["belief"], self.believed_numbers), copy(world["path"], left["path_then"])]
+            operations = [*operations, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
+        return inner._replace(operations=[*predicted, *operations, *inner.operations])
 
 
 def later(vehicle: Vehicle, period: float) -> ca.Function:
@@ -202,19 +197,24 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     return ca.Function("later", inputs, ca.cse([*results.values()]), names, [*results])
 
 
-def world_of(vehicle: Vehicle, period: float) -> ca.Function:
+def world_of(vehicle: Vehicle) -> ca.Function:
     """What a law is told of a force, and the prediction of the world: push (6,), acceleration, world, and angular
     acceleration, body; wind (3,); scale of the thrust.
 
-    belief: (11,). held: rotors at a limit in the last step. share: of the force that is told, (1,).
-    Where rotors are at their limits a force cannot be answered, and a law that tries turns the vehicle away: the share
-    falls in HELD, and comes back in FREED.
+    belief: (11,). path (3, 5): position .. snap, that the law is told. A force F is told as far as there is thrust left
+    beside what the path takes, with b = m (a + g e_z) the largest share s of it, up to 1, for which
+
+        |b - s F| <= TURNING n T_max
+
+    and where the path alone takes more, the share that brings the thrust nearest to that.
     """
-    belief, held, share = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("held"), ca.SX.sym("share")
-    share_next = ca.if_else(held > 0, share * math.exp(-period / HELD), share + (1 - share) * period / FREED)
-    force, spin = share_next * belief[:3], ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), belief[3:6])
-    push = ca.vertcat(belief[:3] / vehicle.mass, spin)
-    results = {"push": push, "wind": belief[6:9], "scale": belief[9], "force": force, "share_next": share_next}
-    return ca.Function(
-        "believed_push", [belief, held, share], [*results.values()], ["belief", "held", "share"], [*results]
-    )
+    belief, path = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("path", 3, DERIVATIVES)
+    force, spin = belief[:3], ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), belief[3:6])
+    taken = vehicle.mass * (path[:, 2] + ca.vertcat(0, 0, vehicle.gravity))
+    most = TURNING * vehicle.n_rotors * vehicle.thrust_max * belief[9]
+    along, square = ca.dot(taken, force), ca.fmax(ca.sumsqr(force), SMALL)
+    share = (along + ca.sqrt(ca.fmax(along**2 + square * (most**2 - ca.sumsqr(taken)), 0))) / square
+    told = ca.fmin(ca.fmax(share, 0), 1) * force
+    push = ca.vertcat(force / vehicle.mass, spin)
+    results = {"push": push, "wind": belief[6:9], "scale": belief[9], "force": told}
+    return ca.Function("believed_push", [belief, path], [*results.values()], ["belief", "path"], [*results])

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import copy as copying
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +21,7 @@ import numpy as np
 
 from quadexp.control.auto.ahead import LARGEST, Ahead
 from quadexp.control.auto.bank import SHEET, SPINS, Bank
-from quadexp.control.auto.decide import GATE, Acting, Decision, Senses
+from quadexp.control.auto.decide import GATE, Acting, Decision, Senses, found_at
 from quadexp.control.auto.following import (
     DEVIATIONS,
     LEAST_NOISE,
@@ -41,8 +43,9 @@ from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE, VELOCITY
 
 LAST, AT_LIMIT = 0.3, 0.999  # s, of commands that may be at their limits, and from where on they are
-# s: the beginning of a flight, between looks before there is a decision, and between decisions in it and after it
-BEGINS, LOOKS, SOON, DECIDES = 1.0, 0.02, 0.1, 0.2
+# s: the beginning of a flight, between looks before there is a decision, and between looks at what pushes, in the
+# beginning and for the rest of the flight
+BEGINS, LOOKS, SOON, DECIDES = 1.0, 0.02, 0.1, 0.1
 # s of readings that are few: no decision yet, and a push has to stand out against a noise as far off as a sheet may be
 FEW = 0.2
 GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
@@ -51,7 +54,7 @@ INEXACT = 0.03  # of a delay: messages take unlike times
 # thrusts change, within a fifth of that. Where thrusts stand in a period is off as much, and so an age.
 UNLIKE = 0.07
 BAND = 1.96  # deviations of half a 95 % band
-LATER = 1.04  # how much longer a flight has to be until the evidence is looked at again
+LATER, LATEST = 1.04, 1.0  # how much longer a flight has to be until delays are looked at again, and at most (s)
 KNOWN = (
     "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
     "grid", "acts_lateral", "acts_vertical", "acts_torque", *DEVIATIONS,
@@ -105,6 +108,7 @@ class Auto(WrappedController):
         self._posterior, self._decision = Posterior(self._bank), Decision(0.0 if self._waits else BEGINS)
         self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
         self._beliefs = NOTHING_KNOWN.copy()
+        self._begin, self._judged = Acting(), False  # with what a flight begins, and whether it stays at that
         self._rows = np.zeros(len(core.node_times))
 
     def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
@@ -113,12 +117,12 @@ class Auto(WrappedController):
 
     def forget(self) -> None:
         """See Controller.forget: nothing is known."""
-        self._use(Acting())
+        self._use(self._begin)
         self.inner.forget()
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is known."""
-        self._use(Acting())
+        self._use(self._begin)
         rows = self._rows.astype(int)
         inside = window._replace(state=window.state[rows], input=window.input[rows[:-1]])
         super().reset(x, inside)
@@ -134,6 +138,17 @@ class Auto(WrappedController):
         self._soon[0], self._seldom[0] = self._waits, not self._waits
         self._observe(Acting(), Acting(), Senses())
 
+    @contextmanager
+    def settled(self, age: float, dead_time: float, lag: float) -> Iterator[None]:
+        """Meanwhile it flies as it does once these delays (s) have been found, with the stiffest grid that it then may
+        choose: what margins are taken of."""
+        self._begin, self._judged = found_at(age, dead_time, lag), True
+        try:
+            yield
+        finally:
+            self._begin, self._judged = Acting(), False
+            self.forget()
+
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], Told, np.ndarray]:
         """What stands before the controller: decisions, and what it is told, its state in an array of its own."""
         inside = copying.copy(told)
@@ -141,7 +156,7 @@ class Auto(WrappedController):
         inside.turning = told.turning if self._turns else np.zeros(1)
         look = python(self._look, self._begins)._replace(every=max(2, round(LOOKS / self.control_period)))
         decide = [
-            python(lambda: self._decide(told), when)._replace(every=round(each / self.control_period))
+            python(lambda: self._decide(told), when)._replace(every=max(1, round(each / self.control_period)))
             for each, when in ((DECIDES, self._seldom), (SOON, self._soon))
         ]
         predicted, by_model = self._to_now.before(state)
@@ -180,7 +195,7 @@ class Auto(WrappedController):
     def _decide(self, told: Told) -> None:
         """Look at the evidence so far, and act on it from this instant on."""
         bank = self._bank
-        if not told.read[0]:
+        if self._judged:
             return
         self._time = float(bank.part("count")[0]) * bank.period
         self._soon[0] = self._waits and self._time < BEGINS
@@ -189,11 +204,11 @@ class Auto(WrappedController):
         softer = self._decision.soften(senses)
         if softer != before:
             self._use(softer)
-            before = softer
+        before, acting = softer, self._decision.shown(senses)
         if bank.count < self._few or self._time < self._again:
-            self._observe(before, before, senses)
+            self._observe(acting, before, senses)
             return
-        self._again, self._begins[0] = self._time * LATER, 0.0
+        self._again, self._begins[0] = min(self._time * LATER, self._time + LATEST), 0.0
         evidence = self._posterior.evidence()
         acting = self._decision.take(evidence, senses, self._time)
         late = 0.0 if evidence.fresh else evidence.mean[0]
@@ -214,6 +229,8 @@ class Auto(WrappedController):
     def _look(self) -> None:
         """Act on a push, and on an age that attitude and rates show, before there is other evidence."""
         acting = before = self._decision.acting
+        if self._judged:
+            return
         senses, few = self._senses(), self._bank.part("count")[0] < self._few
         if self._waits:
             acting = self._decision.begin(senses, SHEET if few else 1.0)

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from quadexp.control.auto.bank import AGE, DEAD_TIME, LAG
 from quadexp.control.auto.posterior import Evidence
 from quadexp.control.mpc.settings import MPCSettings
 
@@ -37,7 +38,7 @@ LARGE_NOISE = 0.002  # m, of the told position: then at most the second stiffest
 # nominal MPC at 50 Hz in hover are 67, 40, 35, 29, 13 ms; of controller=sun_mpc at 100 Hz 51, 50, 46, 41, 28 ms.
 GRIDS = (
     (0.0, 1.0, 10.0, np.inf), (0.06, 0.8, 40.0, np.inf), (0.06, 0.8, 100.0, 0.008), (0.04, 0.8, 50.0, 0.005),
-    (0.02, 0.6, 200.0, 0.0025),
+    (0.02, 0.8, 200.0, 0.0025),
 )  # fmt: skip
 HEAVIEST = 1e3  # of what a position weight is raised by
 PUSHED = 1  # least grid once there is a push or such an age: the softest one would let their error stand for a second
@@ -104,6 +105,13 @@ class Acting:
         return self.dead_time + self.lag
 
 
+def found_at(age: float, dead_time: float, lag: float) -> Acting:
+    """What is acted on once these delays (s) are known, as far as they are looked for, in the stiffest grid for them."""
+    age, dead_time, lag = min(age, AGE), min(dead_time, DEAD_TIME), min(lag, LAG)
+    stiffest = len(GRIDS) - 1 if dead_time + lag < STIFF_TOTAL else len(GRIDS) - 2
+    return Acting(age, dead_time, lag, grid=stiffest, timed=True)
+
+
 class Decision:
     """What is acted on now, and why it may change; `reset` begins a flight. softly: at most grid 1 until then (s)."""
 
@@ -136,6 +144,14 @@ class Decision:
             self.acting = replace(self.acting, push=(True, False, False), grid=PUSHED)
         return self.acting
 
+    def shown(self, senses: Senses) -> Acting:
+        """What to act on with what pushes, without further evidence of delays: at any time of a flight."""
+        before, (lateral, vertical, torque) = self.acting, (away > GATE for away in senses.away)
+        timed, shown = before.timed, before.push
+        push = lateral or shown[0], (timed and vertical) or shown[1], (timed and torque) or shown[2]
+        self.acting = replace(before, push=push)
+        return self.acting
+
     def take(self, evidence: Evidence, senses: Senses, time: float) -> Acting:
         """What to act on with this evidence. time: of the flight (s)."""
         before = self.acting
@@ -156,7 +172,5 @@ class Decision:
         grid = min(grid, 3 if dead_time + lag >= STIFF_TOTAL or senses.position > LARGE_NOISE else 4)
         grid = grid if grid > 1 and time >= self._softly else int(not far)
         grid = min(grid, before.grid + (not self._limited))
-        (lateral, vertical, torque), shown = (away > GATE for away in senses.away), before.push
-        push = lateral or shown[0], (timed and vertical) or shown[1], (timed and torque) or shown[2]
-        self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, push)
-        return self.acting
+        self.acting = Acting(age, dead_time, lag, evidence.fresh, grid, timed, before.push)
+        return self.shown(senses)

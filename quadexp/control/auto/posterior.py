@@ -248,7 +248,7 @@ class Posterior:
         since = bank.spans[1] / 2  # a rate of so long ago
         W = mean_weights(ages - since, bank.period, bank.layout.readings)
         a = np.concatenate([np.ones((len(ages), 1)), -W], axis=1)
-        n, G, (reading, told) = 3 * bank.turns, bank.turn_sums, bank.turned_by
+        n, G, (reading, told) = max(3 * bank.turns, 1), bank.turn_sums, bank.turned_by
         gain = stationary_scalar(told, reading)
         squares, even, bias, _ = _of_ages(G, a, W, n, reading, told, gain, TURN_BIAS)
         k = int((squares / even).argmin())

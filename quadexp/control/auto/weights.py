@@ -30,6 +30,7 @@ def command_weights(period: float, count: int, totals: bytes, lags: bytes, span:
     passed = _passed(period * np.arange(1, count + 1) - wait[..., None], lag[:, None], span)
     passed[..., -1] = 1.0
     passed[..., 1:] -= passed[..., :-1].copy()
+    passed.flags.writeable = False  # it is shared
     return passed
 
 
@@ -67,6 +68,7 @@ def reading_weights(
     weights = np.ones((len(age), len(t), 1 + 3 * count))
     weights[..., 1 : 1 + 2 * count] = -likely.reshape(len(t), len(age), -1).swapaxes(0, 1)
     weights[..., 1 + 2 * count :] = -mean_weights(age - span / 2, period, count)[:, None]
+    weights.flags.writeable = False  # it is shared
     return weights
 
 

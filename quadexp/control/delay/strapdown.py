@@ -26,7 +26,7 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
-from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, move, python
+from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move, python
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
 from quadexp.parts.settings import key
@@ -50,7 +50,7 @@ class Strapdown(WrappedController):
         super().__init__(inner)
         self.delay, self._tuned = delay, largest is not None
         self._periods = math.ceil((largest or delay) / self.control_period - 1e-9)
-        self._since, self._young = 0, np.ones(1)
+        self._since, self._young, self._flown, self._force_read = 0, np.ones(1), np.zeros(1), False
         if self._periods:
             given = self._periods, self.vehicle.gravity, self.control_period
             self._propagate = BufferedFunction(built(inner.backend, propagation, *given))
@@ -64,7 +64,7 @@ class Strapdown(WrappedController):
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
-        self._since, self._young[0] = 0, 1.0
+        self._since, self._young[0], self._flown[0], self._force_read = 0, 1.0, 0.0, False
         if self._tuned:
             self._rates[...], self._forces[...] = x[RATE], (0.0, 0.0, self.vehicle.gravity)
         super().reset(x, window)
@@ -87,24 +87,28 @@ class Strapdown(WrappedController):
 
         def begin() -> None:
             """Until `delay` has passed since the start, the measured state is that of the start."""
-            if not told.read[0]:  # nothing has been flown yet
-                self._rates[...] = state[RATE]
+            if not self._flown[0]:
+                self._rates[...], self._forces[...] = state[RATE], (0.0, 0.0, self.vehicle.gravity)
                 return
-            if not self._since:
-                self._forces[...] = told.force
+            if told.read[0] and not self._force_read:
+                self._forces[...], self._force_read = told.force, True
             self._since += 1
             self._late[0] = min(self.delay, self._since * self.control_period)
             self._young[0] = self._late[0] < self.delay
 
-        read, (older_rates, older_forces), (newer_rates, newer_forces) = told.read, self._older, self._newer
-        operations = [] if self._tuned else [python(begin, self._young)]
+        flown, (older_rates, older_forces), (newer_rates, newer_forces) = self._flown, self._older, self._newer
+        operations = [move(flown, YES, told.read)]
+        operations += [] if self._tuned else [python(begin, self._young)]
         operations += [
-            move(older_rates, newer_rates, read),
-            move(older_forces, newer_forces, read),
-            move(self._rate, state[RATE], read),
+            move(older_rates, newer_rates, flown),
+            move(older_forces, newer_forces, flown),  # where nothing is read, the last force goes on
+            move(self._rate, state[RATE], flown),
+            move(self._force, told.force, told.read),
+            copy(self._state, state),
+            copy(self._now, state),
+            call(self._propagate, flown),
         ]
-        operations += [move(self._force, told.force, read), copy(self._state, state), copy(self._now, state)]
-        return [*operations, call(self._propagate, read)], self._now
+        return [*operations, move(flown, YES)], self._now
 
 
 def propagation(periods: int, gravity: float, period: float) -> ca.Function:

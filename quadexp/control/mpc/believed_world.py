@@ -181,7 +181,13 @@ class Layout:
         n = vehicle.n_rotors
         sizes = {"origin": 3, "wind": 3, "air": 6 * (nodes + 1)}
         if update is not None and pending is not None:
-            sizes |= {"commands": n * pending, "thrust": n, "before": n + 1, "estimate": update.size1_in("s")}
+            sizes |= {
+                "commands": n * pending,
+                "thrust": n,
+                "before": n + 1,
+                "flown": 1,
+                "estimate": update.size1_in("s"),
+            }
         ends = [*accumulate(sizes.values())]
         self.size = ends[-1]
         self.slices = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
@@ -275,9 +281,9 @@ def _estimated(
     now = turning * a["measured"] + (1 - turning) * thrust
     share = turning * had * lags / 2  # of the thrusts a period ago
     mean = turning * (share * before + (1 - share) * a["measured"]) + (1 - turning) * mean
-    given = [kept["estimate"], a["seen"], a["reading"], now, mean, a["theta"], a["settings"]]
+    given = [kept["estimate"], a["seen"], a["reading"], read, now, mean, a["theta"], a["settings"]]
     estimate, belief = update(*given)
-    nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
+    nothing, flown = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0]), ca.fmax(kept["flown"], read)
     left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}
-    left |= {"estimate": ca.if_else(read, estimate, kept["estimate"])}  # without a reading, `reading` is an old one
-    return ca.if_else(read, belief, nothing), left
+    left |= {"estimate": ca.if_else(flown, estimate, kept["estimate"]), "flown": ca.DM.ones(1)}
+    return ca.if_else(flown, belief, nothing), left

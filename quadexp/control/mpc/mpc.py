@@ -117,6 +117,8 @@ class ModelPredictiveController:
             held = np.clip(np.searchsorted(before, now[:-1] + 1e-9) - 1, 0, settings.nodes - 1)
             self._U[...] = self._U[held]
             self._weigh(settings)
+            if not self._cold:
+                self._step.arguments["shift"][...] = self._shift
         self._X[:, ATTITUDE] /= np.maximum(np.linalg.norm(self._X[:, ATTITUDE], axis=1), 1e-12)[:, None]
 
     @property

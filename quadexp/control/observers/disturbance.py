@@ -83,7 +83,9 @@ def disturbance_function(
         by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
         unexplained, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
         drag, walks = ca.mtimes(R, y[:3]), ca.vertcat(q, scale_walk, air_walk)
-        scaled_state, P, rest = scaled_force_update(s[:first], unexplained, turned, drag, walks, r, for_rest, doubt)
+        scaled_state, P, rest = scaled_force_update(
+            s[:first], unexplained, turned, drag, walks, r, for_rest, doubt, a["read"]
+        )
         force, scale, air = scaled_state[:3] + rest, 1 + scaled_state[3], 1 + scaled_state[4]
     elif velocity:
         mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
@@ -92,7 +94,7 @@ def disturbance_function(
         force, estimate = force + for_a * error, predicted + for_v * error
     else:
         P = P + q
-        gain = P / (P + r)
+        gain = a["read"] * P / (P + r)
         force, P = force + gain * (ca.mtimes(R, a["reading"] - known) - force), (1 - gain) * P
     size = ca.sqrt(ca.sumsqr(force) + 1e-30)
     force = force * ca.fmin(1, limit / size)

@@ -89,11 +89,13 @@ def scaled_force_update(
     noise: Expression,
     gain: Expression,
     doubt: Expression,
+    read: Expression = 1,
 ) -> tuple[Expression, Expression, Expression]:
     """[a (m/s^2), k, c], (5,), P, (25,), and e^, (3,).
 
     s: the three of the last step. y, h, g: (3,), world (m/s^2). walks: variances that a, k and c gain in a step, (3,).
     noise: variance r of a reading. gain: of the low pass. doubt: n, relative variance of the thrust.
+    read: whether there is a reading; 0: a prediction alone.
     """
     estimate, P, fast = ca.vertsplit(s, [0, N_SCALED, N_SCALED + N_SCALED**2, N_SCALED_STATE])
     P = ca.reshape(P, N_SCALED, N_SCALED)
@@ -103,14 +105,14 @@ def scaled_force_update(
     inverted, error = inverse(S), y - ca.mtimes(H, estimate)
     surprise = ca.mtimes([error.T, inverted, error])
     trust = ca.fmin(1, SURPRISE / ca.sqrt(surprise + 1e-12))
-    K = ca.mtimes([ca.diag(ca.vertcat(1, 1, 1, trust, trust)), P, H.T, inverted])
+    K = read * ca.mtimes([ca.diag(ca.vertcat(1, 1, 1, trust, trust)), P, H.T, inverted])
     sure = ca.fmin(1, ca.fmax(0, 1 - estimate[3] / STATED))
-    mended = sure * doubt * (1 + estimate[3]) * ca.mtimes([h.T, inverted, h]) * P[:, 3]
+    mended = read * sure * doubt * (1 + estimate[3]) * ca.mtimes([h.T, inverted, h]) * P[:, 3]
     estimate = estimate + ca.mtimes(K, error) + ca.vertcat(1, 1, 1, trust, trust) * mended
     reduction = ca.DM.eye(N_SCALED) - ca.mtimes(K, H)
     P = ca.mtimes([reduction, P, reduction.T]) + noise * ca.mtimes(K, K.T)  # Joseph's form
     scales = [ca.fmin(ca.fmax(estimate[3 + i], low), high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
-    fast = fast + gain * (y - ca.mtimes(H, estimate) - fast)
+    fast = fast + read * gain * (y - ca.mtimes(H, estimate) - fast)
     return ca.vertcat(estimate[:3], *scales), ca.vec(P), fast
 
 

@@ -2,10 +2,11 @@
 
 The update is a function of the observer's state s and of what is known at a control instant,
 
-    (s, x, reading, thrust, mean, theta, settings) -> s_next, belief        belief = [F, tau, w, s_T, s_air], 11 numbers
+    (s, x, reading, read, thrust, mean, theta, settings) -> s_next, belief      belief = [F, tau, w, s_T, s_air], (11,)
 
-with the accelerometer's reading (3,), the delivered thrusts now and over the last control period, (n,) each, and the
-parameters of the controller's model of the air. It runs from the second instant on: before the first nothing was flown.
+with the accelerometer's reading (3,), whether it was read now, the delivered thrusts now and over the last control
+period, (n,) each, and the parameters of the controller's model of the air. Where nothing was read it predicts, and what
+it finds by other sensors goes on. It runs from the second instant on: before the first nothing was flown.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Belief, Controller, Window, belief_of, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
-from quadexp.control.instant import Instant, Told, believing, call, copy, instant_of, move
+from quadexp.control.instant import YES, Instant, Told, believing, call, copy, instant_of, move
 from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.online_mpc import AdaptingController, IdentifyingController
@@ -100,7 +101,7 @@ class Observer(WrappedController):
         self._update = BufferedFunction(realise(update.function, inner.backend), shared)
         self._given, self._result = self._update.arguments, self._update.results
         self._given["settings"].ravel()[:] = update.settings
-        self._belief = np.hstack([*no_belief()])
+        self._belief, self._flown = np.hstack([*no_belief()]), np.zeros(1)
 
     @property
     def estimate(self) -> np.ndarray:
@@ -132,7 +133,7 @@ class Observer(WrappedController):
             return
         self.delivered.reset(thrust_at_start(window, self.vehicle))
         self._given["s"].ravel()[:] = self._begin(x)
-        self._belief[...] = np.hstack([*no_belief()])
+        self._belief[...], self._flown[0] = np.hstack([*no_belief()]), 0.0
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
@@ -140,11 +141,16 @@ class Observer(WrappedController):
         inner = instant_of(self.inner, told, state)
         operations, logged = inner.operations, (*inner.logged, self._belief)
         if self._world is None:
-            given, result, delivered, read = self._given, self._result, self.delivered, told.read
-            places = {"x": state, "reading": told.force, "thrust": delivered.thrust, "mean": delivered.mean}
+            given, result, delivered, flown = self._given, self._result, self.delivered, self._flown
+            places = {"x": state, "reading": told.force, "read": told.read}
+            places |= {"thrust": delivered.thrust, "mean": delivered.mean}
             observing = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
-            observing += [call(self._update, read), move(given["s"], result["s_next"], read)]
-            observing.append(move(self._belief, result["belief"], read))
+            observing += [
+                move(flown, YES, told.read),
+                call(self._update, flown),
+                move(given["s"], result["s_next"], flown),
+            ]
+            observing += [move(self._belief, result["belief"], flown), move(flown, YES)]
             operations = [*observing, *believe, *operations, *delivered.after(inner.command)]
         return inner._replace(operations=operations, logged=logged)
 
@@ -196,5 +202,6 @@ def callable_air(residual: Residual, backend: str) -> ca.Function:
 def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:
     """Symbols of an update's arguments, in their order."""
     n = vehicle.n_rotors
-    sizes = {"s": states, "x": 13, "reading": 3, "thrust": n, "mean": n, "theta": parameters, "settings": settings}
+    sizes = {"s": states, "x": 13, "reading": 3, "read": 1, "thrust": n, "mean": n}
+    sizes |= {"theta": parameters, "settings": settings}
     return {name: ca.MX.sym(name, size) for name, size in sizes.items()}

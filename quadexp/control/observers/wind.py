@@ -94,10 +94,10 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
     error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
     S = ca.mtimes([H, P, H.T]) + ca.diag(ca.vertcat(*noise))
-    K = ca.mtimes([P, H.T, inverse(S)])
+    K = a["read"] * ca.mtimes([P, H.T, inverse(S)])
     change = ca.mtimes(K, error)
     air = air + change
-    force = force + gain * (ca.mtimes(R, error - ca.mtimes(H, change)) - force)
+    force = force + a["read"] * gain * (ca.mtimes(R, error - ca.mtimes(H, change)) - force)
     reduction = ca.DM.eye(N_AIR) - ca.mtimes(K, H)
     P = ca.mtimes([reduction, P, reduction.T]) + ca.mtimes([K, ca.diag(ca.vertcat(*noise)), K.T])  # Joseph's form
     shrink = ca.fmin(1, ca.sqrt(3 * largest / ca.trace(P[:3, :3])))

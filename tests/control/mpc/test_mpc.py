@@ -167,6 +167,25 @@ def test_settings_that_change_in_flight_keep_the_plan(vehicle):
     assert mpc.settings.dead_time == 0 and (mpc._step.arguments["Q"][0, :3] != Q[0, :3]).all()
 
 
+def test_settings_that_change_in_flight_shift_the_plan_by_their_own_nodes(vehicle):
+    """As one that was made with them: the shift between two steps was that of the nodes before."""
+    wanted = MPCSettings(nodes=5, horizon=0.75)
+    made, changed = (
+        ModelPredictiveController(vehicle, make_residual("none", vehicle), settings, backend="interpreted")
+        for settings in (wanted, MPCSettings(nodes=5, horizon=0.5))
+    )
+    state, thrust = hover_reference(made, vehicle)
+    x = HOVER.copy()
+    x[0] = 0.5
+    for mpc in (made, changed):
+        mpc.reset(x, state, thrust)
+        mpc.command(x, state, thrust)
+    changed.use(wanted)
+    changed._X[...], changed._U[...] = made._X, made._U
+    x[7] = 0.2
+    np.testing.assert_allclose(*(mpc.command(x, state, thrust)[0] for mpc in (made, changed)), rtol=1e-9)
+
+
 def test_parameters_change_in_flight_without_rebuilding(vehicle):
     controller = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
     fresh = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
