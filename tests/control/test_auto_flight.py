@@ -1,4 +1,4 @@
-"""Flights with remedies=auto: better than none on the paths, worlds and vehicles that are named here, and the same again."""
+"""Flights with remedies=auto: better than none on the paths, worlds and vehicles named here, and the same again."""
 
 from __future__ import annotations
 
@@ -358,7 +358,9 @@ def test_what_it_cannot_stand_around_is_refused(given, said):
         fly_one(compose(["trajectory=hover", "delay=auto", *given]))
 
 
-GUST = ("wind=gust", "wind.velocity=[0,0,0]", "wind.amplitude=[8,0,0]", "wind.duration=3", "trajectory=hover", "seed=17")
+GUST = (
+    "wind=gust", "wind.velocity=[0,0,0]", "wind.amplitude=[8,0,0]", "wind.duration=3", "trajectory=hover", "seed=17",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(("controller", "most"), [("geometric", 0.08), ("nominal_mpc", 0.03)])
@@ -382,7 +384,7 @@ def test_a_gust_is_answered_at_any_time_of_a_flight(controller, most):
     ],
 )
 def test_a_law_is_told_of_a_force_as_far_as_there_is_thrust_left(controller, words, most):
-    """A force that faded where rotors were at their limits left 0.25, 0.19 and 0.15 m; one without bound 0.4 in wind."""
+    """A force that faded where rotors were at their limits left 0.25, 0.19, 0.15 m; one without bound 0.4 in wind."""
     path = ["trajectory.start=reference", "trajectory.duration=16"] if "trajectory=rectangle" in words else []
     settings = [f"controller={controller}", *words, *path, "controller.allow_unstable=true", "seed=61"]
     flight = fly_one(compose([*settings, "remedies=auto"]))

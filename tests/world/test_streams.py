@@ -104,7 +104,7 @@ def flown(vehicle, effects, observe, rate, step, seconds=3.0):
 
 PARTS = {
     "plant": ([ROUGH], lambda world, x: x[[*range(*VELOCITY.indices(13)), *range(*RATE.indices(13))]]),
-    # its filters: the wind of the last step is that of the step's beginning, which is another tick where steps are longer
+    # its filters: the wind of the last step is that of its beginning, which is another tick where steps are longer
     "wind": ([ROUGH, Dryden(velocity=(4.0, 0.0, 0.0), airspeed=8.0)], lambda world, x: world.inner[:N_FILTER]),
     "estimate": (
         [ROUGH, StatedEstimate(position_noise=0.1, velocity_noise=0.2, rate_noise=0.3)],

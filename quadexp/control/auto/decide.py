@@ -106,7 +106,7 @@ class Acting:
 
 
 def found_at(age: float, dead_time: float, lag: float) -> Acting:
-    """What is acted on once these delays (s) are known, as far as they are looked for, in the stiffest grid for them."""
+    """What is acted on once these delays (s) are known, as far as they are looked for, in the stiffest grid."""
     age, dead_time, lag = min(age, AGE), min(dead_time, DEAD_TIME), min(lag, LAG)
     stiffest = len(GRIDS) - 1 if dead_time + lag < STIFF_TOTAL else len(GRIDS) - 2
     return Acting(age, dead_time, lag, grid=stiffest, timed=True)

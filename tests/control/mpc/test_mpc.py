@@ -177,13 +177,13 @@ def test_settings_that_change_in_flight_shift_the_plan_by_their_own_nodes(vehicl
     state, thrust = hover_reference(made, vehicle)
     x = HOVER.copy()
     x[0] = 0.5
-    for mpc in (made, changed):
-        mpc.reset(x, state, thrust)
-        mpc.command(x, state, thrust)
+    for controller in (made, changed):
+        controller.reset(x, state, thrust)
+        controller.command(x, state, thrust)
     changed.use(wanted)
     changed._X[...], changed._U[...] = made._X, made._U
     x[7] = 0.2
-    np.testing.assert_allclose(*(mpc.command(x, state, thrust)[0] for mpc in (made, changed)), rtol=1e-9)
+    np.testing.assert_allclose(*(each.command(x, state, thrust)[0] for each in (made, changed)), rtol=1e-9)
 
 
 def test_parameters_change_in_flight_without_rebuilding(vehicle):
