@@ -1,6 +1,7 @@
 """`quadexp tune` as a user meets it."""
 
 import json
+from pathlib import Path
 
 from tests.cli.command import run
 from tests.tune.parts import open_loop
@@ -20,7 +21,8 @@ def test_it_tunes_in_worker_processes_says_what_was_found_and_goes_on(here):
     assert code == 0, err
     assert out.splitlines()[0] == "open_loop: 3 trials of 1 flights, 3 in all"
     assert "nothing better was found" in out and "t/controller/open_loop_tuned.yaml" in out
-    assert out.splitlines()[-1] == "fly it: quadexp simulate --conf t --conf mine controller=open_loop_tuned"
+    folders = f"--conf {Path('t').absolute()} --conf {Path('mine').absolute()}"
+    assert out.splitlines()[-1] == f"fly it: quadexp simulate {folders} controller=open_loop_tuned"
     code, out, _ = tune("--flights", "5", "--json")
     found = json.loads(out)
     assert code == 0 and found["flights"] == 5 and found["choice"] == "controller=open_loop_tuned"

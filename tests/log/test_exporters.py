@@ -90,7 +90,10 @@ def test_a_missing_extra_is_one_clear_line(path, tmp_path, monkeypatch):
 
 
 def test_refusals(path, tmp_path):
-    for form, said in (("bag", "no such format; there are csv, tum"), ("mcap", "went: --to rerun")):
+    for form, said in (
+        ("bag", "no such format; there are csv, tum"),
+        ("mcap", "no such format; there are csv, tum, rerun"),
+    ):
         with pytest.raises(UsageError, match=f"--to {form}: {said}"):
             export_flight(path, form)
     (tmp_path / "a.csv").write_text("precious")

@@ -78,15 +78,15 @@ class TestNumbers:
             assert record["high"] == pytest.approx(own.mean() + half, rel=1e-12)
             assert (record["flights"], record["seeds"], record["interval"]) == (3, 3, "t")
 
-    def test_keys_that_are_not_shown_are_averaged_seed_by_seed(self, nodes):
+    def test_settings_of_a_contestant_are_not_averaged(self, nodes):
         made = view(SweepFrame.read(nodes), x="controller.nodes")
-        assert made.others == ("controller.horizon",) and made.by == ("controller",)
-        assert "mean over controller.horizon: 0.5, 1, 2" in made.notes
+        assert made.others == () and made.by == ("controller", "controller.horizon")
         table = flights(nodes)
-        for (name, count), point in made.places.items():
+        for (name, horizon, count), point in made.places.items():
             own = table[(table["controller"] == name) & (table["c_controller.nodes"] == count)]
+            own = own[own["c_controller.horizon"] == horizon]
             by_seed = own.groupby("seed")["mean_error"].mean()
-            assert point.mean == pytest.approx(by_seed.mean(), rel=1e-12) and point.flights == 9
+            assert point.mean == pytest.approx(by_seed.mean(), rel=1e-12) and point.flights == 3
             half = stats.t.ppf(0.975, 2) * by_seed.std(ddof=1) / np.sqrt(3)
             assert point.high == pytest.approx(by_seed.mean() + half, rel=1e-12)
 

@@ -22,6 +22,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_record
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.parts.override import in_grammar
+from quadexp.parts.reads import is_read
 from quadexp.parts.settings import flat, read_value
 from quadexp.report.checked import Checked, check_flights
 from quadexp.report.frame import RESULTS, read_results
@@ -239,7 +240,8 @@ class Comparison:
 
     def command(self, row: Mapping[str, Any]) -> str:
         """What flies a row again in any folder; "" where the record of the results does not say."""
-        words = {text.partition("=")[0]: self.anywhere(text) for text in self.asked(row)}
+        asked = {text.partition("=")[0]: self.anywhere(text) for text in self.asked(row)}
+        words = {key: text for key, text in asked.items() if is_read(key, "simulate")}
         config = flat((self.flight_record(row) or {}).get("config", {}))
         for key in (*PATHS, "controller.models"):
             if words and config.get(key):
