@@ -35,10 +35,10 @@ def read_as_it_stands(words: list[str]) -> None:
     assert command is not None, words
     context = command.make_context(words[0], list(words[1:]))
     overrides = [text for text in context.params.get("overrides") or [] if OVERRIDE.fullmatch(text)]
-    conf = context.params.get("conf")
-    if conf and not (ROOT / conf).is_dir():
+    folders = [ROOT / folder for folder in context.params.get("conf") or ()]
+    if not all(map(Path.is_dir, folders)):
         return  # a folder that an earlier command of the page makes
-    with session(ROOT / conf if conf else None) as composer:
+    with session(folders) as composer:
         sweeps = context.params.get("sweep") or words[0] == "tune"  # whose trials are sweeps
         if sweeps and any("," in text or "range(" in text for text in overrides):
             assert len(composer.expand(overrides)) >= 1

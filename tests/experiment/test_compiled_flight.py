@@ -368,7 +368,8 @@ def test_any_controller_with_what_is_around_it(monkeypatch, flown):
     loop = build_loop(compose([*given, *["controller.allow_unstable=true"] * ("mpc" in flown)]), None)
     path = build_trajectory(compose(world).trajectory, loop.vehicle)
     made = both(monkeypatch, loop.plant, loop.controller, path)
-    least = 0.8 if "auto" in flown else 0.9  # its decisions, and its looks as it begins, are Python's
+    # A decision of auto, every 0.1 s and so in one period of five, is Python's, and so are its looks as it begins.
+    least = 0.7 if "auto" in flown else 0.9
     assert made.periods_in_c > least * len(made.flight)
 
 

@@ -110,11 +110,6 @@ def test_what_covers_nothing_and_extends_itself_is_refused(options, message, fol
         compose(["controller=a"], mine)
 
 
-def test_a_former_option_that_covers_its_own_class_does_not_recurse(folder):
-    mine = folder("wind/gust", "defaults: [/schema/wind/gust@_here_, _self_]\nonset: 5.0\n")
-    assert compose(["wind=gust"], mine).wind.onset == 5.0
-
-
 def test_the_first_folder_comes_first_and_extends_the_next(folder):
     first = folder("controller/pid", "defaults: [pid, _self_]\ntilt_limit: 0.9\n", "first")
     second = folder("controller/pid", "defaults: [pid, _self_]\ntilt_limit: 1.1\nthrust_least: 0.3\n", "second")
