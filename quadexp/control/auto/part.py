@@ -44,7 +44,7 @@ class AutoPart(Remedy):
             return AutoMPC(controller, given.sheet)
         if isinstance(controller, ExplicitController):
             return AutoLaw(controller, given.sheet, sent_commands(controller.vehicle, controller.control_period))
-        others = [remedy.prefix.rstrip(".") for remedy in given.remedies if remedy is not self]
+        others = [remedy.prefix.rstrip(".") for remedy in given.remedies if remedy.prefix != self.prefix]
         here = f"; set {' and '.join(f'{group}=none' for group in others)}" if others else ", which this one is not"
         raise UsageError(
             f"delay={self.name}: stands alone around an MPC whose model does not adapt, or a law in closed form{here}"
