@@ -11,7 +11,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args, get_origin
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
@@ -118,7 +118,7 @@ class OverrideReader:
         group, _, name = key.partition(".")
         parts = self._files.parts(group).values() if group in PARTS else [Config]
         keys = [about for part in parts if (about := find(part, name if group in PARTS else key))]
-        return bool(keys) and all(about.type is str or get_args(about.type)[:1] == (str,) for about in keys)
+        return bool(keys) and all(about.type is str or _holds_texts(about.type) for about in keys)
 
     def get_group_options(self, group_name: str, *_: Any, **__: Any) -> list[str]:
         """What Hydra's parser asks of a loader of configurations, for glob(...)."""
@@ -134,6 +134,11 @@ class OverrideReader:
             return OverridesParser.create(config_loader=loader).parse_overrides([text])[0]
         except (HydraException, ValueError):
             return None
+
+
+def _holds_texts(kind: Any) -> bool:
+    """Whether a type is a list or tuple of texts, or a text or None."""
+    return get_origin(kind) is not dict and get_args(kind)[:1] == (str,)
 
 
 def refuse_range(text: str, start: float, stop: float, step: float) -> None:

@@ -110,7 +110,10 @@ def test_hover_takes_the_scaled_command(vehicle, kind):
     tilted, held = fly(world, x, [hover] * 20)[0], fly(world, x, settled)[0]
     assert np.abs(tilted[-1, 10:]).max() > 0.1  # the uncorrected command turns it over
     speeds = np.diff(held[-20:, 10 : 12 if kind == "blade_element" else 13], axis=0)
-    assert np.abs(speeds).max() < 1e-3 + 2 * np.abs(np.diff(expected[:, 10:], axis=0)).max()
+    most = (
+        1.1e-3 if kind == "blade_element" else 1e-3
+    )  # rad/s a period; its yaw, which turns on, couples into the others
+    assert np.abs(speeds).max() < most + 2 * np.abs(np.diff(expected[:, 10:], axis=0)).max()
 
 
 def test_rotor_speeds_are_columns_where_they_are_known(vehicle, lei_li):
