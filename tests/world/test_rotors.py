@@ -110,9 +110,9 @@ def test_hover_takes_the_scaled_command(vehicle, kind):
     tilted, held = fly(world, x, [hover] * 20)[0], fly(world, x, settled)[0]
     assert np.abs(tilted[-1, 10:]).max() > 0.1  # the uncorrected command turns it over
     speeds = np.diff(held[-20:, 10 : 12 if kind == "blade_element" else 13], axis=0)
-    most = (
-        1.1e-3 if kind == "blade_element" else 1e-3
-    )  # rad/s a period; its yaw, which turns on, couples into the others
+    # rad/s a period. What is left is of the beginning: 0.0283 at most there and 0.00102 here, where an excess of thrust
+    # without the rotor's lag had 0.0259 and 0.00091. Not derived: 1e-3 was asked of both.
+    most = 1.1e-3 if kind == "blade_element" else 1e-3
     assert np.abs(speeds).max() < most + 2 * np.abs(np.diff(expected[:, 10:], axis=0)).max()
 
 
