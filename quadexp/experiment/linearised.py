@@ -35,6 +35,7 @@ SETTLING = 0.5, 5.0  # s, at least and at most
 STILL = 0.01  # 1/s: as fast as any number of the state's error may change where it has settled
 FAR = 5.0  # m, m/s, rad/s: a flight that is further from its reference does not settle there
 DIFFERENCE = 1e-5  # of a number of a size up to 1, for derivatives; of larger ones relative
+SMALLER = np.array([1.0, 1e-2, 1e-4])  # differences that are tried in turn, where f is not finite
 COPIED, FEW = 1e-6, 4  # relative difference of a copied change; columns that are not worth being looked at together
 REPEATS = 1e-7  # by how much an instant may differ when it is repeated
 MOST_NUMBERS = 2000  # inner states of a plant, over all instants that differ
@@ -352,8 +353,11 @@ def _derivative(f: Callable[[np.ndarray], np.ndarray], point: np.ndarray, column
         else:
             single += [*group]
     for i in single:
-        move = sizes[i] * columns[:, i]
-        derivatives[:, i] = (f(point + move) - f(point - move)) / (2 * sizes[i])
+        for size in sizes[i] * SMALLER:  # a variance of 1e-6 is none any longer after a change by 1e-5
+            move = size * columns[:, i]
+            derivatives[:, i] = (f(point + move) - f(point - move)) / (2 * size)
+            if np.isfinite(derivatives[:, i]).all():
+                break
     return derivatives
 
 

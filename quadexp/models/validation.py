@@ -59,7 +59,7 @@ NOMINAL = "nominal"
 _KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
 LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
 TURNING = ("held", "full")
-FAR = 10.0  # medians of the distances of errors from their median
+FAR, STEP = 10.0, 5.0  # medians of the distances of errors from their median; m/s^2
 STARTS = 120  # per flight at most, spread evenly
 POINT, WORLD_VELOCITY = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z")
 Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -255,7 +255,7 @@ def accelerometer_bias(
             errors.append(force[rows] - np.einsum("kji,kj->ki", matrix[rows], world))
     error = np.concatenate(errors)
     distance = np.linalg.norm(error - np.median(error, axis=0), axis=1)
-    return np.mean(error[distance <= FAR * np.median(distance)], axis=0)
+    return np.mean(error[distance <= max(FAR * np.median(distance), STEP)], axis=0)
 
 
 def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -89,10 +89,15 @@ class Part(Settings):
 
 
 def _restored(packed: bytes, folders: tuple[str, ...]) -> Any:
-    """The part, of the class as it is where this is called. folders: that its modules may lie in."""
+    """The part, of the class as it is where this is called. folders: that its modules may lie in.
+
+    Raises ModuleError where its module is none of these, which is not imported then."""
     if folders:
         import_from(*folders)
-        load(pickle.loads(packed)[0])
+        module = pickle.loads(packed)[0]
+        if module != "__main__" and (outside := lies_outside(module)):
+            raise ModuleError(outside)
+        load(module)
     return _part_of(packed, generation())
 
 

@@ -96,12 +96,16 @@ def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     conf, elsewhere, mark = foreign
     monkeypatch.setenv("PYTHONPATH", f"{elsewhere}:{ROOT}")
-    (conf / "own_tool.py").write_text((elsewhere / "tool.py").read_text())
+    for name in ("own_tool", "tool"):
+        (conf / f"{name}.py").write_text((elsewhere / "tool.py").read_text())
+    own = TRAJECTORY.format(target="own_tool.Short", keys="duration: 0.4")
+    (conf / "trajectory" / "own.yaml").write_text(own)
     interpreted = ["controller.backend=interpreted", "plant.backend=interpreted"]
-    good = compose(["trajectory=mine", "trajectory._target_=own_tool.make", *interpreted], conf)
+    good = compose(["trajectory=own", *interpreted], conf)
     bad = compose(["trajectory=mine", *interpreted], conf)
     tasks = [Task(f"{i:020d}", config, None, str(tmp_path / f"{i}.parquet")) for i, config in enumerate((bad, good))]
-    mark.unlink(missing_ok=True)
+    (conf / "tool.py").unlink()
+    mark.unlink()
     engine = build_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
     results = dict(engine.fly(evaluate_cell, iter(tasks[:1])))
     assert "there is no module tool in the --conf folder" in results["0" * 20].cause
