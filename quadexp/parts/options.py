@@ -30,6 +30,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
+import math
 import os
 import re
 import stat
@@ -146,9 +147,9 @@ class OptionFiles:
 
     def named(self, group: str, option: Any) -> str | None:
         """The option of this name; None where there is none. `none` is the one that does nothing."""
-        options = self.options(group)
+        options, option = self.options(group), str(option)
         if option in options or option != "none":
-            return str(option) if option in options else None
+            return option if option in options else None
         stated = ((name, each.path) for name in options for each in self.definitions[f"{group}/{name}"])
         return next((name for name, path in stated if path.match(f"{SHEETS}/{NOTHING}.yaml")), None)
 
@@ -209,7 +210,7 @@ class OptionFiles:
                 merge(values, stated)
             elif isinstance(entry, Mapping) and group in GLOBAL:
                 chosen |= self._choices(path, entry)
-            elif not isinstance(entry, str):
+            elif not isinstance(entry, (str, _Spelled)):
                 raise UsageError(f"{path}: defaults: {text}: an option extends others of its group, by their names")
             else:
                 extended = self._read_option(group, text.removesuffix(".yaml"), (*extending, definition))
@@ -360,7 +361,7 @@ def read_data(path: Path) -> Any:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     refusal = UsageError(f"{path}: more than {MOST_VALUES} values with their aliases, or {DEEPEST} levels")
     if not path.is_relative_to(conf_folder()):  # whose own files are what they are
-        level = 0
+        loader, level = _spelling(loader), 0
         for event in yaml.parse(text, Loader=loader):  # the loader itself would end in a crash
             level += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if level > DEEPEST:
@@ -369,6 +370,48 @@ def read_data(path: Path) -> Any:
     if any(count > MOST_VALUES or level > DEEPEST for count, level in enumerate(_levels(data))):
         raise refusal
     return data
+
+
+class _Spelled:
+    """A number of a file, which as a text is what was written: 2024_01 or 1.10 may be meant as a name."""
+
+    spelling = ""
+
+    def __repr__(self) -> str:
+        return self.spelling
+
+
+class _Whole(_Spelled, int):
+    pass
+
+
+class _Real(_Spelled, float):
+    pass
+
+
+@functools.cache
+def _spelling(plain: Any) -> Any:
+    """A loader of YAML whose numbers keep their spelling; 12:30, `no` and dates are texts, as in YAML 1.2."""
+
+    class Loader(plain):  # type: ignore[misc]
+        pass
+
+    def number(loader: Any, node: Any) -> Any:
+        if ":" in node.value:
+            return node.value
+        value = getattr(loader, f"construct_yaml_{node.tag.rpartition(':')[2]}")(node)
+        if str(value) == node.value or not math.isfinite(value):
+            return value
+        made = (_Whole if isinstance(value, int) else _Real)(value)
+        made.spelling = node.value
+        return made
+
+    def word(loader: Any, node: Any) -> Any:
+        return {"true": True, "false": False}.get(node.value.lower(), node.value)
+
+    for tag, made in (("int", number), ("float", number), ("bool", word), ("timestamp", word)):
+        Loader.add_constructor(f"tag:yaml.org,2002:{tag}", made)
+    return Loader
 
 
 def _levels(value: Any, level: int = 0) -> Iterator[int]:

@@ -114,7 +114,9 @@ class OverrideReader:
         return Override(name, None, text, tuple(parsed.sweep_string_iterator()))
 
     def _is_text(self, key: str) -> bool:
-        """Whether a key holds a text, or texts, in every part that has it."""
+        """Whether a key holds a text, or texts, in every part that has it, or the name of an option."""
+        if key in GROUPS:
+            return True
         group, _, name = key.partition(".")
         parts = self._files.parts(group).values() if group in PARTS else [Config]
         keys = [about for part in parts if (about := find(part, name if group in PARTS else key))]

@@ -9,7 +9,7 @@ from quadexp import messages
 from quadexp.cli.fly import _controllers
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
-from quadexp.parts.compose import compose, session
+from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.listing import candidates, listed
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import CHOSEN, PARTS, PRESETS
@@ -203,3 +203,20 @@ def test_the_same_folder_twice_covers_nothing(folder):
     ]
     with session([mine, mine]) as composer:
         assert composer.compose(["controller=mine"]).controller.name == "mine"
+
+
+@pytest.mark.parametrize("name", ["2024_01", "1.10", "010", "no", "12:30", "2024-01-05", "1e3"])
+def test_a_name_is_what_the_file_says(tmp_path, name):
+    """YAML 1.1 reads 202401, 1.1, 8, False, 750, a date; and an option may have such a name."""
+    (tmp_path / "controller").mkdir()
+    (tmp_path / "experiment").mkdir()
+    own = f"defaults: [geometric, _self_]\nname: {name}\nallow_unstable: yes\nrate: 50.0\n"
+    (tmp_path / "controller" / f"{name}.yaml").write_text(own)
+    (tmp_path / "controller" / "own.yaml").write_text(f"defaults: [{name}, _self_]\n")
+    (tmp_path / "experiment" / "both.yaml").write_text(f"sweep: {{controller: [{name}, geometric]}}\n")
+    for option in ("own", *([name] if ":" not in name else [])):
+        controller = compose([f"controller={option}"], tmp_path).controller
+        assert (controller.name, controller.allow_unstable, controller.rate) == (name, True, 50.0)
+    if ":" not in name:
+        (first, second) = expand(["experiment=both"], tmp_path)
+        assert (first.config.controller.name, second.config.controller.name) == (name, "geometric")
