@@ -393,7 +393,7 @@ class _Real(_Spelled, float):
 def _spelling(plain: Any) -> Any:
     """A loader of YAML whose numbers keep their spelling; 12:30, `no` and dates are texts, as in YAML 1.2."""
 
-    class Loader(plain):  # type: ignore[misc]
+    class Loader(plain):
         pass
 
     def number(loader: Any, node: Any) -> Any:
