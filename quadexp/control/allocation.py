@@ -30,7 +30,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.vehicle import Vehicle
 
 MOST_ROTORS = 6  # 729 faces
@@ -82,7 +82,7 @@ def exact_allocation(vehicle: Vehicle, weight: tuple[float, ...]) -> ca.Function
     cost = ca.if_else(beyond > TOLERANCE * (high - low), NEVER, cost)
     chosen = cost <= ca.mmin(cost)
     u = ca.mtimes(U, chosen.T) / ca.sum2(chosen)  # faces of equal cost meet in one point
-    return ca.Function("allocation", [y], [ca.fmin(ca.fmax(u, low), high)], ["wrench"], ["thrust"])
+    return ca.Function("allocation", [y], [limited(u, low, high)], ["wrench"], ["thrust"])
 
 
 def allocation(vehicle: Vehicle, kind: str, weight: tuple[float, ...]) -> ca.Function:
@@ -126,13 +126,13 @@ def prioritised(vehicle: Vehicle, wrench: Expression, *, airmode: bool = True, y
         share = ca.fmin(share, ca.fmin(_share(yaw[i], allowed - u[i]), _share(-yaw[i], u[i] - low)))
     u = u + ca.fmax(share, 0) * yaw
     u = u + _within(0, (low - u) / lift, (high - u) / lift) * lift if yaw_margin else u
-    return ca.fmin(ca.fmax(u, low), high)
+    return limited(u, low, high)
 
 
 def clipped(vehicle: Vehicle, wrench: Expression) -> Expression:
     """Rotor thrusts G^+ (T, tau), (n,) (N), each clipped to its limits."""
     u = ca.mtimes(ca.DM(np.linalg.pinv(vehicle.allocation)), wrench)
-    return ca.fmin(ca.fmax(u, vehicle.thrust_min), vehicle.thrust_max)
+    return limited(u, vehicle.thrust_min, vehicle.thrust_max)
 
 
 def held(vehicle: Vehicle, u: Expression) -> Expression:
@@ -147,4 +147,4 @@ def _share(step: Expression, room: Expression) -> Expression:
 
 def _within(value: Expression, low: Expression, high: Expression) -> Expression:
     """`value` within the largest of `low` and the smallest of `high`."""
-    return ca.fmin(ca.fmax(value, ca.mmax(low)), ca.mmin(high))
+    return limited(value, ca.mmax(low), ca.mmin(high))

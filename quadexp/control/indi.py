@@ -26,6 +26,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
@@ -82,8 +83,9 @@ def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
     if not keys.cutoff < keys.rate / 2:
         raise UsageError(f"inner.cutoff={keys.cutoff:g}: must be below half of inner.rate={keys.rate:g} Hz")
     b, a = _low_pass(keys)
-    wanted, rate, delivered = ca.MX.sym("wanted", n), ca.MX.sym("rate", 3), ca.MX.sym("delivered", n)
-    memory, before = ca.MX.sym("memory", 3 + n, 2), ca.MX.sym("before", 3 + n)
+    wanted, rate, delivered, memory, before = symbols(
+        ca.MX, wanted=n, rate=3, delivered=n, memory=(3 + n, 2), before=3 + n
+    )
 
     root = ca.sqrt(ca.fmax(delivered, 0))  # sqrt(c_t) W
     now = ca.vertcat(rate, root)

@@ -28,6 +28,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_symbols, symbols
 from quadexp.control.allocation import prioritised
 from quadexp.control.base import Controller, Window, no_belief
 from quadexp.control.instant import YES, Instant, Operation, Told, believing, call, copy, instant_of, move
@@ -38,7 +39,7 @@ from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Settings, key, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
@@ -142,7 +143,7 @@ def l1_functions(
     """
     n = vehicle.n_rotors
     sizes = {"x": N_STATE, "x_last": N_STATE, "acting": n, "rotors": n, "memory": 18}
-    inputs = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    inputs = named_symbols(ca.MX, sizes)
     decay = math.exp(-period / lag) if lag else 0.0
     rotors_next = inputs["acting"] + decay * (inputs["rotors"] - inputs["acting"])
     mean = inputs["acting"] + lag / period * (1 - decay) * (inputs["rotors"] - inputs["acting"])
@@ -150,14 +151,14 @@ def l1_functions(
     if residual is not None:
         model = (residual.to_compile if compiled else None) or residual.function
         inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
-        x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n)
+        x, u = symbols(ca.SX, x=N_STATE, u=n)
         features = ca.Function("features", [x, u], [body_features(x, u)])
         air = [model(features(inputs[name], mean), inputs["theta"])[0] for name in ("x", "x_last")]
     predictor = _predictor(vehicle, keys, period)
     results = predictor(inputs["x"], inputs["x_last"], mean, inputs["memory"], *map(ca.densify, air))
     names = ["memory_next", "body", "lateral", "rotors_next"]
     estimate = ca.Function("l1_estimate", [*inputs.values()], [*results, rotors_next], [*inputs], names)
-    base, y = ca.SX.sym("base", n), ca.SX.sym("filtered", 6)
+    base, y = symbols(ca.SX, base=n, filtered=6)
     u = added(vehicle, base, -y[2:])
     return estimate, ca.Function("l1_add", [base, y], [ca.cse(u)], ["base", "filtered"], ["u"])
 
@@ -172,8 +173,9 @@ def added(vehicle: Vehicle, base: Expression, wrench: Expression) -> Expression:
 def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
     """(x, x_last, thrusts, memory, air, air_last) -> memory_next, body, lateral; see l1_functions."""
     m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
-    x, x_last, thrust = ca.SX.sym("x", N_STATE), ca.SX.sym("x_last", N_STATE), ca.SX.sym("thrust", vehicle.n_rotors)
-    memory, air, air_last = ca.SX.sym("memory", 18), ca.SX.sym("air", N_OUTPUTS), ca.SX.sym("air_last", N_OUTPUTS)
+    x, x_last, thrust, memory, air, air_last = symbols(
+        ca.SX, x=N_STATE, x_last=N_STATE, thrust=vehicle.n_rotors, memory=18, air=N_OUTPUTS, air_last=N_OUTPUTS
+    )
     wrench = ca.mtimes(ca.DM(vehicle.allocation), thrust)
 
     def known(state: Expression, y: Expression) -> Expression:
@@ -197,7 +199,7 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
     filtered = stays * memory[FILTERED] + (1 - stays) * body
     force = keys.force_limit * m * vehicle.gravity
     bound = ca.vertcat(force, force, force, keys.torque_limit * ca.DM(np.diag(vehicle.inertia_matrix)))
-    filtered = ca.fmin(ca.fmax(filtered, -bound), bound)
+    filtered = limited(filtered, -bound, bound)
     lateral = ca.mtimes(R, ca.vertcat(filtered[:2], 0))
     outputs = [ca.vertcat(error, s_F, s_tau, filtered), body, lateral]
     return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))

@@ -45,6 +45,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
@@ -81,7 +82,7 @@ def blade_element_residual(
     iterations: Newton steps for V_I.
     Raises UsageError where the vehicle has no rotor geometry.
     """
-    z, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", len(THETA))
+    z, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=len(THETA))
     y, dy_dz = blade_element_correction(vehicle, z, theta, iterations=iterations)
     return symbolic_residual("blade_element", y, z, theta, coefficients.parameters(), source=source, slope=dy_dz)
 
@@ -200,7 +201,7 @@ def fit_blade_element(
 def _force_function(vehicle: Vehicle) -> ca.Function:
     """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5)."""
     n = vehicle.n_rotors
-    v, w, theta, induced = (ca.SX.sym(name, size) for name, size in (("v", 3), ("w", n), ("theta", 5), ("V_I", n)))
+    v, w, theta, induced = symbols(ca.SX, v=3, w=n, theta=5, V_I=n)
     flow = rotor_flow(vehicle, v)
     equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)

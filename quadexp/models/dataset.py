@@ -40,6 +40,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
@@ -310,7 +311,7 @@ def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray)
     if not len(state):
         return state.copy()
     rigid_body = rigid_body_function(vehicle)
-    x, thrust, step = ca.SX.sym("x", state.shape[1]), ca.SX.sym("u", u.shape[1]), ca.SX.sym("dt")
+    x, thrust, step = symbols(ca.SX, x=state.shape[1], u=u.shape[1], dt=1)
     end = rk4_step(lambda at: rigid_body(at, thrust), x, step)
     after = np.empty(state.shape)
     evaluate_rows(ca.Function("step", [x, thrust, step], [ca.densify(end)]), (state, u, dt[:, None]), after)

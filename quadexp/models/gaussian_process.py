@@ -38,6 +38,7 @@ from msgspec.structs import replace
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import (
     AXIS,
@@ -300,7 +301,7 @@ def gaussian_process_residual(
     names = feature_names(vehicle.n_rotors)
     structure = tuple((o.output, tuple(o.features), len(o.alpha)) for o in outputs)
     n_alpha, n_point = _sizes(structure)
-    z_, theta_ = ca.MX.sym("z", len(names)), ca.MX.sym("theta", len(theta))
+    z_, theta_ = symbols(ca.MX, z=len(names), theta=len(theta))
     sizes = [n_mean, len(n_point), sum(n_point), sum(n_alpha), len(known) * N_FALLBACK, sum(map(len, factors))]
     mean_, scale_, points_, alpha_, known_, factor_ = _split(theta_, sizes)
     select, assemble = _scalar_functions(
@@ -400,12 +401,17 @@ def _scalar_functions(
     (z, s) -> s phi of all features; (z, mean, s, fallback, sums ..) -> y, dy/dz with structural zeros. mean: parameters
     of the mean function. fallback: numbers of all outputs, see `fallback`; none where they are not weighed.
     """
-    z, mean = ca.SX.sym("z", len(names)), ca.SX.sym("mean", n_mean)
+    z, mean = symbols(ca.SX, z=len(names), mean=n_mean)
     n_features = sum(len(features) for _, features, _ in structure)
-    scale, slope = ca.SX.sym("scale", n_features), ca.SX.sym("slope", n_features)
-    value, known = ca.SX.sym("value", len(structure)), ca.SX.sym("known", weighed * len(structure))
-    known_slope = ca.SX.sym("known_slope", weighed * n_features)
-    numbers = ca.SX.sym("fallback", weighed * N_FALLBACK * len(structure))
+    scale, slope, value, known, known_slope, numbers = symbols(
+        ca.SX,
+        scale=n_features,
+        slope=n_features,
+        value=len(structure),
+        known=weighed * len(structure),
+        known_slope=weighed * n_features,
+        fallback=weighed * N_FALLBACK * len(structure),
+    )
     y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
     if with_mean:
         y[:3] = linear_drag_acceleration(z, mean) if mean_terms is None else mean_terms.acceleration(z, mean)

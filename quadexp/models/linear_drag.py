@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
@@ -162,7 +163,7 @@ def linear_drag_residual(
     source: str = "",
 ) -> Residual:  # fmt: skip
     """Linear-drag residual; drag (3,) 1/s, intercept (3,) m/s^2, thrust_gain 1/kg."""
-    features, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", N_PARAMETERS)
+    features, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=N_PARAMETERS)
     outputs = ca.vertcat(linear_drag_acceleration(features, theta), ca.SX(3, 1))
     values = np.concatenate([np.asarray(drag), np.asarray(intercept), [thrust_gain]])
     return symbolic_residual("linear_drag", outputs, features, theta, values, source=source)

@@ -34,6 +34,7 @@ import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.base import (
     AXIS,
@@ -237,7 +238,7 @@ def _network_function(names: tuple[str, ...], network: Network, layer: Layer, ba
     """(z, theta) -> y, dy/dz for a network of these sizes."""
     sizes = network.sizes
     lengths = [length for columns, rows in pairwise(sizes) for length in (rows * columns, rows)]
-    z, theta = ca.MX.sym("z", len(names)), ca.MX.sym("theta", sum(lengths))
+    z, theta = symbols(ca.MX, z=len(names), theta=sum(lengths))
     parts = ca.vertsplit(theta, np.cumsum([0, *lengths]).tolist())
     weights = [ca.reshape(w, rows, columns) for w, (columns, rows) in zip(parts[::2], pairwise(sizes), strict=True)]
     places = feature_places(names, network.features, "network")

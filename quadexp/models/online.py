@@ -51,6 +51,7 @@ import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names
 from quadexp.physics.expression import Expression
@@ -105,7 +106,7 @@ def from_zero(adapting: Adapting) -> Adapting:
 
 def regressors(adapting: Adapting, rotors: int) -> ca.Function:
     """(z, theta) -> y (6,) and, for each block, dy_i/da of its component, (1, h): the regressors of its weights."""
-    z, theta = ca.MX.sym("z", len(feature_names(rotors))), ca.MX.sym("theta", len(adapting.residual.theta))
+    z, theta = symbols(ca.MX, z=len(feature_names(rotors)), theta=len(adapting.residual.theta))
     with_weights, weights = ca.MX(theta), [ca.MX.sym("a", len(block.at)) for block in adapting.blocks]
     for block, a in zip(adapting.blocks, weights, strict=True):
         with_weights[block.at.tolist()] = a
@@ -143,10 +144,11 @@ def update_function(
     """
     law = law or Law()
     n = vehicle.n_rotors
-    x, f, u, path = (ca.MX.sym(name, size) for name, size in (("x", N_STATE), ("f", 3), ("u", n), ("path", 6)))
-    belief = ca.MX.sym("belief", len(prior_belief(adapting)))
-    known_theta = ca.MX.sym("known_theta", 0 if known is None else len(known.theta))
-    variance, decay, tracking, rate = (ca.MX.sym(name) for name in ("variance", "decay", "tracking", "tracking_rate"))
+    shapes = {"x": N_STATE, "f": 3, "u": n, "path": 6, "belief": len(prior_belief(adapting))}
+    shapes |= {"known_theta": 0 if known is None else len(known.theta)}
+    shapes |= {"variance": 1, "decay": 1, "tracking": 1, "tracking_rate": 1}
+    inputs = named_symbols(ca.MX, shapes)
+    x, f, u, path, belief, known_theta, variance, decay, tracking, rate = inputs.values()
 
     z = ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
     prior = ca.DM(adapting.residual.theta)
@@ -163,12 +165,8 @@ def update_function(
         after, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *given)
         updated.append(after)
         theta[block.at.tolist()] = weights
-    return ca.Function(
-        "adapt", [x, f, u, path, belief, known_theta, variance, decay, tracking, rate],
-        [ca.vertcat(*updated), theta, ca.vertcat(*innovation)],
-        ["x", "f", "u", "path", "belief", "known_theta", "variance", "decay", "tracking", "tracking_rate"],
-        ["new_belief", "theta", "innovation"],
-    )  # fmt: skip
+    outputs = {"new_belief": ca.vertcat(*updated), "theta": theta, "innovation": ca.vertcat(*innovation)}
+    return named_function("adapt", inputs, outputs)
 
 
 def _block(

@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import FEATURES, N_OUTPUTS, OUTPUTS
@@ -152,7 +153,7 @@ def sum_residual(parts: Sequence[Residual]) -> Residual:
 
 def _sum(functions: Sequence[ca.Function], parts: Sequence[Residual]) -> ca.Function:
     ends = np.cumsum([0, *(len(part.theta) for part in parts)]).tolist()
-    z, theta = ca.MX.sym("z", functions[0].size1_in(0)), ca.MX.sym("theta", ends[-1])
+    z, theta = symbols(ca.MX, z=functions[0].size1_in(0), theta=ends[-1])
     values = [function(z, given) for function, given in zip(functions, ca.vertsplit(theta, ends), strict=True)]
     results = [sum(terms[1:], terms[0]) for terms in zip(*values, strict=True)]
     return ca.Function("residual_sum", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
@@ -162,7 +163,7 @@ def scaled_residual(residual: Residual) -> Residual:
     """The residual with a scale behind its parameters, 1 at first; `unscaled` is the residual itself."""
 
     def scaled(function: ca.Function) -> ca.Function:
-        z, theta = ca.MX.sym("z", function.size1_in(0)), ca.MX.sym("theta", function.size1_in(1) + 1)
+        z, theta = symbols(ca.MX, z=function.size1_in(0), theta=function.size1_in(1) + 1)
         results = [theta[-1] * value for value in function(z, theta[:-1])]
         return ca.Function("residual_scaled", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
 

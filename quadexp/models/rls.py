@@ -40,6 +40,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, key, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
@@ -63,9 +64,8 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     regressors (3, 5) (m/s^2); weight beta_x.
     """
     n = vehicle.n_rotors
-    v, w, y = ca.SX.sym("v", 3), ca.SX.sym("w", n), ca.SX.sym("y", 3)
-    used, coefficients = ca.SX.sym("used", len(THETA)), ca.SX.sym("coefficients", len(THETA))
-    sigma, forgetting, lift_weight = (ca.SX.sym(name) for name in ("sigma", "forgetting", "lift_weight"))
+    v, w, y, used, coefficients = symbols(ca.SX, v=3, w=n, y=3, used=len(THETA), coefficients=len(THETA))
+    sigma, forgetting, lift_weight = symbols(ca.SX, sigma=1, forgetting=1, lift_weight=1)
     thetas = [ca.SX.sym(f"theta_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
     covariances = [ca.SX.sym(f"P_{a}", len(at), len(at)) for a, at in zip("xyz", AXES, strict=True)]
     priors = [ca.SX.sym(f"prior_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]

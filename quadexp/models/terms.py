@@ -70,6 +70,7 @@ import msgspec
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
@@ -190,7 +191,7 @@ def term_expressions(terms: Axes, v: Expression, a: Expression, momentum: Moment
 @cache
 def _columns_function(terms: Axes, rotors: int, momentum: Momentum) -> ca.Function:
     """(v (3,), a (n,)) -> the phi of all axes one after the other."""
-    v, a = ca.SX.sym("v", 3), ca.SX.sym("a", rotors)
+    v, a = symbols(ca.SX, v=3, a=rotors)
     phi = sum(term_expressions(terms, v, a, momentum), [])
     return ca.Function("terms", [v, a], [ca.densify(ca.cse(ca.vertcat(*phi)))])
 
@@ -227,8 +228,7 @@ class TermStructure(NamedTuple):
 
 def term_residual(vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "") -> Residual:
     """Residual of the terms; coefficients of all axes, (p,). source: for the record."""
-    features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))
-    theta = ca.SX.sym("theta", structure.n_parameters)
+    features, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=structure.n_parameters)
     outputs = ca.vertcat(structure.acceleration(features, theta), ca.SX(3, 1))
     return symbolic_residual("identified", outputs, features, theta, coefficients, source=source)
 

@@ -34,6 +34,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.base import Model, outside_shares, rms
 from quadexp.models.checkpoint import record_of
@@ -287,7 +288,7 @@ def full_rollout(
 
     mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
     """
-    x, u, y, h = ca.SX.sym("x", 13), ca.SX.sym("u", vehicle.n_rotors), ca.SX.sym("y", 6), ca.SX.sym("h")
+    x, u, y, h = symbols(ca.SX, x=13, u=vehicle.n_rotors, y=6, h=1)
     step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
     scale = track.scale[starts] if tracked else np.ones(len(starts))
     quaternion = track.rotation[starts].as_quat(scalar_first=True)

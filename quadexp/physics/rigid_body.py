@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
@@ -71,17 +72,15 @@ def body_features(x: Expression, u: Expression) -> Expression:
 
 def rigid_body_function(vehicle: Vehicle) -> ca.Function:
     """Nominal dynamics as a CasADi function (x (13,), u (n,)) -> x' (13,)."""
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    x, u = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors)
     return ca.Function("rigid_body", [x, u], [state_derivative(x, u, vehicle)], ["x", "u"], ["x_dot"])
 
 
 def corrected_function(vehicle: Vehicle, residual: Correction) -> ca.Function:
     """Dynamics with a residual, (x (13,), u (n,), theta (p,)) -> x' (13,): f_cor = f_dyn + B_d r(z)."""
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
-    y = ca.SX.sym("y", N_OUTPUTS)
+    x, u, y = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors, y=N_OUTPUTS)
     features = ca.Function("features", [x, u], [body_features(x, u)])
     derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
-    x, u = ca.MX.sym("x", N_STATE), ca.MX.sym("u", vehicle.n_rotors)
-    theta = ca.MX.sym("theta", residual.function.size1_in(1))
+    x, u, theta = symbols(ca.MX, x=N_STATE, u=vehicle.n_rotors, theta=residual.function.size1_in(1))
     output, _ = residual.function(features(x, u), theta)
     return ca.Function("corrected", [x, u, theta], [derivative(x, u, output)], ["x", "u", "theta"], ["x_dot"])

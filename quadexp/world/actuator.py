@@ -39,7 +39,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import decayed, time_constant_towards
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE
@@ -147,7 +147,7 @@ class Actuator(Effect):
     def _after(self, at: Moment) -> tuple[Expression, Expression]:
         """y (n,) in the middle and at the end of the step."""
         y, (up, down, low, high) = at.inner[: at.command.numel()], ca.vertsplit(at.parameters[:4])
-        command = self._lagging(ca.fmin(ca.fmax(at.command, low), high))
+        command = self._lagging(limited(at.command, low, high))
         half = time_constant_towards(y, command, up, down)  # of the decays: which of the two holds
         return decayed(y, command, half), decayed(y, command, half**2)
 

@@ -20,6 +20,7 @@ from itertools import accumulate
 from typing import Any
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -68,11 +69,17 @@ def compose(
     stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
     parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
     airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
-    x, inner = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", layout.size("inner") + WIND)
-    u, step = ca.MX.sym("u", n), ca.MX.sym("step")
-    noise = ca.MX.sym("noise", equations.step.size1_in(2), steps)
-    parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
-    time = ca.MX.sym("time")
+    x, inner, u, step, noise, parameters, draws, time = symbols(
+        ca.MX,
+        x=N_STATE,
+        inner=layout.size("inner") + WIND,
+        u=n,
+        step=1,
+        noise=(equations.step.size1_in(2), steps),
+        parameters=layout.size("parameters"),
+        draws=layout.size("draws"),
+        time=1,
+    )
 
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
     inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
@@ -308,11 +315,11 @@ class _Parts:
         equations, layout, n = self._equations, self._layout, self._vehicle.n_rotors
         further, moving = equations.step.size1_in(0) - N_STATE, self.size(self.moving)
         sizes = [N_STATE, further, moving, WIND + n + 3]
-        S, still = ca.MX.sym("S", sum(sizes)), ca.MX.sym("still", self.size(self.still))
+        S, still = symbols(ca.MX, S=sum(sizes), still=self.size(self.still))
         x, rest, moved, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
-        t, u, step = ca.MX.sym("t"), ca.MX.sym("u", n), ca.MX.sym("step")
-        noise = ca.MX.sym("noise", equations.step.size1_in(2))
-        parameters = ca.MX.sym("parameters", layout.size("parameters"))
+        t, u, step, noise, parameters = symbols(
+            ca.MX, t=1, u=n, step=1, noise=equations.step.size1_in(2), parameters=layout.size("parameters")
+        )
         theta = parameters[: layout.airframe.parameters]
 
         pieces, first = [ca.MX(sizes.inner, 1) for sizes in layout.effects], 0
@@ -350,8 +357,8 @@ class _Parts:
         if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
             return one
         # In scalar expressions everything is one function, without copies, and what two hooks compute is computed once.
-        symbols = one.sx_in()
-        return ca.Function(one.name(), symbols, ca.cse(one.call(symbols)))
+        arguments = one.sx_in()
+        return ca.Function(one.name(), arguments, ca.cse(one.call(arguments)))
 
     def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
         """The doubt of the airframe, or that an effect ends the flight: Python then says why."""

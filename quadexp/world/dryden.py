@@ -40,9 +40,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Triple, key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
@@ -175,7 +176,7 @@ class Dryden(MeanWind):
     def begin(self, at: Moment) -> Expression:
         """The winds of the period."""
         mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
-        airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0]), limits[1])
+        airspeed = limited(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0], limits[1])
         F, root = transition(length / airspeed, TICK)
         filters = at.inner[:N_FILTER]
         before, winds, times = filters, [_velocity(filters, at.parameters)], []
@@ -197,7 +198,7 @@ class Dryden(MeanWind):
 
 @cache
 def _blown() -> ca.Function:
-    filters, parameters = ca.SX.sym("filters", N_FILTER), ca.SX.sym("parameters", N_PARAMETERS)
+    filters, parameters = symbols(ca.SX, filters=N_FILTER, parameters=N_PARAMETERS)
     return ca.Function("blown", [filters, parameters], [_velocity(filters, parameters)])
 
 

@@ -41,6 +41,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import key
@@ -302,14 +303,18 @@ class Navigation(Effect):
 
     def _output(self) -> ca.Function:
         """(nominal state, entry, gravity) -> nominal state after the entry's interval."""
-        nominal, entry, gravity = ca.SX.sym("nominal", N_NOMINAL), ca.SX.sym("entry", N_ENTRY), ca.SX.sym("gravity")
+        nominal, entry, gravity = symbols(ca.SX, nominal=N_NOMINAL, entry=N_ENTRY, gravity=1)
         after, _ = propagate(nominal, entry[:N_READING], entry[N_READING], gravity)
         return ca.Function("predict_output", [nominal, entry, gravity], ca.cse([after]))
 
     def _filter(self) -> ca.Function:
         """([nominal state, covariance], entry, parameters) -> [nominal state, covariance] after the entry."""
-        known, entry = ca.MX.sym("known", KNOWN.stop), ca.MX.sym("entry", self.entry_size)
-        parameters = ca.MX.sym("parameters", 1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids))
+        known, entry, parameters = symbols(
+            ca.MX,
+            known=KNOWN.stop,
+            entry=self.entry_size,
+            parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
+        )
         found = prediction()(known, entry[:N_READING], entry[N_READING], parameters[: 1 + N_DENSITIES])
         place, told = N_ENTRY, 1 + N_DENSITIES
         for aid in self.sensors.aids:
@@ -349,16 +354,16 @@ def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
 @cache
 def _off_by() -> ca.Function:
     """(nominal state, an error (15,), covariance (15, 15)) -> [nominal state with the error added, covariance]."""
-    nominal, d = ca.SX.sym("nominal", N_NOMINAL), ca.SX.sym("d", N_ERROR)
-    covariance = ca.SX.sym("covariance", N_ERROR, N_ERROR)
+    nominal, d, covariance = symbols(ca.SX, nominal=N_NOMINAL, d=N_ERROR, covariance=(N_ERROR, N_ERROR))
     found = ca.vertcat(inject(nominal, d), packed(covariance))
     return ca.Function("off_by", [nominal, d, covariance], [found])
 
 
 def prediction() -> ca.Function:
     """([nominal state, covariance], reading (6,), interval, [gravity, densities]) -> [nominal state, covariance]."""
-    known, reading = ca.SX.sym("known", KNOWN.stop), ca.SX.sym("reading", N_READING)
-    duration, parameters = ca.SX.sym("duration"), ca.SX.sym("parameters", 1 + N_DENSITIES)
+    known, reading, duration, parameters = symbols(
+        ca.SX, known=KNOWN.stop, reading=N_READING, duration=1, parameters=1 + N_DENSITIES
+    )
     covariance = unpacked(known[N_NOMINAL:])
     nominal, covariance = predict(known[:N_NOMINAL], covariance, reading, duration, parameters[0], parameters[1:])
     found = ca.vertcat(nominal, packed(covariance))
@@ -367,8 +372,7 @@ def prediction() -> ca.Function:
 
 def correction(aid: Aid) -> ca.Function:
     """(whether there is a fix, [nominal state, covariance], fix, deviations) -> [nominal state, covariance]."""
-    known, fix = ca.SX.sym("known", KNOWN.stop), ca.SX.sym("fix", aid.size)
-    deviations = ca.SX.sym("deviations", len(aid.deviations))
+    known, fix, deviations = symbols(ca.SX, known=KNOWN.stop, fix=aid.size, deviations=len(aid.deviations))
     nominal, covariance = known[:N_NOMINAL], unpacked(known[N_NOMINAL:])
     innovations = [(one.value, one.row, deviations[one.deviation] ** 2) for one in aid.compare(nominal, fix)]
     nominal, covariance = update(nominal, covariance, innovations)

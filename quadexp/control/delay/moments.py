@@ -24,6 +24,7 @@ from scipy.linalg.blas import dger
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.errors import DataError
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -186,9 +187,9 @@ def _row(vehicle: Vehicle, period: float) -> ca.Function:
     """
     sizes = Sizes(period)
     lags, m = sizes.lags, sizes.commands
-    shapes = {"x_before": (13, 1), "x": (13, 1), "forces": (3, lags + 1), "rates": (3, lags + 1)}
-    shapes |= {"thrusts": (3, sizes.all_commands), "t": (1, 1)}
-    a = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
+    shapes = {"x_before": 13, "x": 13, "forces": (3, lags + 1), "rates": (3, lags + 1)}
+    shapes |= {"thrusts": (3, sizes.all_commands), "t": 1}
+    a = named_symbols(ca.SX, shapes)
     p, q = (a[name][ATTITUDE] / ca.norm_2(a[name][ATTITUDE]) for name in ("x_before", "x"))
     p = p * ca.sign(ca.dot(p, q))
     middle = (p + q) / ca.norm_2(p + q)
@@ -207,4 +208,4 @@ def _row(vehicle: Vehicle, period: float) -> ca.Function:
     results = {"thrust": thrust, "turning_x": turning[0], "turning_y": turning[1], "velocity": velocity}
     results |= {"attitude": period * ca.mtimes(R, a["rates"][:, recent]), "turn": turn}
     results["R"] = rotation_matrix(q)
-    return ca.Function("delay_row", [*a.values()], [ca.densify(r) for r in results.values()], [*a], [*results])
+    return named_function("delay_row", a, {name: ca.densify(result) for name, result in results.items()})

@@ -24,6 +24,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move, python
@@ -117,8 +118,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
     Inputs: x (13,), its rate unused; rates (3, K + 1) (rad/s) and forces (3, K + 1) (m/s^2), body, the last ones of
     now; late, at most K periods. Output: now (13,), with the rate of now.
     """
-    x, late = ca.SX.sym("x", N_STATE), ca.SX.sym("late")
-    rates, forces = ca.SX.sym("rates", 3, periods + 1), ca.SX.sym("forces", 3, periods + 1)
+    x, late, rates, forces = symbols(ca.SX, x=N_STATE, late=1, rates=(3, periods + 1), forces=(3, periods + 1))
     p, q, v = x[POSITION], x[ATTITUDE], x[VELOCITY]
     for j in range(periods):
         h = ca.fmax(ca.fmin(late - (periods - 1 - j) * period, period), 0)

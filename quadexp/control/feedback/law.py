@@ -38,11 +38,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles, rotation_euler, yaw_ned
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
@@ -140,9 +141,9 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     rotors at the least speed; limited: number of rotors at the largest thrust; u_T (3,), NED.
     """
     n = vehicle.n_rotors
-    x, reference, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("reference", 3, 3), ca.SX.sym("yaw", 3)
-    theta, velocity_last, rotor_speed_last = ca.SX.sym("theta", 5), ca.SX.sym("v", 3), ca.SX.sym("w", n)
-    eta_d_last, observer_last = ca.SX.sym("eta_d", 3), ca.SX.sym("observer", 3, 2)
+    x, reference, yaw, theta, velocity_last, rotor_speed_last, eta_d_last, observer_last = symbols(
+        ca.SX, x=N_STATE, reference=(3, 3), yaw=3, theta=5, v=3, w=n, eta_d=3, observer=(3, 2)
+    )
 
     R = ca.mtimes([ca.DM(NED_ENU), rotation_matrix(x[ATTITUDE]), ca.DM(FRD_FLU)])
     eta, rate = euler_angles(R), ca.mtimes(ca.DM(FRD_FLU), x[RATE])
@@ -186,8 +187,8 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     coefficients = allocation_coefficients(vehicle, variant.allocation, theta)
     squared = allocate(thrust, torque, *coefficients, np.linalg.inv(unit_allocation(vehicle)))
     low, high = settings.rotor_speed_min**2, vehicle.thrust_max / vehicle.static_thrust_coefficient
-    commanded = ca.fmin(ca.fmax(squared, low), high)
-    floored, limited = ca.sum1(squared < low), ca.sum1(squared > high)
+    commanded = limited(squared, low, high)
+    floored, at_limit = ca.sum1(squared < low), ca.sum1(squared > high)
 
     inputs = {
         "x": x,
@@ -208,7 +209,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
         "error": error,
         "outside": outside,
         "floored": floored,
-        "limited": limited,
+        "limited": at_limit,
         "u_T": u_T,
     }
     values = ca.cse([ca.densify(value) for value in outputs.values()])
@@ -293,7 +294,7 @@ def in_cone(u_T: Expression, down_min: float, tilt_max: float) -> tuple[Expressi
 def desired_tilt(u_T: Expression, psi: Expression) -> tuple[Expression, Expression]:
     """phi_d, theta_d (rad): equations (34), (35). u_T (3,) NED (N), psi: desired heading (rad)."""
     sine, cosine = ca.sin(psi), ca.cos(psi)
-    roll = ca.asin(ca.fmin(ca.fmax((u_T[0] * sine - u_T[1] * cosine) / ca.norm_2(u_T), -1.0), 1.0))
+    roll = ca.asin(limited((u_T[0] * sine - u_T[1] * cosine) / ca.norm_2(u_T), -1.0, 1.0))
     return roll, ca.atan((u_T[0] * cosine + u_T[1] * sine) / u_T[2])
 
 
@@ -361,7 +362,7 @@ def attitude_torque(
 
 def _rate_matrix_derivative() -> ca.Function:
     """(eta, eta_dot) -> W_dot, (3, 3)."""
-    eta, eta_dot = ca.SX.sym("eta", 3), ca.SX.sym("eta_dot", 3)
+    eta, eta_dot = symbols(ca.SX, eta=3, eta_dot=3)
     derivative = ca.jtimes(ca.vec(rate_matrix(eta)), eta, eta_dot)
     return ca.Function("W_dot", [eta, eta_dot], [ca.reshape(derivative, 3, 3)])
 

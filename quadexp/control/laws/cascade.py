@@ -36,6 +36,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.control.allocation import held, prioritised
 from quadexp.control.base import Window
 from quadexp.control.built import built
@@ -44,7 +45,7 @@ from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, Triple, key, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -124,8 +125,9 @@ class CascadeController(ExplicitController):
 def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     """The cascade with the inputs and outputs of explicit.py; memory: see MEMORY."""
     period, g = 1 / keys.rate, vehicle.gravity
-    x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
-    path, yaw, memory = ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3), ca.SX.sym("memory", sum(MEMORY.values()))
+    x, state, path, yaw, memory = symbols(
+        ca.SX, x=N_STATE, state=N_STATE, path=(3, 5), yaw=3, memory=sum(MEMORY.values())
+    )
     integral, v_last, of_velocity, rate_integral, w_last, of_rate = ca.vertsplit(memory, 3)
     R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
     acceleration, of_velocity = filtered(of_velocity, (v - v_last) / period, keys.velocity_cutoff, period)
@@ -145,14 +147,14 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     short = 2 / max(keys.velocity_proportional[0], 1e-6) * (a_c[:2] - produced)
     back = ca.vertcat(error[:2] - short, ca.if_else(stuck, 0, error[2]))
     integral = integral + period * ca.DM(keys.velocity_integral) * back
-    integral = ca.vertcat(integral[:2], ca.fmin(ca.fmax(integral[2], -g), g))
+    integral = ca.vertcat(integral[:2], limited(integral[2], -g, g))
 
     R_d = attitude_of(f, ca.mtimes(rotation_matrix(state[ATTITUDE]), ca.DM([1, 0, 0])))
     w_c = wanted_rate(R, R_d, keys) + R[2, :].T * yaw[1]
     if keys.rate_feedforward:
         w_c = wanted_rate(R, R_d, keys) + state[RATE]
     limit = ca.DM(keys.rate_limit)
-    w_c = ca.fmin(ca.fmax(w_c, -limit), limit)
+    w_c = limited(w_c, -limit, limit)
     slow = w_c - w
     angular = ca.DM(keys.rate_proportional) * slow + rate_integral - ca.DM(keys.rate_derivative) * turning
     torque = ca.mtimes(ca.DM(vehicle.inertia_matrix), angular)
@@ -164,7 +166,7 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
     bound = ca.DM(keys.rate_integral_limit)
     rate_integral = rate_integral + period * share * ca.DM(keys.rate_integral) * slow
-    rate_integral = ca.fmin(ca.fmax(rate_integral, -bound), bound)
+    rate_integral = limited(rate_integral, -bound, bound)
 
     outputs = {
         "command": u,
@@ -194,9 +196,9 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
     a, b, c = ca.sumsqr(second), ca.dot(first, second), ca.sumsqr(first) - limit[0] ** 2
     inside = c < 0  # of the way to the reference alone
     share = (-b + ca.sqrt(ca.fmax(b**2 - a * c, 0))) / ca.fmax(a, 1e-12)
-    within = first + ca.fmin(ca.fmax(share, 0), 1) * second
+    within = first + limited(share, 0, 1) * second
     horizontal = ca.if_else(inside, within, first * limit[0] / ca.fmax(ca.norm_2(first), 1e-12))
-    vertical = ca.fmin(ca.fmax(towards[2] + reference[2], -limit[2]), limit[1])
+    vertical = limited(towards[2] + reference[2], -limit[2], limit[1])
     return ca.vertcat(horizontal, vertical)
 
 

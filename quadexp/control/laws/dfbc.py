@@ -33,6 +33,7 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
@@ -41,7 +42,7 @@ from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Setting, Settings, Triple, key, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -98,27 +99,26 @@ def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compil
     compiled: whether the residual's form for compilation is taken.
     """
     n = vehicle.n_rotors
-    x, path, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3)
-    delivered, belief = ca.SX.sym("delivered", n), ca.SX.sym("belief", N_BELIEF)
-    air = ca.SX.sym("air", N_OUTPUTS)
+    x, path, yaw, delivered, belief, air = symbols(
+        ca.SX, x=N_STATE, path=(3, 5), yaw=3, delivered=n, belief=N_BELIEF, air=N_OUTPUTS
+    )
     wrench, angle = _wrench(vehicle, keys, x, path, yaw, delivered, belief, air)
     wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
 
-    given = {"x": (N_STATE, 1), "path": (3, 5), "yaw": (3, 1), "delivered": (n, 1), "belief": (N_BELIEF, 1)}
-    a = {name: ca.MX.sym(name, *shape) for name, shape in given.items()}
-    theta = ca.MX.sym("theta", residual.function.size1_in(1))
+    given = {"x": N_STATE, "path": (3, 5), "yaw": 3, "delivered": n, "belief": N_BELIEF}
+    a = named_symbols(ca.MX, given | {"theta": residual.function.size1_in(1)})
     model = residual.to_compile if compiled and residual.to_compile is not None else residual.function
     of_air = ca.MX(N_OUTPUTS, 1)
     if not residual.is_zero:
         velocity = air_velocity(a["x"][ATTITUDE], a["x"][VELOCITY], a["belief"][6:9])
-        of_air = a["belief"][10] * ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), theta)[0])
-    wrench, angle = wanted(*a.values(), of_air)
+        of_air = a["belief"][10] * ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), a["theta"])[0])
+    wrench, angle = wanted(*(a[name] for name in given), of_air)
     thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench / a["belief"][9])
     margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
     low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
     held = ca.sum1(ca.logic_or(thrust < low, thrust > high))
     outputs = {"command": thrust, "log": angle, "held": held}
-    return ca.Function("dfbc", [*a.values(), theta], [*outputs.values()], [*a, "theta"], [*outputs])
+    return named_function("dfbc", a, outputs)
 
 
 def _wrench(
@@ -163,7 +163,7 @@ def _wrench(
     alpha = ca.vertcat(keys.tilt_gain * tilt, keys.yaw_gain * 2 * ca.sin(turn / 2))
     alpha += ca.DM(keys.rate_gain) * (w_r - w) + alpha_r
     torque = ca.mtimes(J, alpha) + ca.cross(w, ca.mtimes(J, w)) - air[3:] - belief[3:6]
-    return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(ca.fmin(ca.fmax(r[2], -1), 1)), turn)
+    return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(limited(r[2], -1, 1)), turn)
 
 
 class DFBC(BelievingController):

@@ -38,6 +38,7 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_symbols, symbols
 from quadexp.control.allocation import clipped, held, prioritised
 from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
@@ -119,8 +120,8 @@ def geometric_function(
     (11,). log: Psi.
     """
     law, n = _law(vehicle, keys), vehicle.n_rotors
-    sizes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": N_BELIEF, "memory": 6}
-    inputs = {name: ca.MX.sym(name, size) for name, size in sizes.items()} | {"path": ca.MX.sym("path", 3, 5)}
+    shapes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": N_BELIEF, "memory": 6, "path": (3, 5)}
+    inputs = named_symbols(ca.MX, shapes)
     air = [ca.DM.zeros(N_OUTPUTS), ca.DM.zeros(N_OUTPUTS)]
     if residual is not None:
         model = (residual.to_compile if compiled else None) or residual.function
@@ -137,17 +138,25 @@ def geometric_function(
 
 def _features(n: int) -> ca.Function:
     """(x, wind, u) -> z of a residual at the velocity through the air."""
-    x, wind, u = ca.SX.sym("x", N_STATE), ca.SX.sym("wind", 3), ca.SX.sym("u", n)
+    x, wind, u = symbols(ca.SX, x=N_STATE, wind=3, u=n)
     return ca.Function("features", [x, wind, u], [ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY], wind), x[RATE], u)])
 
 
 def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
     """Equations (1) to (3), given the air's acceleration and torque, (6,), at the state and at the reference."""
     n, m, J = vehicle.n_rotors, vehicle.mass, ca.DM(vehicle.inertia_matrix)
-    x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
-    thrust, middle, path = ca.SX.sym("thrust", n), ca.SX.sym("middle", n), ca.SX.sym("path", 3, 5)
-    belief, memory = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("memory", 6)
-    air, air_r = ca.SX.sym("air", N_OUTPUTS), ca.SX.sym("air_r", N_OUTPUTS)
+    x, state, thrust, middle, path, belief, memory, air, air_r = symbols(
+        ca.SX,
+        x=N_STATE,
+        state=N_STATE,
+        thrust=n,
+        middle=n,
+        path=(3, 5),
+        belief=N_BELIEF,
+        memory=6,
+        air=N_OUTPUTS,
+        air_r=N_OUTPUTS,
+    )
     theta_force, theta_torque = memory[:3], memory[3:]
     gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)
     K_x, K_v, K_R, K_w = gains(keys)

@@ -22,6 +22,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_by_commands
@@ -219,15 +220,15 @@ def enter_function(
     squares: the sum of those of x_in, X_in and U_in; memory_next.
     """
     n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, update, delays)
-    shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
-    shapes |= {"period": (1, 1), "memory": (layout.size, 1), "X": (width, nodes + 1), "since": (nodes + 1, 1)}
+    shapes = {"x": N_STATE, "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": rows}
+    shapes |= {"period": 1, "memory": layout.size, "X": (width, nodes + 1), "since": nodes + 1}
     if update is None:
-        shapes |= {"belief": (N_BELIEF, 1)}
+        shapes |= {"belief": N_BELIEF}
     else:
-        shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "seen": (N_STATE, 1), "sent": (n, 1)}
-        shapes |= {"settings": update.size_in("settings"), "delays": (6, 1)}
-    shapes |= {"theta": (parameters, 1)} if update is not None or model is not None else {}
-    a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
+        shapes |= {"reading": 3, "measured": n, "known": 2, "seen": N_STATE, "sent": n}
+        shapes |= {"settings": update.size_in("settings"), "delays": 6}
+    shapes |= {"theta": parameters} if update is not None or model is not None else {}
+    a = named_symbols(ca.MX, shapes)
     kept = {name: a["memory"][place] for name, place in layout.slices.items()}
     left: dict[str, Any] = {}
     found = a.get("belief")
@@ -265,7 +266,7 @@ def enter_function(
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
     results |= {"X_moved": a["X"] - moving, "moved": ca.norm_2(change) > MOVED, "squares": squares}
     results |= {"memory_next": ca.vertcat(*(memory[name] for name in layout.slices))}
-    return ca.Function("believed_world", [*a.values()], [*results.values()], [*a], [*results])
+    return named_function("believed_world", a, results)
 
 
 def _estimated(

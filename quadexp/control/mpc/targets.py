@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -75,7 +75,7 @@ def held_targets(
     def difference(x: Expression, q: Expression, y0: Expression, y1: Expression, scale: Expression) -> Expression:
         y1 = scale * y1
         force = ca.mtimes(rotation_matrix(q), y1[:3]) - ca.mtimes(rotation_matrix(x[ATTITUDE]), y0[:3])
-        return ca.fmin(ca.fmax(ca.vertcat(force, y1[3:] - y0[3:]), -most), most)
+        return limited(ca.vertcat(force, y1[3:] - y0[3:]), -most, most)
 
     last = len(states) - 1
     if model is not None:
@@ -95,7 +95,7 @@ def held_targets(
     moved, limit = [], TURNING * vehicle.rate_max
     for x, (q, _, _), slope in zip(states, found, _slopes([turn for _, turn, _ in found], times), strict=True):
         turning = ca.mtimes(rotation_matrix(q).T, slope)
-        moved.append(ca.vertcat(q, x[RATE] + ca.fmin(ca.fmax(turning, -limit), limit)))
+        moved.append(ca.vertcat(q, x[RATE] + limited(turning, -limit, limit)))
     return moved, [change for _, _, change in found], air
 
 

@@ -36,7 +36,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.vehicle import Vehicle
 
 N_TORQUE_STATE = 6  # w^, a^
@@ -67,7 +67,7 @@ def torque_update(
     known = ca.mtimes(ca.DM(vehicle.allocation[1:]), mean) + air_torque - ca.cross(w, ca.mtimes(inertia, w))
     predicted = s[:3] + period * (ca.mtimes(ca.inv(inertia), known) + s[3:])
     error, limit = w - predicted, settings[2]
-    spin = ca.fmin(ca.fmax(s[3:] + settings[1] * error, -limit), limit)
+    spin = limited(s[3:] + settings[1] * error, -limit, limit)
     return ca.vertcat(predicted + settings[0] * error, spin), ca.mtimes(inertia, spin)
 
 
@@ -111,7 +111,7 @@ def scaled_force_update(
     estimate = estimate + ca.mtimes(K, error) + ca.vertcat(1, 1, 1, trust, trust) * mended
     reduction = ca.DM.eye(N_SCALED) - ca.mtimes(K, H)
     P = ca.mtimes([reduction, P, reduction.T]) + noise * ca.mtimes(K, K.T)  # Joseph's form
-    scales = [ca.fmin(ca.fmax(estimate[3 + i], low), high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
+    scales = [limited(estimate[3 + i], low, high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
     fast = fast + read * gain * (y - ca.mtimes(H, estimate) - fast)
     return ca.vertcat(estimate[:3], *scales), ca.vec(P), fast
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_symbols
 from quadexp.control.base import Belief, Controller, Window, belief_of, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
 from quadexp.control.instant import YES, Instant, Told, believing, call, copy, instant_of, move
@@ -204,4 +205,4 @@ def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> 
     n = vehicle.n_rotors
     sizes = {"s": states, "x": 13, "reading": 3, "read": 1, "thrust": n, "mean": n}
     sizes |= {"theta": parameters, "settings": settings}
-    return {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    return named_symbols(ca.MX, sizes)

@@ -39,6 +39,7 @@ from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Triple, key
+from quadexp.physics.expression import limited
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -104,7 +105,7 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     by = ca.diag(ca.vertcat(shrink, shrink, shrink, 1))
     P = ca.mtimes([by, P, by])
     size = ca.sqrt(ca.sumsqr(air[:3]) + 1e-30)
-    air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), ca.fmin(ca.fmax(air[3], -0.5), 1.0))
+    air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), limited(air[3], -0.5, 1.0))
 
     mean, of_torque = (1 + air[3]) * a["mean"], settings[N_WIND_SETTINGS:]
     rates, torque = torque_update(s[first:], x[RATE], mean, y[3:], of_torque, vehicle, period)
