@@ -165,9 +165,9 @@ def l1_functions(
 
 def added(vehicle: Vehicle, base: Expression, wrench: Expression) -> Expression:
     """Commands, (n,) (N), that add a wrench [T; tau], (4,), to others, (n,), by priority where that exceeds a limit."""
-    u = base + ca.mtimes(ca.DM(np.linalg.pinv(vehicle.allocation)), wrench)
+    u = base + ca.DM(np.linalg.pinv(vehicle.allocation)) @ wrench
     within = ca.logic_and(ca.mmin(u) >= vehicle.thrust_min, ca.mmax(u) <= vehicle.thrust_max)
-    return ca.if_else(within, u, prioritised(vehicle, ca.mtimes(ca.DM(vehicle.allocation), u)))
+    return ca.if_else(within, u, prioritised(vehicle, vehicle.allocation @ u))
 
 
 def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
@@ -176,31 +176,31 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
     x, x_last, thrust, memory, air, air_last = symbols(
         ca.SX, x=N_STATE, x_last=N_STATE, thrust=vehicle.n_rotors, memory=18, air=N_OUTPUTS, air_last=N_OUTPUTS
     )
-    wrench = ca.mtimes(ca.DM(vehicle.allocation), thrust)
+    wrench = vehicle.allocation @ thrust
 
     def known(state: Expression, y: Expression) -> Expression:
         R, w = rotation_matrix(state[ATTITUDE]), state[RATE]
-        linear = ca.mtimes(R, ca.vertcat(0, 0, wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
-        return ca.vertcat(linear, ca.mtimes(ca.inv(J), wrench[1:] + y[3:] - ca.cross(w, ca.mtimes(J, w))))
+        linear = R @ (ca.vertcat(0, 0, wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
+        return ca.vertcat(linear, ca.inv(J) @ (wrench[1:] + y[3:] - ca.cross(w, J @ w)))
 
     moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
     poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
     decay = np.exp(-poles * period)
     reach, gain = (1 - decay) / poles, poles * decay / (1 - decay)
     s_F, s_tau = ca.vertsplit(memory[DISTURBANCE], 3)
-    believed = ca.vertcat(s_F / m, ca.mtimes(ca.inv(J), s_tau))
+    believed = ca.vertcat(s_F / m, ca.inv(J) @ s_tau)
     error = ca.DM(decay) * memory[ERROR] + period / 2 * (known(x, air) + known(x_last, air_last))
     error += ca.DM(reach) * believed - moved
     estimate = -ca.DM(gain) * error
-    s_F, s_tau = m * estimate[:3], ca.mtimes(J, estimate[3:])
+    s_F, s_tau = m * estimate[:3], J @ estimate[3:]
     R = rotation_matrix(x[ATTITUDE])
-    body = ca.vertcat(ca.mtimes(R.T, s_F), s_tau)
+    body = ca.vertcat(R.T @ s_F, s_tau)
     stays = math.exp(-keys.bandwidth * period)
     filtered = stays * memory[FILTERED] + (1 - stays) * body
     force = keys.force_limit * m * vehicle.gravity
     bound = ca.vertcat(force, force, force, keys.torque_limit * ca.DM(np.diag(vehicle.inertia_matrix)))
     filtered = limited(filtered, -bound, bound)
-    lateral = ca.mtimes(R, ca.vertcat(filtered[:2], 0))
+    lateral = R @ ca.vertcat(filtered[:2], 0)
     outputs = [ca.vertcat(error, s_F, s_tau, filtered), body, lateral]
     return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))
 

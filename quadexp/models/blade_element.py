@@ -110,10 +110,10 @@ def blade_element_correction(
         vehicle, theta, velocity, w, induced, rate=rate, lift_scale=lift_scale, terms=terms
     )
     acceleration = force / (vehicle.mass + payload) - ca.vertcat(0, 0, ca.sum1(command) / vehicle.mass)
-    y = ca.vertcat(acceleration, torque - ca.mtimes(ca.sparsify(ca.DM(vehicle.allocation[1:])), command))
+    y = ca.vertcat(acceleration, torque - ca.sparsify(ca.DM(vehicle.allocation[1:])) @ command)
     dg_dz, slope = ca.jacobian(equation.value(induced), z), equation.slope(induced)
-    d_induced = -ca.mtimes(ca.diag(1 / slope), dg_dz)
-    dy_dz = ca.jacobian(y, z) + ca.mtimes(ca.jacobian(y, induced), d_induced)
+    d_induced = -(ca.diag(1 / slope) @ dg_dz)
+    dy_dz = ca.jacobian(y, z) + ca.jacobian(y, induced) @ d_induced
     y, dy_dz = ca.substitute([y, dy_dz], [induced], [solution])
     return y, dy_dz
 
@@ -205,7 +205,7 @@ def _force_function(vehicle: Vehicle) -> ca.Function:
     flow = rotor_flow(vehicle, v)
     equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
-    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), equation.derivative(induced, theta))
+    slope = ca.jacobian(force, theta) + ca.jacobian(force, induced) @ equation.derivative(induced, theta)
     results, solution = [force / vehicle.mass, ca.densify(slope) / vehicle.mass], safe_newton(equation, SAFE_ITERATIONS)
     return ca.Function("specific_force", [v, w, theta], ca.cse(ca.substitute(results, [induced], [solution])))
 

@@ -357,8 +357,8 @@ def _matrix_sums(
     if not factor.numel():
         return *sums, [], []
     roots = [ca.reshape(f, m, m) for f, m in zip(_split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
-    known = [ca.mtimes(f, k) for f, k in zip(roots, kernels, strict=True)]
-    back = [ca.mtimes(f.T, q) * k for f, q, k in zip(roots, known, kernels, strict=True)]
+    known = [f @ k for f, k in zip(roots, kernels, strict=True)]
+    back = [f.T @ q * k for f, q, k in zip(roots, known, kernels, strict=True)]
     slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
     return *sums, [ca.dot(q, q) for q in known], slopes
 
@@ -425,7 +425,7 @@ def _scalar_functions(
             share, far = 1 / (1 + ratio - known[i]), ca.SX(0)
             if mean_terms is None and {*features} <= _continued(output):
                 v = z[AXIS[output]]
-                far = c[0] + c[1] * v + c[2] * v * ca.fabs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
+                far = c[0] + c[1] * v + c[2] * v * abs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
             d_share = (value[i] - far) * share**2
             correction = far + share * (value[i] - far)
             dy_dz[row, :] += (1 - share) * ca.jacobian(far, z)

@@ -58,7 +58,7 @@ def _force_function(rotors: int, kappa: float) -> ca.Function:
     point = OperatingPoint(v, a, Inflow(kappa, theta[1], theta[2], theta[0]), V)
     equation = point.balance
     force = sum(theta[j] * TERMS[name].phi(point, 2) for j, name in enumerate(Z_TERMS))
-    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, V), equation.derivative(V, theta))
+    slope = ca.jacobian(force, theta) + ca.jacobian(force, V) @ equation.derivative(V, theta)
     solved = ca.substitute(ca.vertcat(force, slope.T), V, safe_newton(equation, ITERATIONS))
     return ca.Function("force", [v, a, theta], [ca.densify(ca.cse(solved))])
 

@@ -244,14 +244,14 @@ def _network_function(names: tuple[str, ...], network: Network, layer: Layer, ba
     places = feature_places(names, network.features, "network")
     select = _zeros_and_ones(places, len(names))
     place = _zeros_and_ones([[OUTPUTS.index(output)] for output in network.outputs], len(OUTPUTS)).T
-    x, slopes = ca.mtimes(select, z), []
+    x, slopes = select @ z, []
     for w, b in zip(weights[:-1], parts[1:-1:2], strict=True):
         x, slope = layer(w, b, x)
         slopes.append(slope)
-    y, gradient = ca.mtimes(weights[-1], x) + parts[-1], weights[-1]
+    y, gradient = weights[-1] @ x + parts[-1], weights[-1]
     for w, slope in zip(reversed(weights[:-1]), reversed(slopes), strict=True):
         gradient = backward(gradient, slope, w)
-    results = [ca.mtimes(place, y), ca.mtimes(place, ca.mtimes(gradient, select))]
+    results = [place @ y, place @ (gradient @ select)]
     return ca.Function("residual_neural", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
 
 
@@ -261,11 +261,11 @@ def _zeros_and_ones(places: list[list[int]], columns: int) -> ca.DM:
 
 
 def _layer(w: Expression, b: Expression, x: Expression) -> tuple[Expression, Expression]:
-    return activation(ca.mtimes(w, x) + b)
+    return activation(w @ x + b)
 
 
 def _backward(gradient: Expression, slope: Expression, w: Expression) -> Expression:
-    return ca.mtimes(gradient * ca.repmat(slope.T, gradient.size1(), 1), w)
+    return gradient * ca.repmat(slope.T, gradient.size1(), 1) @ w
 
 
 def _compiled_layer(w: Expression, b: Expression, x: Expression) -> tuple[Expression, Expression]:

@@ -156,7 +156,7 @@ def update_function(
     sample = f - ca.vertcat(0, 0, ca.sum1(u) / vehicle.mass) - y[:3]
     if known is not None:
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
-    sigma = ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
+    sigma = rotation_matrix(x[ATTITUDE]).T @ (x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
 
     beliefs = ca.vertsplit(belief, np.cumsum([0, *(block.size for block in adapting.blocks)]).tolist())
     theta, innovation, updated = ca.MX(prior), [ca.MX(0)] * 3, []
@@ -178,7 +178,7 @@ def _block(
     row: regressors of the weights. noise: r. push: dt c sigma. Only one triangle of P is used, so it is symmetric.
     """
     h, root = len(block.at), ca.DM(block.root)
-    b, P, phi = belief[:h], ca.reshape(belief[h:], h, h), ca.mtimes(root.T, row)
+    b, P, phi = belief[:h], ca.reshape(belief[h:], h, h), root.T @ row
     if law.name == "rls":
         P = P * ca.fmin(1 / decay, ca.fmax(1, h / ca.trace(P)))
     else:
@@ -186,15 +186,15 @@ def _block(
     if law.fitc:
         noise += ca.fmax(block.signal_variance - ca.dot(phi, phi), 0)
     error = sample - ca.dot(phi, b)
-    spread = ca.mtimes(P, phi)
+    spread = P @ phi
     s = ca.dot(phi, spread) + noise
     gain = spread / s
-    crossed = ca.mtimes(gain, spread.T)
-    P = ca.tril2symm(ca.tril(P - crossed - crossed.T + s * ca.mtimes(gain, gain.T)))
+    crossed = gain @ spread.T
+    P = ca.tril2symm(ca.tril(P - crossed - crossed.T + s * (gain @ gain.T)))
     b = b + gain * error
     if law.name == "composite":
-        b += push * ca.mtimes(P, phi)
-    return ca.vertcat(b, ca.vec(P)), ca.DM(block.mean) + ca.mtimes(root, b), error
+        b += push * (P @ phi)
+    return ca.vertcat(b, ca.vec(P)), ca.DM(block.mean) + root @ b, error
 
 
 def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Expression, ...]:

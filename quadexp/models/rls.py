@@ -79,7 +79,7 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     if gauss_newton:
         through = ca.substitute(ca.jacobian(force[2], induced), coefficients, used)
         gain_regressors = ca.SX(regressors)
-        gain_regressors[2, C_LA] += ca.mtimes(through, equation.derivative(induced, used[C_LA])) / vehicle.mass
+        gain_regressors[2, C_LA] += through @ equation.derivative(induced, used[C_LA]) / vehicle.mass
     regressors, gain_regressors = ca.substitute(
         [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
     )
@@ -89,16 +89,16 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
         phi, direction = regressors[axis, at].T, gain_regressors[axis, at].T
         theta, P = thetas[axis], covariances[axis]
         kept = forgetting * ca.DM.eye(len(at)) + (1 - forgetting) * P / ca.repmat(priors[axis], 1, len(at))
-        P = ca.mtimes(P, ca.inv_minor(kept))
+        P = P @ ca.inv_minor(kept)
         P = (P + P.T) / 2
-        spread = ca.mtimes(P, direction)
+        spread = P @ direction
         gain = spread / (ca.dot(direction, spread) + sigma**2)
         errors.append(y[axis] - ca.dot(phi, theta))
         new_thetas.append(theta + gain * errors[-1])
-        new_covariances.append(P - ca.mtimes(gain, spread.T))
+        new_covariances.append(P - gain @ spread.T)
 
-    speed = ca.fabs(v[0]) + ca.fabs(v[1])
-    weight = ca.if_else(speed > 0, ca.fabs(v[0]) / (speed + (speed <= 0)), 0.5)
+    speed = abs(v[0]) + abs(v[1])
+    weight = ca.if_else(speed > 0, abs(v[0]) / (speed + (speed <= 0)), 0.5)
     raw = _combine(new_thetas, weight, lift_weight)
     given = [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight]
     results = [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]

@@ -162,7 +162,7 @@ _ROOT = "1/sqrt(m)"  # (m/s^2) / (m/s sqrt(m/s^2))
 TERMS = {
     "linear": Term("1/s", lambda p, i: -p.v[i]),
     "offset": Term("m/s^2", lambda p, i: ca.SX(1)),
-    "quadratic": Term("1/m", lambda p, i: -p.v[i] * ca.fabs(p.v[i])),
+    "quadratic": Term("1/m", lambda p, i: -p.v[i] * abs(p.v[i])),
     "body": Term("1/m", lambda p, i: -p.v[i] * ca.sqrt(ca.dot(p.v, p.v) + TINY_SPEED**2)),
     "hub": Term(_ROOT, lambda p, i: -p.v[i] * ca.sum1(p.rotor_speed)),
     "hub_climb": Term("1/m", lambda p, i: -p.v[i] * p.a.numel() * p.v[2]),

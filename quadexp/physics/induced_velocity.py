@@ -152,7 +152,7 @@ def solution_function(geometry: RotorGeometry, terms: CrossTerms = ADOPTED) -> c
     induced = safe_newton(equation)
     moving = squared + axial * axial > 0
     stopped, unique = w <= STANDING, root_is_unique(equation, induced)
-    finite = ca.fabs(lift_slope) + ca.fabs(w) + squared + ca.fabs(axial) < ca.inf
+    finite = abs(lift_slope) + abs(w) + squared + abs(axial) < ca.inf
     status = ca.if_else(unique, int(Defined.OK), int(Defined.NOT_UNIQUE))
     status = ca.if_else(stopped, ca.if_else(moving, int(Defined.STOPPED), int(Defined.OK)), status)
     status = ca.if_else(finite, status, int(Defined.NOT_FINITE))

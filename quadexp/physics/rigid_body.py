@@ -49,20 +49,18 @@ def state_derivative(
     correction: [a_body (m/s^2), tau_body (N m)], (6,), or None for the nominal body.
     """
     q, v, w = x[ATTITUDE], x[VELOCITY], x[RATE]
-    wrench = ca.mtimes(ca.sparsify(ca.DM(vehicle.allocation)), u)
+    wrench = ca.sparsify(ca.DM(vehicle.allocation)) @ u
     acceleration = ca.vertcat(0, 0, wrench[0] / vehicle.mass)
     torque = wrench[1:]
     if correction is not None:
         acceleration += correction[:3]
         torque += correction[3:]
     inertia = ca.sparsify(ca.DM(vehicle.inertia_matrix))
-    angular_acceleration = ca.mtimes(
-        ca.sparsify(ca.inv(ca.DM(vehicle.inertia_matrix)), 1e-14), torque - ca.cross(w, ca.mtimes(inertia, w))
+    angular_acceleration = ca.sparsify(ca.inv(ca.DM(vehicle.inertia_matrix)), 1e-14) @ (
+        torque - ca.cross(w, inertia @ w)
     )
     gravity = ca.vertcat(0, 0, -vehicle.gravity)
-    return ca.vertcat(
-        v, quaternion_rate(q, w), ca.mtimes(rotation_matrix(q), acceleration) + gravity, angular_acceleration
-    )
+    return ca.vertcat(v, quaternion_rate(q, w), rotation_matrix(q) @ acceleration + gravity, angular_acceleration)
 
 
 def body_features(x: Expression, u: Expression) -> Expression:

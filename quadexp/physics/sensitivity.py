@@ -79,7 +79,7 @@ def rk4_sensitivity_function(
         *a: Expression,
     ) -> tuple[Expression, Expression]:  # fmt: skip
         k, G = slope(x_stage, u, y, dy_dz)
-        return k, _by_command(G, *a) + c * ca.mtimes(G[:, :N_MOTION], S)
+        return k, _by_command(G, *a) + c * (G[:, :N_MOTION] @ S)
 
     parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
     stage, combine = (as_scalars(f) if scalar else f for f in parts)
@@ -165,6 +165,6 @@ def _slope_function(vehicle: Vehicle, residual: Correction, *, dense: bool) -> c
         ca.substitute(expression, correction, ca.densify(y))
         for expression in (ca.jacobian(derivative[3:], motion), ca.jacobian(derivative[3:], correction), derivative)
     )
-    G = partial + ca.mtimes(by_correction, ca.mtimes(dy_dz, ca.jacobian(features, motion)))
+    G = partial + by_correction @ (dy_dz @ ca.jacobian(features, motion))
     G = ca.densify(G) if dense else ca.sparsify(G)
     return ca.Function("slope", [x, u, y, dy_dz], ca.cse([derivative, G]))

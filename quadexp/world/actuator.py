@@ -187,8 +187,8 @@ class PushingActuator(Actuator):
         before, between, after = (ca.dot(at.parameters[-n:], self._root(y)) for y in (first, middle, end))
         w = at.x[RATE]
         torque = ca.vertcat(w[1] * between, -w[0] * between, (after - before) / at.step)
-        more = ca.mtimes(ca.reshape(at.parameters[N_FIXED:-n], 4, n), at.thrust)
-        return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, more[0])), torque + more[1:]
+        more = ca.reshape(at.parameters[N_FIXED:-n], 4, n) @ at.thrust
+        return rotation_matrix(at.x[ATTITUDE]) @ ca.vertcat(0, 0, more[0]), torque + more[1:]
 
     def _root(self, y: Expression) -> Expression:
         """Root of the thrusts (n,) that the motors give."""

@@ -441,6 +441,6 @@ def _row(value: Expression, n: int) -> Expression:
 
 def _doubt(equation: Balance, before: Expression, induced: Expression) -> Expression:
     """1 where the last Newton step was too long to end, or the root lies below V_z with V_z > 2.83 V_h; else 0."""
-    unsettled = ca.fabs(induced - before) > LARGEST_CHANGE
+    unsettled = abs(induced - before) > LARGEST_CHANGE
     steep = equation.axial**2 > 8 * equation.in_plane_squared
     return ca.mmax(ca.logic_or(unsettled, ca.logic_and(steep, induced < equation.axial)))

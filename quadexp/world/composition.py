@@ -335,7 +335,7 @@ class _Parts:
         force, torque = self.pushes()(t, x, own, parameters, step, wind, given, *entering)
         mass = equations.mass(theta) if equations.mass else self._vehicle.mass
         kick = step / 2 * force / mass
-        turn = step / 2 * ca.mtimes(ca.inv(ca.DM(self._vehicle.inertia_matrix)), torque)
+        turn = step / 2 * (ca.inv(ca.DM(self._vehicle.inertia_matrix)) @ torque)
 
         def kicked(state: ca.MX) -> ca.MX:
             if not pushes:
@@ -351,7 +351,7 @@ class _Parts:
         if self.moving:
             advance = self.inner_after("advance", *IN_STEP, "x_next")
             own = advance(t, x, own, parameters, step, wind, thrusts, x_next, *entering)
-        pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
+        pushed = rotation_matrix(x_next[ATTITUDE]).T @ (force / mass) if pushes else ca.MX.zeros(3)
         S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
         one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
         if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):

@@ -122,8 +122,8 @@ class DroneModelsPlant(RotorSpeedPlant):
         command = z[6:]
         rpm = _commanded(ca.fmax(command, 0.1 * vehicle.hover_thrust), theta)
         _, torque = wrench(z[:3], z[3:6], rpm, ca.SX(n, 1), vehicle, theta)
-        static = ca.mtimes(ca.DM(vehicle.allocation[1:3]), command - _thrust(rpm, theta))
-        nominal = ca.mtimes(ca.DM(vehicle.allocation[1:]), command)
+        static = vehicle.allocation[1:3] @ (command - _thrust(rpm, theta))
+        nominal = vehicle.allocation[1:] @ command
         acceleration = linear_drag_force(z[:3], theta[DRAG]) / vehicle.mass
         outputs = ca.vertcat(acceleration, torque + ca.vertcat(static, 0) - nominal)
         return symbolic_residual("plant", outputs, z, theta, self._values(), source="plant equations")
@@ -156,7 +156,7 @@ def wrench(
     v: air-relative velocity, body frame (3,) (m/s). rate: (3,) (rad/s). rpm, rpm_rate: (n,) (rpm, rpm/s).
     """
     spin, m = ca.DM(vehicle.rotor_spin), parameters[TORQUE]
-    rotors = ca.mtimes(ca.DM(vehicle.allocation[:3]), _thrust(rpm, parameters))
+    rotors = vehicle.allocation[:3] @ _thrust(rpm, parameters)
     reaction = ca.dot(spin, m[0] + m[1] * rpm + m[2] * rpm**2)
     total, change = RPM * ca.dot(spin, rpm), RPM * ca.dot(spin, rpm_rate)
     axis = ca.DM([0, 0, 1])

@@ -102,7 +102,7 @@ def transition(time_scale: Expression, step: Expression) -> tuple[Expression, Ex
 def advanced(filters: Expression, noise: Expression, time_scale: Expression, step: Expression) -> Expression:
     """Filter states (5,) after a step (s); noise (5,) standard normal; time_scale T = L / V, (3,) (s)."""
     F, root = transition(time_scale, step)
-    return ca.mtimes(F, filters) + ca.mtimes(root, noise)
+    return F @ filters + root @ noise
 
 
 def turbulence(filters: Expression, intensity: Expression) -> Expression:
@@ -182,7 +182,7 @@ class Dryden(MeanWind):
         before, winds, times = filters, [_velocity(filters, at.parameters)], []
         for slot in ca.vertsplit(at.draws, 1 + N_NOISE):
             time, noise = ca.vertsplit(slot, [0, 1, 1 + N_NOISE])
-            before, filters = filters, ca.mtimes(F, filters) + ca.mtimes(root, noise)
+            before, filters = filters, F @ filters + root @ noise
             winds.append(_velocity(filters, at.parameters))
             times.append(time)
         filters = ca.if_else(times[-1] < NEVER, filters, before)  # a period may have one tick less than there are slots
@@ -205,7 +205,7 @@ def _blown() -> ca.Function:
 def _velocity(filters: Expression, parameters: Expression) -> Expression:
     """The wind (3,), world (m/s), of the filters (5,) and the parameters of Dryden."""
     mean, directions, intensity = parameters[:3], parameters[3:12], parameters[12:15]
-    return mean + ca.mtimes(ca.reshape(directions, 3, 3), turbulence(filters, intensity))
+    return mean + ca.reshape(directions, 3, 3) @ turbulence(filters, intensity)
 
 
 def _root(s: Expression) -> tuple[Expression, Expression, Expression]:

@@ -78,22 +78,22 @@ def propagate(
     half = exponential(phi / 2)
     turned_half = product(q, half)
     middle = rotation_matrix(turned_half)
-    pushed = ca.mtimes(middle, u)
+    pushed = middle @ u
     gained = pushed + ca.vertcat(0, 0, -gravity * duration)
     after = ca.vertcat(p + duration * v + duration / 2 * gained, product(turned_half, half), v + gained)
 
-    by_attitude = -ca.mtimes(cross_matrix(pushed), rotation_matrix(q))
-    by_gyroscope = ca.mtimes([middle, cross_matrix(u), right_jacobian(phi / 2)]) * (duration / 2)
+    by_attitude = -(cross_matrix(pushed) @ rotation_matrix(q))
+    by_gyroscope = middle @ cross_matrix(u) @ right_jacobian(phi / 2) * (duration / 2)
     by_force = middle * duration
     turn, turn_by_gyroscope = rotation_matrix(product(half, half)).T, -right_jacobian(phi) * duration
 
     def transition(d: Expression) -> Expression:
         dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
-        gain = ca.mtimes(by_attitude, turned) - ca.mtimes(by_force, of_force) + ca.mtimes(by_gyroscope, of_rate)
+        gain = by_attitude @ turned - by_force @ of_force + by_gyroscope @ of_rate
         return ca.vertcat(
             dp + duration * dv + duration / 2 * gain,
             dv + gain,
-            ca.mtimes(turn, turned) + ca.mtimes(turn_by_gyroscope, of_rate),
+            turn @ turned + turn_by_gyroscope @ of_rate,
             of_force,
             of_rate,
         )
@@ -142,7 +142,7 @@ def update(
         told = sum(coefficient * d[i] for i, coefficient in row.items())
         gain = PH * (1 / (seen + variance))
         d = d + gain * (value - told)
-        covariance = ca.triu2symm(ca.triu(covariance - ca.mtimes(gain, PH.T)))
+        covariance = ca.triu2symm(ca.triu(covariance - gain @ PH.T))
     return inject(nominal, d), reset(covariance, d)
 
 
@@ -165,7 +165,7 @@ def reset(covariance: Expression, d: Expression) -> Expression:
 
     def apply(P: Expression) -> Expression:
         parts = ca.vertsplit(P, [0, D_ATTITUDE.start, D_ATTITUDE.stop, N_ERROR])
-        return ca.vertcat(parts[0], ca.mtimes(turn, parts[1]), parts[2])
+        return ca.vertcat(parts[0], turn @ parts[1], parts[2])
 
     return ca.triu2symm(ca.triu(apply(apply(covariance).T)))
 

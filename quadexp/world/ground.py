@@ -40,10 +40,10 @@ def ground_wrench(
     limit: height of a rotor over the ground (m) above which there is no effect.
     """
     R = rotation_matrix(x[ATTITUDE])
-    height = x[POSITION][2] - ground + ca.mtimes(R[2, :], position).T
+    height = x[POSITION][2] - ground + (R[2, :] @ position).T
     added = ca.if_else(height < limit, thrust_factor(height, radius) - 1, 0) * thrust
     torque = ca.vertcat(ca.dot(position[1, :].T, added), -ca.dot(position[0, :].T, added), 0)
-    return ca.mtimes(R, ca.vertcat(0, 0, ca.sum1(added))), torque
+    return R @ ca.vertcat(0, 0, ca.sum1(added)), torque
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -132,7 +132,7 @@ def means(before: Expression, after: Expression, duration: Expression, gravity: 
     turned = logarithm(product(conjugate(before[ATTITUDE]), after[ATTITUDE]))
     middle = product(before[ATTITUDE], exponential(turned / 2))
     acceleration = (after[VELOCITY] - before[VELOCITY]) / duration + ca.vertcat(0, 0, gravity)
-    return ca.vertcat(ca.mtimes(rotation_matrix(middle).T, acceleration), turned / duration)
+    return ca.vertcat(rotation_matrix(middle).T @ acceleration, turned / duration)
 
 
 def read(

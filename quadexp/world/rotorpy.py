@@ -124,7 +124,7 @@ class RotorPyPlant(RotorSpeedPlant):
         command = z[6:]
         w = _commanded_speed(command, vehicle, SLOWEST * theta[SPEED_MAX], theta[SPEED_MAX])
         force, torque = wrench(z[:3], z[3:6], w, vehicle, theta[AIR])
-        nominal = ca.mtimes(ca.DM(vehicle.allocation), command)
+        nominal = vehicle.allocation @ command
         acceleration = (force - ca.vertcat(0, 0, nominal[0])) / vehicle.mass
         outputs = ca.vertcat(acceleration, torque - nominal[1:])
         return symbolic_residual("plant", outputs, z, theta, self._values(), source="plant equations")

@@ -110,7 +110,7 @@ class SimplifiedPlant(SimulatedPlant):
         z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_EFFECTS)
         command, delivered = z[6:], _delivered_thrust(z[6:], theta, self.vehicle)
         nominal = ca.vertcat(0, 0, ca.sum1(command) / self.vehicle.mass)
-        torque = ca.mtimes(ca.DM(self.vehicle.allocation[1:]), delivered - command)
+        torque = self.vehicle.allocation[1:] @ (delivered - command)
         acceleration = _body_acceleration(z[:3], delivered, theta, self.vehicle) - nominal
         outputs = ca.vertcat(acceleration, torque)
         return symbolic_residual("plant", outputs, z, theta, self.effects.parameters(), source="plant equations")

@@ -86,7 +86,7 @@ def cable_force(cable: Cable, x: Expression, load: Expression, step: Expression)
 
 def cable_torque(cable: Cable, q: Expression, force: Expression) -> Expression:
     """Torque (3,), body (N m), of a force (3,), world (N), at the cable's end; q: attitude (4,), body to world."""
-    return ca.cross(_vector(cable.point), ca.mtimes(rotation_matrix(q).T, force))
+    return ca.cross(_vector(cable.point), rotation_matrix(q).T @ force)
 
 
 def advanced(cable: Cable, load: Expression, force: Expression, wind: Expression, step: Expression) -> Expression:
@@ -100,7 +100,7 @@ def advanced(cable: Cable, load: Expression, force: Expression, wind: Expression
 def _anchor(cable: Cable, x: Expression) -> tuple[Expression, Expression]:
     """Position (3,) (m) and velocity (3,) (m/s), world, of the cable's end at the vehicle."""
     R, point = rotation_matrix(x[ATTITUDE]), _vector(cable.point)
-    return x[POSITION] + ca.mtimes(R, point), x[VELOCITY] + ca.mtimes(R, ca.cross(x[RATE], point))
+    return x[POSITION] + R @ point, x[VELOCITY] + R @ ca.cross(x[RATE], point)
 
 
 def _vector(values: Any) -> Expression:

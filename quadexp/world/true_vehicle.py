@@ -103,8 +103,8 @@ class TrueVehicle(Effect):
         return (), coefficient_allocation(start.vehicle, *factors).ravel(order="F")
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        wrench = ca.mtimes(ca.reshape(at.parameters, 4, at.thrust.numel()), at.thrust)
-        return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, wrench[0])), wrench[1:]
+        wrench = ca.reshape(at.parameters, 4, at.thrust.numel()) @ at.thrust
+        return rotation_matrix(at.x[ATTITUDE]) @ ca.vertcat(0, 0, wrench[0]), wrench[1:]
 
     @property
     def idle(self) -> bool:

@@ -197,15 +197,15 @@ def _row(vehicle: Vehicle, period: float) -> ca.Function:
     turn = 2 * (p[0] * q[1:] - q[0] * p[1:] - ca.cross(q[1:], p[1:]))
     newest = list(range(sizes.all_commands - 1, -1, -1))
     s, *torques = (a["thrusts"][i, newest].T for i in range(3))
-    v = ca.mtimes(rotation_matrix(q).T, a["x"][VELOCITY])
-    air = ca.vertcat(1, v, ca.fabs(v) * v)
+    v = rotation_matrix(q).T @ a["x"][VELOCITY]
+    air = ca.vertcat(1, v, abs(v) * v)
     thrust = ca.vertcat(s[:m], s[:m] ** 2, a["t"] * s[:m], air, a["forces"][2, -1])
     w, J = a["x"][RATE], ca.DM(vehicle.inertia_matrix)
-    needed = ca.mtimes(J, w - a["x_before"][RATE]) / period + ca.cross(w, ca.mtimes(J, w))
+    needed = J @ (w - a["x_before"][RATE]) / period + ca.cross(w, J @ w)
     turning = [ca.vertcat(torques[i][:m], air, needed[i]) for i in range(2)]
     recent = list(range(lags, -1, -1))
-    velocity = period * ca.horzcat(ca.mtimes(R, a["forces"][:, recent]), ca.mtimes(R[:, 2], s.T))
+    velocity = period * ca.horzcat(R @ a["forces"][:, recent], R[:, 2] @ s.T)
     results = {"thrust": thrust, "turning_x": turning[0], "turning_y": turning[1], "velocity": velocity}
-    results |= {"attitude": period * ca.mtimes(R, a["rates"][:, recent]), "turn": turn}
+    results |= {"attitude": period * (R @ a["rates"][:, recent]), "turn": turn}
     results["R"] = rotation_matrix(q)
     return named_function("delay_row", a, {name: ca.densify(result) for name, result in results.items()})

@@ -149,7 +149,7 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     arguments = named_symbols(ca.MX, shapes)
     x, dt, theta, wind = (arguments[name] for name in ("x", "dt", "theta", "wind"))
     pushed = ca.vertcat(wind, ca.MX(4, 1), arguments["push"])
-    thrusts = arguments["scale"] * ca.mtimes(arguments["commands"], arguments["weights"])
+    thrusts = arguments["scale"] * (arguments["commands"] @ arguments["weights"])
 
     def slope(s: ca.MX, held: ca.MX) -> ca.MX:
         return model(s, held, theta) + pushed

@@ -128,8 +128,8 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
             for values in (rates, forces)
         )
         R = rotation_matrix(q)
-        turned = [f[0], *(ca.mtimes(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))), f[i]) for i in (1, 2))]
-        a = [ca.mtimes(R, one) + ca.vertcat(0, 0, -gravity) for one in turned]
+        turned = [f[0], *(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))) @ f[i] for i in (1, 2))]
+        a = [R @ one + ca.vertcat(0, 0, -gravity) for one in turned]
         p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))

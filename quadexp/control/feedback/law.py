@@ -145,11 +145,11 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
         ca.SX, x=N_STATE, reference=(3, 3), yaw=3, theta=5, v=3, w=n, eta_d=3, observer=(3, 2)
     )
 
-    R = ca.mtimes([ca.DM(NED_ENU), rotation_matrix(x[ATTITUDE]), ca.DM(FRD_FLU)])
-    eta, rate = euler_angles(R), ca.mtimes(ca.DM(FRD_FLU), x[RATE])
-    velocity_ned = ca.mtimes(ca.DM(NED_ENU), x[VELOCITY])
-    velocity = ca.mtimes(ca.DM(FRD_FLU), air_velocity(x[ATTITUDE], x[VELOCITY]))
-    target = ca.mtimes(ca.DM(NED_ENU), reference)
+    R = NED_ENU @ rotation_matrix(x[ATTITUDE]) @ FRD_FLU
+    eta, rate = euler_angles(R), FRD_FLU @ x[RATE]
+    velocity_ned = NED_ENU @ x[VELOCITY]
+    velocity = FRD_FLU @ air_velocity(x[ATTITUDE], x[VELOCITY])
+    target = NED_ENU @ reference
     psi_d, psi_d_dot, psi_d_ddot = yaw_ned(yaw[0]), -yaw[1], -yaw[2]
 
     hub, delta_thrust, delta_torque = compensation(vehicle, theta, velocity_last, rotor_speed_last)
@@ -157,7 +157,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     drag = drag_force(vehicle, theta, velocity) * variant.drag
 
     u_xi = position_feedback(
-        ca.mtimes(ca.DM(NED_ENU), x[POSITION]) - target[:, 0],
+        NED_ENU @ x[POSITION] - target[:, 0],
         velocity_ned - target[:, 1],
         ca.DM(settings.position_proportional),
         ca.DM(settings.position_derivative),
@@ -171,7 +171,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
 
     eta_d = ca.vertcat(*desired_tilt(u_T, psi_d), psi_d)
     exact, driven = observer_matrices(settings.observer_bandwidth, settings.control_period)
-    observer = ca.mtimes(ca.DM(exact), observer_last) + ca.mtimes(ca.DM(driven), eta_d[:2].T)
+    observer = exact @ observer_last + ca.DM(driven) @ eta_d[:2].T
     error = attitude_error(eta, eta_d)
     torque = attitude_torque(
         eta,
@@ -233,12 +233,10 @@ def compensation(vehicle: Vehicle, theta: Expression, velocity: Expression, roto
     equation = balance(vehicle.rotor_geometry, theta[C_LA], rotor_speed, in_plane, velocity[2])
     induced = safe_newton(equation, NEWTON_ITERATIONS)
     rotors_only = ca.vertcat(theta[C_D0], theta[C_LA], 0, 0, 0)
-    no_inflow, flu = ca.DM.zeros(vehicle.n_rotors), ca.mtimes(FRD_FLU, velocity)
+    no_inflow, flu = ca.DM.zeros(vehicle.n_rotors), FRD_FLU @ velocity
     force, torque = aerodynamic_wrench(vehicle, rotors_only, flu, rotor_speed, induced)
     motor_force, motor_torque = aerodynamic_wrench(vehicle, rotors_only, ca.DM.zeros(3), rotor_speed, no_inflow)
-    return Compensation(
-        -ca.mtimes(FRD_FLU, force)[:2], force[2] - motor_force[2], ca.mtimes(FRD_FLU, torque - motor_torque)
-    )
+    return Compensation(-(FRD_FLU @ force)[:2], force[2] - motor_force[2], FRD_FLU @ (torque - motor_torque))
 
 
 def drag_force(vehicle: Vehicle, theta: Expression, velocity: Expression) -> Expression:
@@ -274,7 +272,7 @@ def thrust_vector(
 
     acceleration: a_d (3,), NED (m/s^2). R_last: R_d,k-1, (3, 3). lateral: (H + D)_xy, (2,), FRD (N).
     """
-    lateral_force = ca.mtimes(R_last, ca.vertcat(lateral, 0))
+    lateral_force = R_last @ ca.vertcat(lateral, 0)
     return -lateral_force - mass * (u_xi - ca.vertcat(0, 0, gravity) + acceleration)
 
 
@@ -321,7 +319,7 @@ def rate_matrix(eta: Expression) -> Expression:
 def euler_rates(eta: Expression, rate: Expression) -> Expression:
     """eta_dot = W^-1 Omega, (3,) (rad/s). rate: Omega (3,), FRD (rad/s)."""
     sp, cp, ct = ca.sin(eta[0]), ca.cos(eta[0]), ca.cos(eta[1])
-    ct = ca.if_else(ct < 0, -1, 1) * ca.fmax(ca.fabs(ct), COSINE_MIN)
+    ct = ca.if_else(ct < 0, -1, 1) * ca.fmax(abs(ct), COSINE_MIN)
     heading = (sp * rate[1] + cp * rate[2]) / ct
     return ca.vertcat(rate[0] + ca.sin(eta[1]) * heading, cp * rate[1] - sp * rate[2], heading)
 
@@ -356,8 +354,8 @@ def attitude_torque(
     eta_dot = euler_rates(eta, rate)
     u_eta = -(proportional * error + derivative * (eta_dot - eta_d_dot))
     W_dot = _rate_matrix_derivative()(eta, eta_dot)
-    acceleration = ca.mtimes(rate_matrix(eta), u_eta + eta_d_ddot) + ca.mtimes(W_dot, eta_dot)
-    return ca.mtimes(inertia, acceleration) + ca.cross(rate, ca.mtimes(inertia, rate)) - compensation
+    acceleration = rate_matrix(eta) @ (u_eta + eta_d_ddot) + W_dot @ eta_dot
+    return inertia @ acceleration + ca.cross(rate, inertia @ rate) - compensation
 
 
 def _rate_matrix_derivative() -> ca.Function:
@@ -393,4 +391,4 @@ def allocate(
     inverse: of `unit_allocation`, (4, 4).
     """
     scaled = ca.vertcat(ca.vertcat(thrust, torque[0], torque[1]) / thrust_coefficient, torque[2] / torque_coefficient)
-    return ca.mtimes(inverse, scaled)
+    return inverse @ scaled

@@ -149,7 +149,7 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     integral = integral + period * ca.DM(keys.velocity_integral) * back
     integral = ca.vertcat(integral[:2], limited(integral[2], -g, g))
 
-    R_d = attitude_of(f, ca.mtimes(rotation_matrix(state[ATTITUDE]), ca.DM([1, 0, 0])))
+    R_d = attitude_of(f, rotation_matrix(state[ATTITUDE]) @ ca.DM([1, 0, 0]))
     w_c = wanted_rate(R, R_d, keys) + R[2, :].T * yaw[1]
     if keys.rate_feedforward:
         w_c = wanted_rate(R, R_d, keys) + state[RATE]
@@ -157,10 +157,10 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     w_c = limited(w_c, -limit, limit)
     slow = w_c - w
     angular = ca.DM(keys.rate_proportional) * slow + rate_integral - ca.DM(keys.rate_derivative) * turning
-    torque = ca.mtimes(ca.DM(vehicle.inertia_matrix), angular)
+    torque = vehicle.inertia_matrix @ angular
     thrust = vehicle.mass * ca.norm_2(f)
     u = prioritised(vehicle, ca.vertcat(thrust, torque), airmode=keys.airmode, yaw_margin=keys.yaw_margin)
-    lacking = torque - ca.mtimes(ca.DM(vehicle.allocation[1:]), u)
+    lacking = torque - vehicle.allocation[1:] @ u
     scale = SATURATED * vehicle.thrust_max * float(np.abs(vehicle.allocation[1:]).max())
     slow = ca.if_else(lacking > scale, ca.fmin(slow, 0), ca.if_else(lacking < -scale, ca.fmax(slow, 0), slow))
     share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
@@ -223,10 +223,10 @@ def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[E
 def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression:
     """w_c of (3), (3,), body (rad/s), without feed-forward."""
     weight = keys.yaw_weight
-    z_d = ca.mtimes(R.T, R_d[:, 2])  # in the body; the shortest rotation takes e_z there
+    z_d = R.T @ R_d[:, 2]  # in the body; the shortest rotation takes e_z there
     turn = ca.sqrt(ca.fmax((1 + z_d[2]) / 2, 1e-12))
     reduced = ca.vertcat(turn, -z_d[1] / (2 * turn), z_d[0] / (2 * turn), 0)  # q^-1 o q_red
-    mixed = ca.mtimes(rotation_matrix(reduced).T, ca.mtimes(R.T, R_d))  # about z by the rest of the yaw
+    mixed = rotation_matrix(reduced).T @ (R.T @ R_d)  # about z by the rest of the yaw
     angle = weight * ca.atan2(mixed[1, 0] - mixed[0, 1], mixed[0, 0] + mixed[1, 1])
     c, s = ca.cos(angle / 2), ca.sin(angle / 2)
     error = ca.vertcat(reduced[1] * c + reduced[2] * s, reduced[2] * c - reduced[1] * s, reduced[0] * s)

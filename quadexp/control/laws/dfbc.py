@@ -138,7 +138,7 @@ def _wrench(
     p_r, v_r, a_r, j_r, s_r = ca.horzsplit(path)
 
     a_d = ca.DM(keys.position_gain) * (p_r - x[POSITION]) + ca.DM(keys.velocity_gain) * (v_r - x[VELOCITY]) + a_r
-    force = m * (a_d + vehicle.gravity * up) - m * ca.mtimes(R, air[:3]) - belief[:3]
+    force = m * (a_d + vehicle.gravity * up) - m * (R @ air[:3]) - belief[:3]
     T_d = ca.norm_2(force)
     z_d = force / ca.fmax(T_d, SMALL)
     y_d = ca.cross(z_d, ca.vertcat(ca.cos(yaw[0]), ca.sin(yaw[0]), 0))
@@ -148,21 +148,21 @@ def _wrench(
         y_d = ca.if_else(ca.logic_and(upside_down, ca.dot(y_d, y_b) < 0), -1, 1) * y_d
 
     T = ca.fmax(ca.sum1(delivered), keys.least_thrust * m * vehicle.gravity)
-    turning = ca.cross(ca.mtimes(R, w), z_b)  # z', world
+    turning = ca.cross(R @ w, z_b)  # z', world
     T_1 = m * ca.dot(j_r, z_b)
     T_2 = m * ca.dot(s_r, z_b) + m * ca.dot(turning, j_r)
     h = (m * j_r - T_1 * z_b) / T
     w_r = ca.vertcat(-ca.dot(h, y_b), ca.dot(h, x_b), yaw[1] * z_b[2])
-    h_a = m * s_r / T - (ca.cross(ca.mtimes(R, w), turning) + 2 * T_1 / T * turning + T_2 / T * z_b)
+    h_a = m * s_r / T - (ca.cross(R @ w, turning) + 2 * T_1 / T * turning + T_2 / T * z_b)
     alpha_r = ca.vertcat(-ca.dot(h_a, y_b), ca.dot(h_a, x_b), yaw[2] * z_b[2])
 
-    error = ca.mtimes(R.T, ca.horzcat(ca.cross(y_d, z_d), y_d, z_d))
+    error = R.T @ ca.horzcat(ca.cross(y_d, z_d), y_d, z_d)
     r = error[:, 2]
     tilt = 2 * ca.vertcat(-r[1], r[0]) / ca.sqrt(2 * ca.fmax(1 + r[2], OPPOSITE))
     turn = ca.atan2(error[1, 0] - error[0, 1], error[0, 0] + error[1, 1])
     alpha = ca.vertcat(keys.tilt_gain * tilt, keys.yaw_gain * 2 * ca.sin(turn / 2))
     alpha += ca.DM(keys.rate_gain) * (w_r - w) + alpha_r
-    torque = ca.mtimes(J, alpha) + ca.cross(w, ca.mtimes(J, w)) - air[3:] - belief[3:6]
+    torque = J @ alpha + ca.cross(w, J @ w) - air[3:] - belief[3:6]
     return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(limited(r[2], -1, 1)), turn)
 
 

@@ -163,12 +163,12 @@ def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
 
     R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
     R_r, w_r = rotation_matrix(state[ATTITUDE]), state[RATE]
-    wrench_r = ca.mtimes(G, thrust)
-    w_r_dot = ca.mtimes(ca.inv(J), wrench_r[1:] + air_r[3:] - ca.cross(w_r, ca.mtimes(J, w_r)))
+    wrench_r = G @ thrust
+    w_r_dot = ca.inv(J) @ (wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r))
     e_p, e_v = x[POSITION] - path[:, 0], x[VELOCITY] - path[:, 1]
 
     # Force per mass, and its derivatives along the closed loop.
-    known = ca.mtimes(R, air[:3]) + belief[FORCE] / m
+    known = R @ air[:3] + belief[FORCE] / m
     force = path[:, 2] - gravity - K_x * e_p - K_v * e_v - known - theta_force
     heading = _turning(R_r, w_r, w_r_dot, E_X)
     if keys.rates == "none":
@@ -178,7 +178,7 @@ def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
         forces = (force, ca.SX(3, 1), ca.SX(3, 1))
     else:
         first, second = _reference_derivatives(wrench_r[0] / m, R_r, w_r, w_r_dot, path)
-        z, z_dot = R[:, 2], ca.mtimes(R, ca.cross(w, E_Z))
+        z, z_dot = R[:, 2], R @ ca.cross(w, E_Z)
         e_a = ca.dot(force, z) * z + known + gravity - path[:, 2]
         after = first - K_x * e_v - K_v * e_a
         e_j = (ca.dot(after, z) + ca.dot(force, z_dot)) * z + ca.dot(force, z) * z_dot - first
@@ -186,12 +186,12 @@ def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
     R_d, w_d, w_d_dot = moving_attitude(forces, heading)
     if keys.rates == "reference":
         w_d, w_d_dot = w_r, w_r_dot
-    turn = ca.mtimes(R.T, R_d)
-    e_R, e_w = attitude_error(R, R_d), w - ca.mtimes(turn, w_d)
-    spin = -ca.cross(w, ca.mtimes(turn, w_d)) + ca.mtimes(turn, w_d_dot)
-    torque = ca.mtimes(J, spin - K_R * e_R - K_w * e_w - theta_torque) + ca.cross(w, ca.mtimes(J, w))
+    turn = R.T @ R_d
+    e_R, e_w = attitude_error(R, R_d), w - turn @ w_d
+    spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
+    torque = J @ (spin - K_R * e_R - K_w * e_w - theta_torque) + ca.cross(w, J @ w)
     torque -= air[3:] + belief[TORQUE]
-    wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + ca.mtimes(G, middle - thrust)
+    wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (middle - thrust)
     wrench /= belief[SCALE]
     u = prioritised(vehicle, wrench) if keys.priority == "tilt" else clipped(vehicle, wrench)
 
@@ -217,7 +217,7 @@ def _turning(
 ) -> tuple[Expression, Expression, Expression]:
     """A body axis (3,) in the world with its two derivatives, of an attitude with rate w and w', (3,) each."""
     across = ca.cross(w, axis)
-    return (ca.mtimes(R, axis), ca.mtimes(R, across), ca.mtimes(R, ca.cross(w, across) + ca.cross(w_dot, axis)))
+    return (R @ axis, R @ across, R @ (ca.cross(w, across) + ca.cross(w_dot, axis)))
 
 
 def _reference_derivatives(

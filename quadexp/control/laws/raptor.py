@@ -113,13 +113,13 @@ def raptor_function(vehicle: Vehicle, keys: RaptorKeys, weights: str) -> ca.Func
     x, state, memory = symbols(ca.SX, x=N_STATE, state=N_STATE, memory=HIDDEN + ACTIONS)
     order, turn = layout(vehicle)
     turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
-    level = ca.mtimes(about_z(heading_of(rotation_matrix(state[ATTITUDE]))), turned)  # policy's world to ours
-    R = ca.mtimes([level.T, rotation_matrix(x[ATTITUDE]), turned])
+    level = about_z(heading_of(rotation_matrix(state[ATTITUDE]))) @ turned  # policy's world to ours
+    R = level.T @ rotation_matrix(x[ATTITUDE]) @ turned
     position, velocity = (
-        limited(ca.mtimes(level.T, x[part] - state[part]), -limit, limit)
+        limited(level.T @ (x[part] - state[part]), -limit, limit)
         for part, limit in ((POSITION, keys.position_limit), (VELOCITY, keys.velocity_limit))
     )
-    observation = ca.vertcat(position, ca.vec(R.T), velocity, ca.mtimes(turned.T, x[RATE]), memory[HIDDEN:])
+    observation = ca.vertcat(position, ca.vec(R.T), velocity, turned.T @ x[RATE], memory[HIDDEN:])
     action, hidden = evaluated(policy(weights), observation, memory[:HIDDEN])
     speed = limited((action + 1) / 2, 0, 1)
     places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
@@ -138,14 +138,14 @@ def about_z(angle: Expression) -> Expression:
 def evaluated(made: Any, observation: Expression, hidden: Expression) -> tuple[Expression, Expression]:
     """Action (4,) and next hidden state (16,) of the package's policy."""
     first, memory, last = made.layers
-    seen = ca.fmax(ca.mtimes(_matrix(first.weights), observation) + _matrix(first.biases), 0)
-    of_hidden = ca.mtimes(_matrix(memory.weights_hidden), hidden) + _matrix(memory.biases_hidden)
-    of_input = ca.mtimes(_matrix(memory.weights_input), seen) + _matrix(memory.biases_input)
+    seen = ca.fmax(_matrix(first.weights) @ observation + _matrix(first.biases), 0)
+    of_hidden = _matrix(memory.weights_hidden) @ hidden + _matrix(memory.biases_hidden)
+    of_input = _matrix(memory.weights_input) @ seen + _matrix(memory.biases_input)
     gates = 1 / (1 + ca.exp(-(of_hidden + of_input)[: 2 * HIDDEN]))
     reset, keep = gates[:HIDDEN], gates[HIDDEN:]
     new = ca.tanh(reset * of_hidden[2 * HIDDEN :] + of_input[2 * HIDDEN :])
     hidden = keep * hidden + (1 - keep) * new
-    return ca.mtimes(_matrix(last.weights), hidden) + _matrix(last.biases), hidden
+    return _matrix(last.weights) @ hidden + _matrix(last.biases), hidden
 
 
 def _matrix(values: np.ndarray) -> ca.DM:

@@ -235,7 +235,7 @@ def enter_function(
     if update is not None and delays is not None:
         found, left = _estimated(a, kept, update, delays, n)
     force, torque, wind, scale, air_scale = ca.vertsplit(found, [0, 3, 6, 9, 10, 11])
-    spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
+    spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
     disturbance = ca.vertcat(force / vehicle.mass, spin)
     origin = kept["origin"] + a["period"] * kept["wind"]
 
@@ -253,7 +253,7 @@ def enter_function(
         U_in = U_in + ca.horzcat(*(c + d * (i / samples) for c, d in steps for i in range(samples)))
         within = [moved[i // samples] for i in range(rows)]  # between nodes nothing weighs states
         attitude, rate = ca.horzcat(*(m[:4] for m in within)), ca.horzcat(*(m[4:] for m in within))
-    position = X_ref[POSITION, :] - ca.repmat(origin, 1, rows) - ca.mtimes(wind, times.T)
+    position = X_ref[POSITION, :] - ca.repmat(origin, 1, rows) - wind @ times.T
     X_in = ca.vertcat(position, attitude, X_ref[VELOCITY, :] - ca.repmat(wind, 1, rows), rate)
     x, change = a["x"], wind - kept["wind"]
     x_in = ca.vertcat(x[POSITION] - origin, x[ATTITUDE], x[VELOCITY] - wind, x[RATE])
@@ -262,7 +262,7 @@ def enter_function(
     low, high = (1 + ROUNDING) * vehicle.thrust_min, (1 - ROUNDING) * vehicle.thrust_max
     results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
     squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
-    moving = ca.vertcat(ca.mtimes(change, (a["since"] - a["period"]).T), ca.DM.zeros(4, nodes + 1))
+    moving = ca.vertcat(change @ (a["since"] - a["period"]).T, ca.DM.zeros(4, nodes + 1))
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
     results |= {"X_moved": a["X"] - moving, "moved": ca.norm_2(change) > MOVED, "squares": squares}
     results |= {"memory_next": ca.vertcat(*(memory[name] for name in layout.slices))}

@@ -109,20 +109,20 @@ def _node_symbols(n: int, m: int) -> list[ca.MX]:
 def _backward_function(n: int, m: int) -> ca.Function:
     """For n inputs and m states: (P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k, factor; Q and R as diagonals."""
     P, p, A, B, b, q, r, Q, R = given = _node_symbols(n, m)
-    products = ca.mtimes(P, ca.horzcat(A, B, b))
+    products = P @ ca.horzcat(A, B, b)
     PA, PB, Pb = ca.horzsplit(products, [0, m, m + n, m + n + 1])
-    H, G, h = ca.mtimes(PB.T, B) + ca.diag(R), ca.mtimes(PB.T, A), r + ca.mtimes(B.T, Pb + p)
+    H, G, h = PB.T @ B + ca.diag(R), PB.T @ A, r + B.T @ (Pb + p)
     K, k, factor = solve_function(n, m)(H, G, h)
-    P_next = ca.mtimes(A.T, PA) - ca.mtimes(G.T, K) + ca.diag(Q)
-    p_next = q + ca.mtimes(A.T, Pb + p) - ca.mtimes(G.T, k)
+    P_next = A.T @ PA - G.T @ K + ca.diag(Q)
+    p_next = q + A.T @ (Pb + p) - G.T @ k
     return _function("backward", given, [P_next, p_next, K, k, factor])
 
 
 def _first_node_function(n: int, m: int) -> ca.Function:
     """(P, p, A, B, b, q, r, Q, R) of node 0 -> k, factor."""
     P, p, _, B, b, _, r, _, R = given = _node_symbols(n, m)
-    H = ca.mtimes(B.T, ca.mtimes(P, B)) + ca.diag(R)
-    h = r + ca.mtimes(B.T, ca.mtimes(P, b) + p)
+    H = B.T @ (P @ B) + ca.diag(R)
+    h = r + B.T @ (P @ b + p)
     _, k, factor = solve_function(n, m)(H, ca.MX(n, m), h)
     return _function("first_node", given, [k, factor])
 
@@ -134,9 +134,9 @@ def _vector_passes(kind: type[Expression], a: ca.Sparsity, b: ca.Sparsity) -> tu
     """
     m, n = b.shape
     x, A, B, gap, K, k, q, r = symbols(kind, x=m, A=a, B=b, b=m, K=(n, m), k=n, q=m, r=n)
-    du = -k - ca.mtimes(K, x)
-    forward = _function("forward", [x, A, B, gap, K, k], [du, ca.mtimes(A, x) + ca.mtimes(B, du) + gap])
-    return forward, _function("adjoint", [x, A, B, q, r], [q + ca.mtimes(A.T, x), r + ca.mtimes(B.T, x)])
+    du = -k - K @ x
+    forward = _function("forward", [x, A, B, gap, K, k], [du, A @ x + B @ du + gap])
+    return forward, _function("adjoint", [x, A, B, q, r], [q + A.T @ x, r + B.T @ x])
 
 
 def _function(name: str, arguments: list[Expression], results: list[Expression]) -> ca.Function:

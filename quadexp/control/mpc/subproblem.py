@@ -58,7 +58,7 @@ def forward_pass(
 ) -> tuple[list[Expression], list[Expression]]:
     """Deviations dX_1 .. dX_N and dU_0 .. dU_{N-1} from the gains, dX_0 = 0; the sequences begin with node 1."""
     dU = [-k_0]
-    dX = [ca.mtimes(B_0, dU[0]) + b_0]
+    dX = [B_0 @ dU[0] + b_0]
     for node in zip(A, B, b, K, k, strict=True):
         du, dx = passes.forward(dX[-1], *node)
         dU.append(du)

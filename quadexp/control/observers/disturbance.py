@@ -80,22 +80,22 @@ def disturbance_function(
     q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
     known: Any = ca.vertcat(0, 0, thrust) + y[:3]
     if scaled:
-        by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
-        unexplained, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
-        drag, walks = ca.mtimes(R, y[:3]), ca.vertcat(q, scale_walk, air_walk)
+        by_scale = ca.vertcat(0, 0, thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
+        unexplained, turned = R @ (a["reading"] - known), R @ by_scale
+        drag, walks = R @ y[:3], ca.vertcat(q, scale_walk, air_walk)
         scaled_state, P, rest = scaled_force_update(
             s[:first], unexplained, turned, drag, walks, r, for_rest, doubt, a["read"]
         )
         force, scale, air = scaled_state[:3] + rest, 1 + scaled_state[3], 1 + scaled_state[4]
     elif velocity:
         mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
-        predicted = estimate + period * (ca.mtimes(R, mean) + ca.vertcat(0, 0, -vehicle.gravity) + force)
+        predicted = estimate + period * (R @ mean + ca.vertcat(0, 0, -vehicle.gravity) + force)
         error = x[VELOCITY] - predicted
         force, estimate = force + for_a * error, predicted + for_v * error
     else:
         P = P + q
         gain = a["read"] * P / (P + r)
-        force, P = force + gain * (ca.mtimes(R, a["reading"] - known) - force), (1 - gain) * P
+        force, P = force + gain * (R @ (a["reading"] - known) - force), (1 - gain) * P
     size = ca.sqrt(ca.sumsqr(force) + 1e-30)
     force = force * ca.fmin(1, limit / size)
     rates, torque = torque_update(

@@ -86,24 +86,24 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     wind_walk, scale_walk, *noise, largest, limit, gain = ca.vertsplit(settings[:N_WIND_SETTINGS])
 
     scale = 1 + air[3]
-    z = ca.vertcat(ca.mtimes(R.T, x[VELOCITY] - air[:3]), x[RATE], scale * a["thrust"])
+    z = ca.vertcat(R.T @ (x[VELOCITY] - air[:3]), x[RATE], scale * a["thrust"])
     y, slope = model(z, a["theta"])
     y = ca.densify(y)
     slope = ca.densify(slope)
-    by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(slope[:3, 6:], a["thrust"])
-    H = ca.horzcat(-ca.mtimes(slope[:3, :3], R.T), by_scale)
+    by_scale = ca.vertcat(0, 0, thrust) + slope[:3, 6:] @ a["thrust"]
+    H = ca.horzcat(-(slope[:3, :3] @ R.T), by_scale)
     P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
     error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
-    S = ca.mtimes([H, P, H.T]) + ca.diag(ca.vertcat(*noise))
-    K = a["read"] * ca.mtimes([P, H.T, inverse(S)])
-    change = ca.mtimes(K, error)
+    S = H @ P @ H.T + ca.diag(ca.vertcat(*noise))
+    K = a["read"] * (P @ H.T @ inverse(S))
+    change = K @ error
     air = air + change
-    force = force + a["read"] * gain * (ca.mtimes(R, error - ca.mtimes(H, change)) - force)
-    reduction = ca.DM.eye(N_AIR) - ca.mtimes(K, H)
-    P = ca.mtimes([reduction, P, reduction.T]) + ca.mtimes([K, ca.diag(ca.vertcat(*noise)), K.T])  # Joseph's form
+    force = force + a["read"] * gain * (R @ (error - H @ change) - force)
+    reduction = ca.DM.eye(N_AIR) - K @ H
+    P = reduction @ P @ reduction.T + K @ ca.diag(ca.vertcat(*noise)) @ K.T  # Joseph's form
     shrink = ca.fmin(1, ca.sqrt(3 * largest / ca.trace(P[:3, :3])))
     by = ca.diag(ca.vertcat(shrink, shrink, shrink, 1))
-    P = ca.mtimes([by, P, by])
+    P = by @ P @ by
     size = ca.sqrt(ca.sumsqr(air[:3]) + 1e-30)
     air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), limited(air[3], -0.5, 1.0))
 
