@@ -35,6 +35,7 @@ from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset
 from quadexp.models.residual import VELOCITY
 from quadexp.models.rotor_thrust import fit_timing, mean_thrust
 from quadexp.parts.schema import WORLD, Config
+from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 from quadexp.reference.base import FlatOutput, standing
@@ -279,7 +280,7 @@ def collect_dataset(
     write_table(path, dataset.columns, metadata, "residuals", force=force)
     if len(worlds) > len(flown):
         notes.append(f"warning: {len(flown)} flights in the first of {len(worlds)} worlds: raise collect.duration")
-    speed = np.linalg.norm(dataset.matrix(VELOCITY), axis=1)
+    speed = norms(dataset.matrix(VELOCITY))
     median, high, largest = float(np.median(speed)), float(np.percentile(speed, 95)), float(speed.max())
     seconds = float(np.sum(dataset.columns["dt"]))
     rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"

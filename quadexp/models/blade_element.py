@@ -57,7 +57,7 @@ from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrenc
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
-from quadexp.physics.state import STATE_COLUMNS
+from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 ITERATIONS = 4  # Newton steps; three reach 1e-9 m/s in cruise, idling rotors and steep descents need a fourth
@@ -164,7 +164,7 @@ def fit_blade_element(
 
     def linearised(error: np.ndarray, design: np.ndarray) -> tuple[float, np.ndarray]:
         """sigma and H."""
-        noise = max(float(np.sqrt(np.mean(error**2))), 1e-9)
+        noise = max(root_mean_square(error), 1e-9)
         return noise, np.einsum("kai,kaj->ij", design, design) / noise**2 + np.diag(1 / spread**2)
 
     c = first.copy()

@@ -34,6 +34,7 @@ from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
+from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 N_PARAMETERS = 7
@@ -217,7 +218,7 @@ def fit_linear_drag(
             over="flights",
         )  # fmt: skip
         value[places], error[places], freedom[places] = fit.coefficients, fit.errors, fit.freedom
-        std[i] = np.sqrt(np.mean(fit.residual**2))
+        std[i] = root_mean_square(fit.residual)
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
         r_squared[i] = 1 - np.sum(fit.residual**2) / spread if spread > 0 else 0.0
     return LinearDrag(

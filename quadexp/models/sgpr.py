@@ -37,6 +37,8 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
 from torch.utils.checkpoint import checkpoint
 
+from quadexp.physics.state import root_mean_square
+
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
 PILOT_ITERATIONS = 60
@@ -67,7 +69,7 @@ def fit_output(
     replace the first stages. report: called with the completed share.
     """
     centre, spread = z.mean(axis=0), z.std(axis=0)
-    unit = float(np.sqrt(np.mean(target**2))) or 1.0
+    unit = root_mean_square(target) or 1.0
     x, y = (z - centre) / spread, target / unit
     order = rng.permutation(len(x))
 

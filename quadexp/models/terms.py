@@ -80,6 +80,7 @@ from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, sym
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import Balance, safe_newton
+from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 Axes = tuple[tuple[str, ...], ...]  # names of the terms, per axis
@@ -336,7 +337,7 @@ def fit_terms(
     return TermModel(
         kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in last),
         tuple(fit.covariance[k, k] for fit, k in last), tuple(int(fit.freedom) for fit in fits),
-        np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]), np.array([fit.condition for fit in fits]),
+        np.array([root_mean_square(fit.residual) for fit in fits]), np.array([fit.condition for fit in fits]),
         rotors.shape[1], momentum, options.get("loss", "squares"),
     )  # fmt: skip
 

@@ -26,6 +26,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata
 from quadexp.parts.settings import flat
+from quadexp.physics.state import norms
 from quadexp.report.frame import read_results
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
@@ -219,7 +220,7 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
     if not len(t):
         return {"common": 0, "identical": False, "text": "one of them has none: the paths are not compared"}
     paths = [np.column_stack([np.interp(t, flight.t, flight[f"p_{i}"]) for i in "xyz"]) for flight in (a, b)]
-    apart = np.linalg.norm(paths[0] - paths[1], axis=1)
+    apart = norms(paths[0] - paths[1])
     at = int(np.argmax(apart))
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
     text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {t[at]:.2f} s ({len(t)} common samples{length})"

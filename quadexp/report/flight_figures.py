@@ -17,7 +17,9 @@ from matplotlib.colors import LogNorm, Normalize
 from quadexp.errors import UsageError
 from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
+from quadexp.log.signal import finite_rows
 from quadexp.log.signal.windows import Pair, cut, pairs, streams_of
+from quadexp.physics.state import norms
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import grouped
 from quadexp.report.style import COLOURS, ERROR_COLOURS, HUES, Figure, entries, error_bar, looks, plain_log, styled
@@ -122,7 +124,7 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
                 f"{name}: mean {MS * mean_error(flight):.3g} mm",
             )
         else:
-            values = np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1)
+            values = norms(flight.stack(["v_x", "v_y", "v_z"]))
         course.plot(flight.t, values, label=name, **worn.line())
     above.set(xlabel="x (m)", ylabel="y (m)")
     above.set_aspect("equal", adjustable="datalim")
@@ -193,8 +195,8 @@ def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -
 def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
     """Times of the windows, (n, k) (s), and what two streams say of the same quantity in each, by relation."""
     t = np.asarray(flight.t, float)
-    streams = {name: x for name, x in streams_of(flight).items() if np.isfinite(x).all(axis=1).mean() > 0.5}
-    good = np.isfinite(t) & np.all([np.isfinite(values).all(axis=1) for values in streams.values()], axis=0)
+    streams = {name: x for name, x in streams_of(flight).items() if finite_rows(x).mean() > 0.5}
+    good = np.isfinite(t) & np.all([finite_rows(values) for values in streams.values()], axis=0)
     windows = cut(t, streams, good, flight.columns.get("segment"))
     return windows.t, {pair.name: pair for pair in pairs(windows)} if len(windows.t) else {}
 

@@ -26,6 +26,7 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.errors import DataError
+from quadexp.log.signal import period_of
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -91,7 +92,7 @@ class Moments:
     def __init__(self, stream: Stream, vehicle: Vehicle) -> None:
         if len(stream.t) < LEAST:
             raise DataError(f"delays cannot be found in {len(stream.t)} samples, {LEAST} are needed")
-        self.vehicle, self.sizes = vehicle, Sizes(float(np.median(np.diff(stream.t))))
+        self.vehicle, self.sizes = vehicle, Sizes(period_of(stream.t))
         function = BufferedFunction(_row(vehicle, self.sizes.period))
         self._given, self._rows = function.arguments, function.results
         names = ("thrust", "turning_x", "turning_y")
