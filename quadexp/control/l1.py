@@ -41,7 +41,7 @@ from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Settings, key, part
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import body_features
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -180,7 +180,7 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
 
     def known(state: Expression, y: Expression) -> Expression:
         R, w = rotation_matrix(state[ATTITUDE]), state[RATE]
-        linear = R @ (ca.vertcat(0, 0, wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
+        linear = R @ (along_z(wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
         return ca.vertcat(linear, ca.inv(J) @ (wrench[1:] + y[3:] - ca.cross(w, J @ w)))
 
     moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])

@@ -34,6 +34,7 @@ from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residu
 from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset
 from quadexp.models.residual import VELOCITY
 from quadexp.models.rotor_thrust import fit_timing, mean_thrust
+from quadexp.names import without
 from quadexp.parts.schema import WORLD, Config
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
@@ -108,7 +109,7 @@ def collect_flights(
         build_loop(world, model)
     sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))
     offset = np.random.default_rng(sequence.spawn(1)[0]).random()
-    decisive = {key: value for key, value in asdict(settings).items() if key not in OF_RECORDED}
+    decisive = without(asdict(settings), OF_RECORDED)
     flights: list[Flight] = []
     recorded = 0.0
     while not flights or recorded < settings.duration - 1e-6:

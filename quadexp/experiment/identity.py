@@ -12,7 +12,6 @@ same (`part_identity`).
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import os
@@ -26,6 +25,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.models.base import model_class
+from quadexp.names import sha256_of
 from quadexp.parts.part import TARGET, Part, imported
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
@@ -62,7 +62,7 @@ def canonical(value: Any) -> str:
 
 def digest(value: Any) -> str:
     """sha256 of the canonical JSON, 20 hex digits."""
-    return hashlib.sha256(canonical(value).encode()).hexdigest()[:20]
+    return sha256_of(canonical(value))[:20]
 
 
 def flying_parts(config: Config) -> dict[str, Part]:
@@ -145,7 +145,7 @@ def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
             maker = model_class(kind).maker
             raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {maker}")
     files = tuple(_file(folder) for folder in controller.models)
-    together = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
+    together = sha256_of("".join(file.sha256 for file in files))
     return ModelFile("+".join(file.path for file in files), together, files)
 
 

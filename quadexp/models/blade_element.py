@@ -56,6 +56,7 @@ from quadexp.models.samples import READINGS, check_columns
 from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
+from quadexp.physics.rotation import along_z
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
@@ -109,7 +110,7 @@ def blade_element_correction(
     force, torque = aerodynamic_wrench(
         vehicle, theta, velocity, w, induced, rate=rate, lift_scale=lift_scale, terms=terms
     )
-    acceleration = force / (vehicle.mass + payload) - ca.vertcat(0, 0, ca.sum1(command) / vehicle.mass)
+    acceleration = force / (vehicle.mass + payload) - along_z(ca.sum1(command) / vehicle.mass)
     y = ca.vertcat(acceleration, torque - ca.sparsify(ca.DM(vehicle.allocation[1:])) @ command)
     dg_dz, slope = ca.jacobian(equation.value(induced), z), equation.slope(induced)
     d_induced = -(ca.diag(1 / slope) @ dg_dz)

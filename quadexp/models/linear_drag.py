@@ -34,6 +34,7 @@ from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
@@ -156,7 +157,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
 def linear_drag_acceleration(features: Expression, theta: Expression) -> Expression:
     """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta = [D (3,), b (3,), kappa]."""
     thrust = ca.sum1(features[6:])
-    return linear_drag_force(features[:3], theta[:3]) + theta[3:6] + ca.vertcat(0, 0, theta[6] * thrust)
+    return linear_drag_force(features[:3], theta[:3]) + theta[3:6] + along_z(theta[6] * thrust)
 
 
 def linear_drag_residual(

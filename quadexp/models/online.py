@@ -55,7 +55,7 @@ from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -153,7 +153,7 @@ def update_function(
     z = ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
     prior = ca.DM(adapting.residual.theta)
     y, *rows = regressors(adapting, n)(z, prior)
-    sample = f - ca.vertcat(0, 0, ca.sum1(u) / vehicle.mass) - y[:3]
+    sample = f - along_z(ca.sum1(u) / vehicle.mass) - y[:3]
     if known is not None:
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
     sigma = rotation_matrix(x[ATTITUDE]).T @ (x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))

@@ -25,6 +25,7 @@ from typing import Any, ClassVar, Self
 
 from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
+from quadexp.names import without
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.parts.settings import Name, Settings, record
 from quadexp.parts.user_modules import OWN, generation, import_from, lies_outside, load, own_folders
@@ -67,7 +68,7 @@ class Part(Settings):
     @functools.cached_property
     def _recorded(self) -> dict[str, Any]:
         usual = {k for k in self.added if getattr(self, k) == getattr(type(self), k)}
-        settings = {k: v for k, v in record(self).items() if k not in usual}
+        settings = without(record(self), usual)
         return settings | ({"kind": self.former_kind} if self.former_kind else {})
 
     def anew(self) -> Self:

@@ -17,7 +17,7 @@ from typing import Protocol
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import air_velocity, quaternion_rate, rotation_matrix
+from quadexp.physics.rotation import air_velocity, along_z, quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -50,7 +50,7 @@ def state_derivative(
     """
     q, v, w = x[ATTITUDE], x[VELOCITY], x[RATE]
     wrench = ca.sparsify(ca.DM(vehicle.allocation)) @ u
-    acceleration = ca.vertcat(0, 0, wrench[0] / vehicle.mass)
+    acceleration = along_z(wrench[0] / vehicle.mass)
     torque = wrench[1:]
     if correction is not None:
         acceleration += correction[:3]
@@ -59,7 +59,7 @@ def state_derivative(
     angular_acceleration = ca.sparsify(ca.inv(ca.DM(vehicle.inertia_matrix)), 1e-14) @ (
         torque - ca.cross(w, inertia @ w)
     )
-    gravity = ca.vertcat(0, 0, -vehicle.gravity)
+    gravity = along_z(-vehicle.gravity)
     return ca.vertcat(v, quaternion_rate(q, w), rotation_matrix(q) @ acceleration + gravity, angular_acceleration)
 
 

@@ -29,6 +29,11 @@ def rotation_matrix(q: Expression) -> Expression:
     return ca.vertcat(*(ca.horzcat(*row) for row in _entries(q[0], q[1], q[2], q[3])))
 
 
+def along_z(size: Expression) -> Expression:
+    """The vector of this size along z, (3,)."""
+    return ca.vertcat(0, 0, size)
+
+
 def air_velocity(q: Any, velocity: Any, wind: Any = None) -> Any:
     """Velocity relative to the air in body axes, R(q)' (v - wind), on which all aerodynamic forces depend.
 

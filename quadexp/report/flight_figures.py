@@ -19,6 +19,7 @@ from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
 from quadexp.log.signal import finite_rows
 from quadexp.log.signal.windows import Pair, cut, pairs, streams_of
+from quadexp.names import distinct
 from quadexp.physics.state import norms
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import grouped
@@ -50,7 +51,7 @@ def tracked_paths(
     without a flight, written there. left_out: what has no panel, named below the title.
     """
     places = dict.fromkeys([*flights, *(missing or {})])
-    controllers, conditions = (list(dict.fromkeys(place[k] for place in places)) for k in (0, 1))
+    controllers, conditions = (distinct(place[k] for place in places) for k in (0, 1))
     most = max(1, MAX_PANELS // len(conditions))
     left_out = [*left_out, *(f"{controller} (no room)" for controller in controllers[most:])]
     panels = [(controller, condition) for controller in controllers[:most] for condition in conditions]

@@ -22,6 +22,7 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
+from quadexp.names import without
 from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, VELOCITY, norms, root_mean_square
 from quadexp.report.table import csv_text
 
@@ -160,7 +161,7 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
 def renewed(flight: Flight) -> dict[str, Any]:
     """The metadata of a flight whose samples are no longer those that were flown: the numbers of its row are of the
     samples that are there, in the order of time; without a row where these do not suffice."""
-    metadata = {name: value for name, value in flight.metadata.items() if name not in ("row", "thinned")}
+    metadata = without(flight.metadata, ("row", "thinned"))
     row, config = flight.metadata["row"], flight.metadata["config"]
     limits, rate = config["vehicle"], config["controller"].get("rate")
     try:

@@ -30,6 +30,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from quadexp.messages import clean, html
+from quadexp.names import distinct
 from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
 from quadexp.report import FORMATS
@@ -192,7 +193,7 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     controller that states its look has it, in whatever company; its variants, and the same with remedies
     (gp_mpc+wind), have the shades of its hue that are free, with hollow markers. All others take what is free in CYCLE.
     """
-    labels = list(dict.fromkeys(labels))
+    labels = distinct(labels)
     order = {name: place for place, name in enumerate(LOOKS)}
     chosen: dict[str, Look] = {}
     for label in sorted(labels, key=lambda label: order.get(name_of(label), len(order))):

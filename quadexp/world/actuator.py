@@ -41,7 +41,7 @@ from quadexp.errors import UsageError
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import decayed, time_constant_towards
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -188,7 +188,7 @@ class PushingActuator(Actuator):
         w = at.x[RATE]
         torque = ca.vertcat(w[1] * between, -w[0] * between, (after - before) / at.step)
         more = ca.reshape(at.parameters[N_FIXED:-n], 4, n) @ at.thrust
-        return rotation_matrix(at.x[ATTITUDE]) @ ca.vertcat(0, 0, more[0]), torque + more[1:]
+        return rotation_matrix(at.x[ATTITUDE]) @ along_z(more[0]), torque + more[1:]
 
     def _root(self, y: Expression) -> Expression:
         """Root of the thrusts (n,) that the motors give."""

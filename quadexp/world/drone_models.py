@@ -35,6 +35,7 @@ from quadexp.parts.settings import REQUIRED, Triple, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
@@ -162,7 +163,7 @@ def wrench(
     axis = ca.DM([0, 0, 1])
     momentum, momentum_rate = -parameters[INERTIA] * total * axis, -parameters[INERTIA] * change * axis
     gyroscopic = -ca.cross(rate, momentum) - momentum_rate
-    force = linear_drag_force(v, parameters[DRAG]) + ca.vertcat(0, 0, rotors[0])
+    force = linear_drag_force(v, parameters[DRAG]) + along_z(rotors[0])
     return force, ca.vertcat(rotors[1:], reaction) + gyroscopic
 
 

@@ -46,7 +46,7 @@ from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import cross_matrix, exponential, product, right_jacobian, rotation_matrix
+from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
@@ -79,7 +79,7 @@ def propagate(
     turned_half = product(q, half)
     middle = rotation_matrix(turned_half)
     pushed = middle @ u
-    gained = pushed + ca.vertcat(0, 0, -gravity * duration)
+    gained = pushed + along_z(-gravity * duration)
     after = ca.vertcat(p + duration * v + duration / 2 * gained, product(turned_half, half), v + gained)
 
     by_attitude = -(cross_matrix(pushed) @ rotation_matrix(q))

@@ -23,6 +23,7 @@ from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key
 from quadexp.physics.expression import limited
 from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
@@ -108,6 +109,6 @@ def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, nois
         return derivative(state, thrusts, correction(state))
 
     after = integrate("rk4", slope, x, step)
-    reading = ca.vertcat(0, 0, ca.sum1(thrusts) / vehicle.mass) + correction(after)[:3]
+    reading = along_z(ca.sum1(thrusts) / vehicle.mass) + correction(after)[:3]
     arguments = [x, command, noise, parameters, step]
     return Equations(ca.Function("model_step", arguments, [after, reading], STEP_INPUTS, STEP_OUTPUTS))

@@ -33,6 +33,7 @@ from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
@@ -125,7 +126,7 @@ class RotorPyPlant(RotorSpeedPlant):
         w = _commanded_speed(command, vehicle, SLOWEST * theta[SPEED_MAX], theta[SPEED_MAX])
         force, torque = wrench(z[:3], z[3:6], w, vehicle, theta[AIR])
         nominal = vehicle.allocation @ command
-        acceleration = (force - ca.vertcat(0, 0, nominal[0])) / vehicle.mass
+        acceleration = (force - along_z(nominal[0])) / vehicle.mass
         outputs = ca.vertcat(acceleration, torque - nominal[1:])
         return symbolic_residual("plant", outputs, z, theta, self._values(), source="plant equations")
 

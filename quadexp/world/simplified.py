@@ -28,6 +28,7 @@ from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import thrust_loss
 from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
@@ -109,7 +110,7 @@ class SimplifiedPlant(SimulatedPlant):
         n = self.vehicle.n_rotors
         z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_EFFECTS)
         command, delivered = z[6:], _delivered_thrust(z[6:], theta, self.vehicle)
-        nominal = ca.vertcat(0, 0, ca.sum1(command) / self.vehicle.mass)
+        nominal = along_z(ca.sum1(command) / self.vehicle.mass)
         torque = self.vehicle.allocation[1:] @ (delivered - command)
         acceleration = _body_acceleration(z[:3], delivered, theta, self.vehicle) - nominal
         outputs = ca.vertcat(acceleration, torque)
@@ -128,7 +129,7 @@ def _body_acceleration(
     force = linear_drag_force(body_velocity, effects[LINEAR_DRAG])
     force += quadratic_drag_force(body_velocity, effects[QUADRATIC_DRAG])
     lift = effects[LIFT] * ca.sumsqr(body_velocity[:2])
-    return (force + ca.vertcat(0, 0, ca.sum1(delivered) + lift)) / vehicle.mass
+    return (force + along_z(ca.sum1(delivered) + lift)) / vehicle.mass
 
 
 def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
@@ -147,7 +148,7 @@ def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
 
     def slope(state: Expression) -> Expression:
         """The rigid body is told what goes beyond the delivered thrust: drag, lift and noise."""
-        nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)
+        nominal = along_z(ca.sum1(delivered) / vehicle.mass)
         return state_derivative(state, delivered, vehicle, ca.vertcat(specific_force(state) - nominal, torque_noise))
 
     after = integrate("rk4", slope, x, step)

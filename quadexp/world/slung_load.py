@@ -25,7 +25,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Moment, Sizes, Start
@@ -93,7 +93,7 @@ def advanced(cable: Cable, load: Expression, force: Expression, wind: Expression
     """The load (6,) after a step (s) under the held force (3,) (N) on the vehicle, and wind (3,), world (m/s)."""
     through_air = load[3:] - wind
     drag = cable.drag * ca.sqrt(ca.sumsqr(through_air) + 1e-12) * through_air
-    acceleration = ca.vertcat(0, 0, -cable.gravity) - (force + drag) / cable.mass
+    acceleration = along_z(-cable.gravity) - (force + drag) / cable.mass
     return ca.vertcat(load[:3] + step * load[3:] + step**2 / 2 * acceleration, load[3:] + step * acceleration)
 
 

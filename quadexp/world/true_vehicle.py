@@ -25,7 +25,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -104,7 +104,7 @@ class TrueVehicle(Effect):
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
         wrench = ca.reshape(at.parameters, 4, at.thrust.numel()) @ at.thrust
-        return rotation_matrix(at.x[ATTITUDE]) @ ca.vertcat(0, 0, wrench[0]), wrench[1:]
+        return rotation_matrix(at.x[ATTITUDE]) @ along_z(wrench[0]), wrench[1:]
 
     @property
     def idle(self) -> bool:

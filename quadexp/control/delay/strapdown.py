@@ -31,7 +31,7 @@ from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, i
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
 from quadexp.parts.settings import key
-from quadexp.physics.rotation import exponential, product, rotation_matrix
+from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
 
@@ -129,7 +129,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
         )
         R = rotation_matrix(q)
         turned = [f[0], *(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))) @ f[i] for i in (1, 2))]
-        a = [R @ one + ca.vertcat(0, 0, -gravity) for one in turned]
+        a = [R @ one + along_z(-gravity) for one in turned]
         p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))

@@ -45,7 +45,7 @@ from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.induced_velocity import balance, safe_newton
-from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -273,7 +273,7 @@ def thrust_vector(
     acceleration: a_d (3,), NED (m/s^2). R_last: R_d,k-1, (3, 3). lateral: (H + D)_xy, (2,), FRD (N).
     """
     lateral_force = R_last @ ca.vertcat(lateral, 0)
-    return -lateral_force - mass * (u_xi - ca.vertcat(0, 0, gravity) + acceleration)
+    return -lateral_force - mass * (u_xi - along_z(gravity) + acceleration)
 
 
 def in_cone(u_T: Expression, down_min: float, tilt_max: float) -> tuple[Expression, Expression]:

@@ -32,6 +32,7 @@ from quadexp.control.mpc.subproblem import (
     subproblem_sparsity,
 )
 from quadexp.models.residual import Residual
+from quadexp.names import without
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.sensitivity import rk4_sensitivity_function
@@ -237,7 +238,7 @@ def step_functions(
     )
     answer = step.feedback(prepared) | {"X_lin": step.given["x0"]}
     unused = ("X", "U", "U_ref", "Q_end", "shift", "first_share")
-    given = {name: value for name, value in step.given.items() if name not in unused}
+    given = without(step.given, unused)
     # An input has another name than an output that goes to the same array.
     inputs = given | {f"{name}_prepared": value for name, value in known.items()}
     feedback = named_function("mpc_feedback", inputs, answer)

@@ -43,7 +43,7 @@ from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import key
 from quadexp.physics.rigid_body import body_features
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -78,9 +78,9 @@ def disturbance_function(
     y = ca.densify(y)
     force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
     q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
-    known: Any = ca.vertcat(0, 0, thrust) + y[:3]
+    known: Any = along_z(thrust) + y[:3]
     if scaled:
-        by_scale = ca.vertcat(0, 0, thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
+        by_scale = along_z(thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
         unexplained, turned = R @ (a["reading"] - known), R @ by_scale
         drag, walks = R @ y[:3], ca.vertcat(q, scale_walk, air_walk)
         scaled_state, P, rest = scaled_force_update(
@@ -88,8 +88,8 @@ def disturbance_function(
         )
         force, scale, air = scaled_state[:3] + rest, 1 + scaled_state[3], 1 + scaled_state[4]
     elif velocity:
-        mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
-        predicted = estimate + period * (R @ mean + ca.vertcat(0, 0, -vehicle.gravity) + force)
+        mean = along_z(ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
+        predicted = estimate + period * (R @ mean + along_z(-vehicle.gravity) + force)
         error = x[VELOCITY] - predicted
         force, estimate = force + for_a * error, predicted + for_v * error
     else:

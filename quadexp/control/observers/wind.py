@@ -40,7 +40,7 @@ from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import limited
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -90,10 +90,10 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     y, slope = model(z, a["theta"])
     y = ca.densify(y)
     slope = ca.densify(slope)
-    by_scale = ca.vertcat(0, 0, thrust) + slope[:3, 6:] @ a["thrust"]
+    by_scale = along_z(thrust) + slope[:3, 6:] @ a["thrust"]
     H = ca.horzcat(-(slope[:3, :3] @ R.T), by_scale)
     P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
-    error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
+    error = a["reading"] - y[:3] - along_z(scale * thrust)
     S = H @ P @ H.T + ca.diag(ca.vertcat(*noise))
     K = a["read"] * (P @ H.T @ inverse(S))
     change = K @ error

@@ -20,6 +20,7 @@ import numpy as np
 from quadexp.log.check.finding import Finding, longest, of_rows
 from quadexp.log.schema import Flight
 from quadexp.log.signal import finite_rows, period_of, runs
+from quadexp.names import distinct
 from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
@@ -305,7 +306,7 @@ def _matched(fit: Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
     for yaw in (1.0, -1.0, 0.0):
         likeness = (wanted * np.array([[1.0], [1.0], [yaw]])).T @ fitted
         orders.append(tuple(int(i) for i in linear_sum_assignment(-likeness)[1]))
-    return list(dict.fromkeys(orders))
+    return distinct(orders)
 
 
 def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list[Finding]:
