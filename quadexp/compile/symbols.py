@@ -29,3 +29,9 @@ def named_symbols(kind: Any, shapes: Mapping[str, Any]) -> dict[str, Any]:
 def named_function(name: str, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> ca.Function:
     """The CasADi function of symbols by name, whose inputs and outputs have these names."""
     return ca.Function(name, [*inputs.values()], [*outputs.values()], [*inputs], [*outputs])
+
+
+def dense_function(name: str, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> ca.Function:
+    """The same with dense outputs; what several of them need is computed once."""
+    values = ca.cse([ca.densify(value) for value in outputs.values()])
+    return named_function(name, inputs, dict(zip(outputs, values, strict=True)))

@@ -23,7 +23,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_symbols, symbols
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.built import built
 from quadexp.control.instant import Operation, Told, call, copy, move
 from quadexp.physics.expression import Expression
@@ -89,8 +89,8 @@ def commands_function(
 def _commands_function(rotors: int, pending: int) -> ca.Function:
     shapes = {"commands": (rotors, pending), "thrust": rotors, "sent": rotors, "numbers": 6}
     a = named_symbols(ca.SX, shapes)
-    names = ["commands_next", "thrust_next", "mean"]
-    return ca.Function("delivered", [*a.values()], [*delivered_by_commands(*a.values())], [*a], names)
+    commands, thrust, mean = delivered_by_commands(*a.values())
+    return named_function("delivered", a, {"commands_next": commands, "thrust_next": thrust, "mean": mean})
 
 
 class DeliveredThrust:

@@ -28,7 +28,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_symbols, symbols
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import prioritised
 from quadexp.control.base import Controller, Window, no_belief
 from quadexp.control.instant import YES, Instant, Operation, Told, believing, call, copy, instant_of, move
@@ -40,7 +40,7 @@ from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Settings, key, part
 from quadexp.physics.expression import Expression, limited
-from quadexp.physics.rigid_body import body_features
+from quadexp.physics.rigid_body import features_function
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -149,15 +149,14 @@ def l1_functions(
     mean = inputs["acting"] + lag / period * (1 - decay) * (inputs["rotors"] - inputs["acting"])
     air = [ca.DM.zeros(N_OUTPUTS)] * 2
     if residual is not None:
-        model = (residual.to_compile if compiled else None) or residual.function
+        model = residual.form(compiled)
         inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
-        x, u = symbols(ca.SX, x=N_STATE, u=n)
-        features = ca.Function("features", [x, u], [body_features(x, u)])
+        features = features_function(vehicle)
         air = [model(features(inputs[name], mean), inputs["theta"])[0] for name in ("x", "x_last")]
     predictor = _predictor(vehicle, keys, period)
     results = predictor(inputs["x"], inputs["x_last"], mean, inputs["memory"], *map(ca.densify, air))
-    names = ["memory_next", "body", "lateral", "rotors_next"]
-    estimate = ca.Function("l1_estimate", [*inputs.values()], [*results, rotors_next], [*inputs], names)
+    outputs = dict(zip(("memory_next", "body", "lateral"), results, strict=True)) | {"rotors_next": rotors_next}
+    estimate = named_function("l1_estimate", inputs, outputs)
     base, y = symbols(ca.SX, base=n, filtered=6)
     u = added(vehicle, base, -y[2:])
     return estimate, ca.Function("l1_add", [base, y], [ca.cse(u)], ["base", "filtered"], ["u"])

@@ -69,6 +69,7 @@ from quadexp.models.residual import (
     check_features,
     feature_names,
     feature_places,
+    residual_function,
 )
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
@@ -310,8 +311,7 @@ def gaussian_process_residual(
 
     def posterior_mean(sums: Callable[..., Sums]) -> ca.Function:
         of_points = [ca.vertcat(*part) for part in sums(structure, select(z_, scale_), points_, alpha_, factor_)]
-        results = assemble(z_, mean_, scale_, known_, *of_points)
-        return ca.Function("residual_gaussian_process", [z_, theta_], [*results], ["z", "theta"], ["y", "dy_dz"])
+        return residual_function("gaussian_process", z_, theta_, assemble(z_, mean_, scale_, known_, *of_points))
 
     return Residual("gaussian_process", posterior_mean(_matrix_sums), theta, source, posterior_mean(_compiled_sums))
 

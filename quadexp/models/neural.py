@@ -52,7 +52,7 @@ from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.online import Adapting, Block
 from quadexp.models.recorded import with_common_scale
-from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places
+from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places, residual_function
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.expression import Expression
@@ -251,8 +251,7 @@ def _network_function(names: tuple[str, ...], network: Network, layer: Layer, ba
     y, gradient = weights[-1] @ x + parts[-1], weights[-1]
     for w, slope in zip(reversed(weights[:-1]), reversed(slopes), strict=True):
         gradient = backward(gradient, slope, w)
-    results = [place @ y, place @ (gradient @ select)]
-    return ca.Function("residual_neural", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
+    return residual_function("neural", z, theta, [place @ y, place @ (gradient @ select)])
 
 
 def _zeros_and_ones(places: list[list[int]], columns: int) -> ca.DM:

@@ -68,6 +68,10 @@ class Residual:
         outputs, _ = self.function(features.T, np.tile(self.theta[:, None], (1, len(features))))
         return np.array(ca.DM(outputs).full()).T
 
+    def form(self, compiled: bool) -> ca.Function:
+        """The function, or its form for compilation."""
+        return (self.to_compile if compiled else None) or self.function
+
     @property
     def is_zero(self) -> bool:
         """Whether the outputs are structurally zero."""
@@ -112,8 +116,13 @@ def symbolic_residual(
         outputs, slope = ca.sparsify(outputs), ca.jacobian(outputs, features)
     else:
         outputs, slope = ca.cse([outputs, slope])
-    function = ca.Function(f"residual_{name}", [features, theta], [outputs, slope], ["z", "theta"], ["y", "dy_dz"])
+    function = residual_function(name, features, theta, [outputs, slope])
     return Residual(name, function, np.asarray(values, float).ravel(), source)
+
+
+def residual_function(name: str, z: Expression, theta: Expression, results: Sequence[Expression]) -> ca.Function:
+    """The function of a residual. results: y and dy/dz."""
+    return ca.Function(f"residual_{name}", [z, theta], list(results), ["z", "theta"], ["y", "dy_dz"])
 
 
 def no_residual(vehicle: Vehicle) -> Residual:
@@ -145,7 +154,7 @@ def sum_residual(parts: Sequence[Residual]) -> Residual:
     function = _sum([part.function for part in parts], parts)
     to_compile = None
     if any(part.to_compile is not None for part in parts):
-        to_compile = _sum([part.to_compile or part.function for part in parts], parts)
+        to_compile = _sum([part.form(True) for part in parts], parts)
     return Residual(
         "+".join(part.name for part in parts), function, theta, "+".join(sources), to_compile, ranges or None
     )
@@ -156,7 +165,7 @@ def _sum(functions: Sequence[ca.Function], parts: Sequence[Residual]) -> ca.Func
     z, theta = symbols(ca.MX, z=functions[0].size1_in(0), theta=ends[-1])
     values = [function(z, given) for function, given in zip(functions, ca.vertsplit(theta, ends), strict=True)]
     results = [sum(terms[1:], terms[0]) for terms in zip(*values, strict=True)]
-    return ca.Function("residual_sum", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
+    return residual_function("sum", z, theta, results)
 
 
 def scaled_residual(residual: Residual) -> Residual:
@@ -164,8 +173,7 @@ def scaled_residual(residual: Residual) -> Residual:
 
     def scaled(function: ca.Function) -> ca.Function:
         z, theta = symbols(ca.MX, z=function.size1_in(0), theta=function.size1_in(1) + 1)
-        results = [theta[-1] * value for value in function(z, theta[:-1])]
-        return ca.Function("residual_scaled", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
+        return residual_function("scaled", z, theta, [theta[-1] * value for value in function(z, theta[:-1])])
 
     to_compile = None if residual.to_compile is None else scaled(residual.to_compile)
     theta = np.append(residual.theta, 1.0)

@@ -59,7 +59,7 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]]) -> Figure:
 
     flights: plant -> controller -> flight.
     """
-    figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0), layout="constrained")
+    figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0))
     panels = figure.subplots(1, len(flights), sharey=True, squeeze=False)[0]
     look = looks([name for by_controller in flights.values() for name in by_controller])
     for panel, (plant, by_controller) in zip(panels, flights.items(), strict=True):

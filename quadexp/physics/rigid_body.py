@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, along_z, quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
@@ -68,6 +68,18 @@ def body_features(x: Expression, u: Expression) -> Expression:
     return ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
 
 
+def features_function(vehicle: Vehicle) -> ca.Function:
+    """(x (13,), u (n,)) -> z, see body_features."""
+    x, u = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors)
+    return ca.Function("features", [x, u], [body_features(x, u)])
+
+
+def derivative_function(vehicle: Vehicle) -> ca.Function:
+    """(x (13,), u (n,), y (6,)) -> x' (13,), see state_derivative."""
+    x, u, y = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors, y=N_OUTPUTS)
+    return ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
+
+
 def rigid_body_function(vehicle: Vehicle) -> ca.Function:
     """Nominal dynamics as a CasADi function (x (13,), u (n,)) -> x' (13,)."""
     x, u = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors)
@@ -76,9 +88,8 @@ def rigid_body_function(vehicle: Vehicle) -> ca.Function:
 
 def corrected_function(vehicle: Vehicle, residual: Correction) -> ca.Function:
     """Dynamics with a residual, (x (13,), u (n,), theta (p,)) -> x' (13,): f_cor = f_dyn + B_d r(z)."""
-    x, u, y = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors, y=N_OUTPUTS)
-    features = ca.Function("features", [x, u], [body_features(x, u)])
-    derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
-    x, u, theta = symbols(ca.MX, x=N_STATE, u=vehicle.n_rotors, theta=residual.function.size1_in(1))
-    output, _ = residual.function(features(x, u), theta)
-    return ca.Function("corrected", [x, u, theta], [derivative(x, u, output)], ["x", "u", "theta"], ["x_dot"])
+    shapes = {"x": N_STATE, "u": vehicle.n_rotors, "theta": residual.function.size1_in(1)}
+    inputs = named_symbols(ca.MX, shapes)
+    x, u, theta = inputs.values()
+    output, _ = residual.function(features_function(vehicle)(x, u), theta)
+    return named_function("corrected", inputs, {"x_dot": derivative_function(vehicle)(x, u, output)})

@@ -103,7 +103,7 @@ class CompiledStep:
 
     def __init__(self, demand: Demand, vehicle: Vehicle, model: AirModel, calculus: Calculus) -> None:
         residual, self._demand, self._calculus = model.residual, demand, calculus
-        functions = compiled_steps(vehicle, residual.to_compile or residual.function, demand.yaw is None)
+        functions = compiled_steps(vehicle, residual.form(True), demand.yaw is None)
         self._first, self._step = map(BufferedFunction, functions)
         self._step.arguments["theta"].ravel()[:], self._step.arguments["share"][:] = residual.theta, model.share
         self._rows = np.zeros((len(demand.t), N_DEMAND + N_AIR + 1))

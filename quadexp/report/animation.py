@@ -177,7 +177,7 @@ class _Picture:
     @styled
     def __init__(self, labels: Sequence[str], flights: Sequence[Flight], begin: float, end: float) -> None:
         longest = max(flights, key=lambda flight: len(flight["t"]))
-        figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+        figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
         left, right = halves
         path, course = left.subplots(2, 1, height_ratios=(2.2, 1))

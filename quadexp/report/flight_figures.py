@@ -110,7 +110,7 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
         raise UsageError(f"{empty}: holds no samples ({flights[empty].outcome}), there is nothing to draw")
     first = next(iter(flights.values()))
     thrusts = [name for name in first.columns if name.startswith("u_")] if len(flights) == 1 else []
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = Figure(figsize=(10.0, 4.4))
     places: Any = figure.subplot_mosaic([["above", "course"], ["above", "thrusts" if thrusts else "course"]])
     above, course = places["above"], places["course"]
     referred = "ref_p_x" in first.columns
@@ -149,7 +149,7 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
 def over_time(flight: Flight, columns: Sequence[str], units: Mapping[str, str]) -> Figure:
     """Columns over time; those that share a unit share a panel. units: by column."""
     groups = grouped((units.get(name, ""), name) for name in columns)
-    figure = Figure(figsize=(7.2, 0.6 + 1.8 * len(groups)), layout="constrained")
+    figure = Figure(figsize=(7.2, 0.6 + 1.8 * len(groups)))
     panels = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (unit, names) in zip(panels, groups.items(), strict=True):
         for i, name in enumerate(names):
@@ -166,7 +166,7 @@ def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -
     their time spans shaded. Columns: velocity, specific force, body rate; rows: the axes."""
     t, relations = _relations(flight)
     shown = [finding for finding in findings if finding.severity in MARKS]
-    figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)), layout="constrained")
+    figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)))
     grid = figure.subplots(3, 3, sharex=True)
     for column, (names, title, sensor, computed) in zip(grid.T, COMPARED, strict=True):
         pair = next((relations[relation] for relation in names if relation in relations), None)
@@ -235,7 +235,7 @@ class Profile(NamedTuple):
 @styled
 def delay_figure(profiles: Sequence[Profile]) -> Figure:
     """A panel for each profile: what every candidate leaves unexplained."""
-    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
+    figure = Figure(figsize=(9.0, 2.8))
     places: Any = figure.subplot_mosaic([[profile.name for profile in profiles]])
     for profile in profiles:
         panel = places[profile.name]

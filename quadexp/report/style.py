@@ -62,6 +62,7 @@ GLYPHS = {  # marker of matplotlib -> the same as letters, filled and hollow
 MARKERS = tuple(GLYPHS)
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 STYLE: Any = {  # matplotlib types every single key
+    "figure.constrained_layout.use": True,
     "font.size": 9,
     "axes.titlesize": 10,
     "axes.titleweight": "bold",

@@ -133,7 +133,7 @@ def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -
     short = completed & np.array([trial.worth.margin < request.least_margin for trial in trials])
     least = f"trial with a delay margin below {1e3 * request.least_margin:g} ms"
     with rc_context(STYLE):
-        figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+        figure = Figure(figsize=(6.4, 3.4))
         panel = figure.subplots()
         panel.plot(spent, np.where(completed & ~short, error, np.nan), "o", ms=3.5, color="#4a6fa5", label="trial")
         if short.any():

@@ -140,12 +140,10 @@ def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: c
     """
     if steps > WRITTEN_OUT:
         again = [ca.repmat(value, 1, steps) for value in held]
-        results = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
-        return list(results) if isinstance(results, tuple) else [results]
+        return list(one.mapaccum(steps).call([state, times, *again[:2], noise, *again[2:]]))
     columns = list[list[ca.MX]]()
     for i in range(steps):
-        results = one(state, times[i], *held[:2], noise[:, i], *held[2:])
-        columns.append(list(results) if isinstance(results, tuple) else [results])
+        columns.append(list(one.call([state, times[i], *held[:2], noise[:, i], *held[2:]])))
         state = columns[-1][0]
     return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
 
@@ -343,8 +341,7 @@ class _Parts:
             return ca.vertcat(state[: VELOCITY.start], state[VELOCITY] + kick, state[RATE] + turn)
 
         seen = kicked(_seen_from_the_air(x, wind) if blows else x)
-        results = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
-        s, *kept = results if isinstance(results, tuple) else (results,)
+        s, *kept = equations.step.call([ca.vertcat(seen, rest), held, noise, theta, step])
         x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
         if blows:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])

@@ -22,7 +22,7 @@ from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key
 from quadexp.physics.expression import limited
-from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rigid_body import derivative_function, features_function
 from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -88,10 +88,7 @@ class FromModelPlant(SimulatedPlant):
 def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, noisy: bool) -> Equations:
     """RK4, the noise, (6,) or none, held over each step; the parameters are [densities (6,) of a and tau, theta]."""
     n = vehicle.n_rotors
-    x, u, y = symbols(ca.SX, x=N_STATE, u=n, y=6)
-    features = ca.Function("features", [x, u], [body_features(x, u)])
-    derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
-
+    features, derivative = features_function(vehicle), derivative_function(vehicle)
     x, command, noise, step, parameters = symbols(
         ca.MX, x=N_STATE, u=n, noise=6 * noisy, step=1, parameters=6 + len(model.theta)
     )

@@ -85,8 +85,7 @@ def period(equations: Equations, steps: int) -> ca.Function:
     )
     s, held = begin(x, inner, u, parameters) if begin else (ca.vertcat(x, inner), u)
     again = [ca.repmat(value, 1, steps) for value in (held, parameters, step)]
-    results_of_steps = function.mapaccum(steps)(s, again[0], noise, *again[1:])
-    states, *kept = results_of_steps if isinstance(results_of_steps, tuple) else (results_of_steps,)
+    states, *kept = function.mapaccum(steps).call([s, again[0], noise, *again[1:]])
     if end:
         results = [*end(states[:, -1], held, parameters), *kept]
     else:

@@ -32,6 +32,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function
 from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
 from quadexp.control.delivered import INSTANT, SentCommands, command_weights
 from quadexp.physics.vehicle import Vehicle
@@ -297,4 +298,4 @@ def _evaluate(vehicle: Vehicle, period: float) -> ca.Function:
         square = ca.fmax(ca.dot(left, against_all), 0) / a["count"]
         cost += a["count"] * ca.log(ca.sqrt(square) + LEAST_NOISE)
         lefts += [left, against_all]
-    return ca.Function("delay_cost", [*a.values()], [cost, *lefts], [*a], ["cost", *LEFT])
+    return named_function("delay_cost", a, {"cost": cost} | dict(zip(LEFT, lefts, strict=True)))

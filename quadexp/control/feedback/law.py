@@ -38,7 +38,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
+from quadexp.compile.symbols import dense_function, symbols
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles, rotation_euler, yaw_ned
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, Triple, key
@@ -212,8 +212,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
         "limited": at_limit,
         "u_T": u_T,
     }
-    values = ca.cse([ca.densify(value) for value in outputs.values()])
-    return ca.Function("feedback_law", list(inputs.values()), values, list(inputs), list(outputs))
+    return dense_function("feedback_law", inputs, outputs)
 
 
 class Compensation(NamedTuple):

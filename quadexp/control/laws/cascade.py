@@ -36,7 +36,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
+from quadexp.compile.symbols import dense_function, named_symbols
 from quadexp.control.allocation import held, prioritised
 from quadexp.control.base import Window
 from quadexp.control.built import built
@@ -125,9 +125,9 @@ class CascadeController(ExplicitController):
 def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     """The cascade with the inputs and outputs of explicit.py; memory: see MEMORY."""
     period, g = 1 / keys.rate, vehicle.gravity
-    x, state, path, yaw, memory = symbols(
-        ca.SX, x=N_STATE, state=N_STATE, path=(3, 5), yaw=3, memory=sum(MEMORY.values())
-    )
+    shapes = {"x": N_STATE, "state": N_STATE, "path": (3, 5), "yaw": 3, "memory": sum(MEMORY.values())}
+    inputs = named_symbols(ca.SX, shapes)
+    x, state, path, yaw, memory = inputs.values()
     integral, v_last, of_velocity, rate_integral, w_last, of_rate = ca.vertsplit(memory, 3)
     R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
     acceleration, of_velocity = filtered(of_velocity, (v - v_last) / period, keys.velocity_cutoff, period)
@@ -174,10 +174,7 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
         "memory_next": ca.vertcat(integral, v, of_velocity, rate_integral, w, of_rate),
         "log": ca.vertcat(integral, rate_integral),
     }
-    values = ca.cse([ca.densify(value) for value in outputs.values()])
-    return ca.Function(
-        "cascade", [x, state, path, yaw, memory], values, ["x", "state", "path", "yaw", "memory"], [*outputs]
-    )
+    return dense_function("cascade", inputs, outputs)
 
 
 def filtered(memory: Expression, value: Expression, cutoff: float, period: float) -> tuple[Expression, Expression]:

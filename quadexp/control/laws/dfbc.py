@@ -107,7 +107,7 @@ def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compil
 
     given = {"x": N_STATE, "path": (3, 5), "yaw": 3, "delivered": n, "belief": N_BELIEF}
     a = named_symbols(ca.MX, given | {"theta": residual.function.size1_in(1)})
-    model = residual.to_compile if compiled and residual.to_compile is not None else residual.function
+    model = residual.form(compiled)
     of_air = ca.MX(N_OUTPUTS, 1)
     if not residual.is_zero:
         velocity = air_velocity(a["x"][ATTITUDE], a["x"][VELOCITY], a["belief"][6:9])

@@ -38,7 +38,7 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_symbols, symbols
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import clipped, held, prioritised
 from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
@@ -124,7 +124,7 @@ def geometric_function(
     inputs = named_symbols(ca.MX, shapes)
     air = [ca.DM.zeros(N_OUTPUTS), ca.DM.zeros(N_OUTPUTS)]
     if residual is not None:
-        model = (residual.to_compile if compiled else None) or residual.function
+        model = residual.form(compiled)
         inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
         features, believed = _features(n), inputs["belief"]
         air = [
@@ -132,8 +132,8 @@ def geometric_function(
             for name in ("x", "state")
         ]
     given = [inputs[name] for name in ("x", "state", "input", "middle", "path", "belief", "memory")]
-    results = law(*given, *map(ca.densify, air))
-    return ca.Function("geometric", [*inputs.values()], results, [*inputs], ["command", "held", "memory_next", "log"])
+    names, results = ("command", "held", "memory_next", "log"), law(*given, *map(ca.densify, air))
+    return named_function("geometric", inputs, dict(zip(names, results, strict=True)))
 
 
 def _features(n: int) -> ca.Function:

@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
+from quadexp.compile.symbols import dense_function, named_symbols
 from quadexp.control.allocation import held
 from quadexp.control.base import Window
 from quadexp.control.built import built
@@ -110,7 +110,8 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float]:
 def raptor_function(vehicle: Vehicle, keys: RaptorKeys, weights: str) -> ca.Function:
     """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,). weights: see
     `policy`."""
-    x, state, memory = symbols(ca.SX, x=N_STATE, state=N_STATE, memory=HIDDEN + ACTIONS)
+    inputs = named_symbols(ca.SX, {"x": N_STATE, "state": N_STATE, "memory": HIDDEN + ACTIONS})
+    x, state, memory = inputs.values()
     order, turn = layout(vehicle)
     turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
     level = about_z(heading_of(rotation_matrix(state[ATTITUDE]))) @ turned  # policy's world to ours
@@ -125,8 +126,7 @@ def raptor_function(vehicle: Vehicle, keys: RaptorKeys, weights: str) -> ca.Func
     places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
     u = limited(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min, vehicle.thrust_max)
     outputs = {"command": u, "held": held(vehicle, u), "memory_next": ca.vertcat(hidden, action)}
-    values = ca.cse([ca.densify(value) for value in outputs.values()])
-    return ca.Function("raptor", [x, state, memory], values, ["x", "state", "memory"], [*outputs])
+    return dense_function("raptor", inputs, outputs)
 
 
 def about_z(angle: Expression) -> Expression:

@@ -74,8 +74,7 @@ class BelievedWorld:
         model = None
         self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
         if air is not None and targets:
-            air = air.unscaled or air
-            model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
+            model = (air.unscaled or air).form(mpc.backend == "compiled")
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
         pending = None if estimator is None else estimator.delays.pending
         solution = mpc.prediction[0]

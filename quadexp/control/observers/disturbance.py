@@ -24,6 +24,7 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.filters import (
     APART,
@@ -35,7 +36,7 @@ from quadexp.control.observers.filters import (
     torque_settings,
     torque_update,
 )
-from quadexp.control.observers.observer import Observer, ObserverPart, Update, air_of, arguments, believer, callable_air
+from quadexp.control.observers.observer import Observer, ObserverPart, Update, air_of, arguments, believer
 from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
@@ -69,7 +70,7 @@ def disturbance_function(
 ) -> ca.Function:
     """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
     scales, see control.observers.filters, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
-    model = callable_air(residual.unscaled or residual, backend)
+    model = (residual.unscaled or residual).form(backend == "compiled")
     first = N_SCALED_STATE if scaled else N_FORCE_STATE
     a = arguments(vehicle, first + N_TORQUE_STATE, len(residual.theta), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
@@ -103,8 +104,7 @@ def disturbance_function(
     )
     belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), scale, air)
     state = ca.vertcat(scaled_state, P, rest) if scaled else ca.vertcat(force, estimate, P)
-    results = [ca.vertcat(state, rates), belief]
-    return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])
+    return named_function("disturbance_observer", a, {"s_next": ca.vertcat(state, rates), "belief": belief})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -194,12 +194,6 @@ def parameters_of(controller: Any) -> np.ndarray:
     return np.ascontiguousarray(air_of(controller).theta, float)
 
 
-def callable_air(residual: Residual, backend: str) -> ca.Function:
-    """The model's function in the form for a back end."""
-    compiled = backend == "compiled" and residual.to_compile is not None
-    return residual.to_compile if compiled else residual.function
-
-
 def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:
     """Symbols of an update's arguments, in their order."""
     n = vehicle.n_rotors

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function
 from quadexp.control.observers.filters import N_TORQUE_SETTINGS, N_TORQUE_STATE, inverse, torque_settings, torque_update
 from quadexp.control.observers.observer import (
     Observer,
@@ -32,7 +33,6 @@ from quadexp.control.observers.observer import (
     air_of,
     arguments,
     believer,
-    callable_air,
     parameters_of,
 )
 from quadexp.control.wrapped import innermost
@@ -77,7 +77,7 @@ def wind_bandwidth(
 
 def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: str) -> ca.Function:
     """The update of control.observers.observer; s = [wind (3,), k, P (4, 4), F / m (3,), w^ (3,), J^-1 tau^ (3,)]."""
-    model = callable_air(residual, backend)
+    model = residual.form(backend == "compiled")
     first = N_AIR + N_AIR**2 + N_FORCE
     a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), N_WIND_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
@@ -110,8 +110,7 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     mean, of_torque = (1 + air[3]) * a["mean"], settings[N_WIND_SETTINGS:]
     rates, torque = torque_update(s[first:], x[RATE], mean, y[3:], of_torque, vehicle, period)
     belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3], 1)
-    results = [ca.vertcat(air, ca.vec(P), force, rates), belief]
-    return ca.Function("wind_observer", [*a.values()], results, [*a], ["s_next", "belief"])
+    return named_function("wind_observer", a, {"s_next": ca.vertcat(air, ca.vec(P), force, rates), "belief": belief})
 
 
 @dataclass(frozen=True, kw_only=True)
