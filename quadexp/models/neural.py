@@ -26,7 +26,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
@@ -328,15 +328,10 @@ def _train(
         value.backward()
         return value.item(), flat.grad.numpy()
 
-    done = 0
-
-    def step(_: np.ndarray) -> None:
-        nonlocal done
-        done += 1
-        callback("fit network", done / settings.max_iterations)
-
+    done = count(1)
     result = minimize(
-        loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B", callback=step,
+        loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B",
+        callback=lambda _: callback("fit network", next(done) / settings.max_iterations),
         options={"maxiter": settings.max_iterations, "maxfun": 2 * settings.max_iterations, "maxcor": 30,
                  "ftol": 1e-12, "gtol": 1e-8},
     )  # fmt: skip
