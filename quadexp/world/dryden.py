@@ -88,7 +88,10 @@ def stationary(noise: np.ndarray) -> np.ndarray:
 
 
 def transition(time_scale: Expression, step: Expression) -> tuple[Expression, Expression]:
-    """F and sqrt(Q) of all filters over a step (s), (5, 5) each; time_scale T = L / V, (3,) (s)."""
+    """F and root of all filters over a step (s), (5, 5) each; time_scale T = L / V, (3,) (s).
+
+    Their states (5,) are then F filters + root noise, of noise (5,) standard normal.
+    """
     s = [step / time_scale[i] for i in range(3)]
     F, roots = [ca.exp(-s[0])], [ca.sqrt(-ca.expm1(-2 * s[0]))]
     for each in s[1:]:
@@ -97,12 +100,6 @@ def transition(time_scale: Expression, step: Expression) -> tuple[Expression, Ex
         F.append(ca.blockcat([[decay, 0], [decay * each, decay]]))
         roots.append(ca.blockcat([[root_11, 0], [root_21, root_22]]))
     return ca.diagcat(*F), ca.diagcat(*roots)
-
-
-def advanced(filters: Expression, noise: Expression, time_scale: Expression, step: Expression) -> Expression:
-    """Filter states (5,) after a step (s); noise (5,) standard normal; time_scale T = L / V, (3,) (s)."""
-    F, root = transition(time_scale, step)
-    return F @ filters + root @ noise
 
 
 def turbulence(filters: Expression, intensity: Expression) -> Expression:
