@@ -1,6 +1,6 @@
 """Two back ends for one CasADi function: the virtual machine, or generated C compiled once and cached.
 
-A compiled function lies in the user's cache folder (files/cache.py) under the hash of its source, the flags, the whole
+A compiled function lies in the user's cache folder (cache.py) under the hash of its source, the flags, the whole
 command of the compiler with its version, and the processor, with the hash of its own content beside it: one that does
 not match is never loaded but made anew, under a lock, so that any number of processes may ask for the same one. Without
 a compiler "auto" says so once and uses the virtual machine.

@@ -15,7 +15,7 @@ the mean of the delivered thrusts over it. This is the exact hold of the continu
 a T/(e^{a T} - 1) times the mean disturbance of the last period (dead beat), so that w_co alone shapes the response.
 
 The thrusts are those of the commands, not c_t W^2 of measured rotor speeds: a motor that gives less than it was told is
-a matched disturbance too. Where u leaves the limits, desaturation.py decides. World ENU, body FLU, SI.
+a matched disturbance too. Where u leaves the limits, allocation.py decides. World ENU, body FLU, SI.
 """
 
 from __future__ import annotations

@@ -293,7 +293,7 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
     """The metadata of every flight."""
     identity, record = identity_with(config, model), flight_record(config)
     parts = {group: getattr(config, group) for group, part in record.items() if isinstance(part, dict)}
-    classes = {group: f"{type(part).__module__}.{type(part).__qualname__}" for group, part in parts.items()}
+    classes = {group: part.class_path for group, part in parts.items()}
     return {
         "config": record, "classes": classes, "config_hash": digest(record), "seed": config.seed,
         "inputs": identity.inputs, "code": identity.code,

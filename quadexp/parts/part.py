@@ -61,6 +61,11 @@ class Part(Settings):
         """Whether it is of this program, and not a user's own."""
         return type(self).__module__.partition(".")[0] == OWN
 
+    @property
+    def class_path(self) -> str:
+        """What its option names: MODULE.CLASS."""
+        return f"{type(self).__module__}.{type(self).__qualname__}"
+
     def recorded(self) -> dict[str, Any]:
         """Its settings as plain data, for files and hashes."""
         return dict(self._recorded)

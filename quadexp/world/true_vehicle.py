@@ -9,7 +9,7 @@ Mass, inertia and centre of mass by factors and an offset c, then a payload of m
 
 The state of a flight is that of the true centre of mass. Thrust and torque coefficients that are off by f_T and f_Q
 change what a rotor gives at the thrust u_i that it is asked for, whatever the plant (the factor on drag changes the
-plant itself, experiment/build_world.py):
+plant itself, experiment/build.py):
 
     F = R e_z sum_i (f_T - 1) u_i,   tau = sum_i (r_i'' x (f_T - 1) u_i e_z + c_tau s_i (f_T f_Q - 1) u_i e_z)
 """

@@ -19,7 +19,7 @@ Attitude to rate, P on a quaternion: first the shortest rotation of z to z_d, th
     w_c = 2 K_a vec(q^-1 o q_d') + yaw' R^T e_z                                                                     (3)
 
 Rate to torque, PID with a filtered derivative: tau = J (K_r (w_c - w) + I_w - D w'_f), I_w' = i K_i (w_c - w), with
-i = max(0, 1 - ((w_c - w)/400 deg/s)^2), and 0 where an axis is saturated that way. Mixer: desaturation.py.
+i = max(0, 1 - ((w_c - w)/400 deg/s)^2), and 0 where an axis is saturated that way. Mixer: allocation.py.
 
 Not in it: estimators, filters of the gyro, hover thrust estimate, thrust curve, ground handling. Rates of loops: one.
 
