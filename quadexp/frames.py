@@ -6,7 +6,6 @@ attrs["record"] is what the file carries beside its columns: configuration, seed
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -24,6 +23,7 @@ from quadexp.log.schema import describe
 from quadexp.log.store import read_flight, write_table
 from quadexp.messages import html
 from quadexp.models.checkpoint import load_model, load_report
+from quadexp.names import sha256_of
 from quadexp.writer import check_output
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Flight(Frame):
 
     def _digest(self) -> str:
         rows = pd.util.hash_pandas_object(self, index=False)
-        return hashlib.sha256(rows.to_numpy().tobytes()).hexdigest()
+        return sha256_of(rows.to_numpy().tobytes())
 
     @property
     def record(self) -> dict[str, Any]:

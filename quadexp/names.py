@@ -9,15 +9,32 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Container, Iterable, Mapping
+from typing import Any, TypeVar
 
 from quadexp.errors import DataError
 
+T = TypeVar("T")
+V = TypeVar("V")
 LONGEST = 500  # characters of a name
 NAMED = ("vehicle", "plant", "trajectory", "controller", "world")  # columns of a result row that hold names
 _FILE_BYTES = 120  # of a file name before a suffix; file systems take 255
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # devices on Windows
+
+
+def distinct(values: Iterable[T]) -> list[T]:
+    """The different ones, in the order in which they come first."""
+    return list(dict.fromkeys(values))
+
+
+def without(values: Mapping[T, V], names: Container[T]) -> dict[T, V]:
+    """The values but for those of some names."""
+    return {name: value for name, value in values.items() if name not in names}
+
+
+def sha256_of(content: str | bytes) -> str:
+    """64 hex digits; of a text those of its UTF-8."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
 def is_name(text: str) -> bool:
@@ -31,7 +48,7 @@ def file_name(name: str) -> str:
     kept = re.sub(r"[^\w.,+=@ -]", "_", name).strip(" .").lstrip("-").encode()[:_FILE_BYTES].decode(errors="ignore")
     if kept == name and kept and not _RESERVED.fullmatch(kept):
         return name
-    return f"{kept}_{hashlib.sha256(name.encode(errors='backslashreplace')).hexdigest()[:8]}"
+    return f"{kept}_{sha256_of(name.encode(errors='backslashreplace'))[:8]}"
 
 
 def check_names(record: Mapping[str, Any], where: str) -> None:

@@ -7,7 +7,6 @@ say, show and store what was flown. Nothing that is followed is imported for it.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import os
 import platform
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import quadexp
+from quadexp.names import sha256_of
 
 PACKAGES = (
     "casadi", "numpy", "scipy", "pandas", "pyarrow", "torch", "gpytorch", "hydra-core", "minsnap-trajectories",
@@ -63,7 +63,7 @@ def content_hash(path: str | Path) -> str:
         return known[1]
     now = time.time_ns()
     with open(place, "rb") as file:
-        hashed = hashlib.sha256(file.read()).hexdigest()
+        hashed = sha256_of(file.read())
     if now - state.st_ctime_ns > SETTLED:
         _contents[place] = entry, hashed
     return hashed
@@ -72,7 +72,7 @@ def content_hash(path: str | Path) -> str:
 def files_hash(files: Iterable[Path], root: Path) -> str:
     """Hash of the names, below `root`, and the contents of some files."""
     lines = sorted(f"{file.relative_to(root).as_posix()} {content_hash(file)}" for file in files)
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    return sha256_of("\n".join(lines))
 
 
 def folder_files(folder: Path) -> Iterator[Path]:

@@ -13,6 +13,7 @@ from quadexp.bench.protocol import FORMER, SHORT
 from quadexp.bench.ranking import Row, Standing, cell_of, standings
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table
+from quadexp.names import distinct
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN, from_columns, to_columns
@@ -124,7 +125,7 @@ def _line(s: Standing) -> list[str]:
 def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
     """Geometric mean error of every entry, a line for each world (or task and world); lost flights beside it."""
     factor, unit = SHOWN[metric]
-    entries = list(dict.fromkeys(str(row["entry"]) for row in rows))
+    entries = distinct(str(row["entry"]) for row in rows)
     texts = []
     for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():
         flights = grouped((str(row["entry"]), row) for row in line)

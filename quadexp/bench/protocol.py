@@ -9,7 +9,6 @@ words is refused, and two results of one protocol are of the same flights.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -21,6 +20,7 @@ import yaml
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.messages import suggestion
+from quadexp.names import sha256_of
 from quadexp.parts.compose import Composer, session
 from quadexp.parts.schema import WORLD
 from quadexp.parts.settings import plain
@@ -128,7 +128,7 @@ def protocol_of(text: bytes) -> Protocol:
         models, given = part["models"], tuple(part["given"])
         families[name] = Family(name, part["what"], given, models, part["tasks"], worlds, part["sizes"])
     ranked = content["metric"], content["baseline"], content["first_seed"]
-    sha256 = hashlib.sha256(text).hexdigest()
+    sha256 = sha256_of(text)
     return Protocol(content["version"], sha256, *ranked, families, content.get("values", {}))
 
 

@@ -14,6 +14,7 @@ from quadexp.cli.command import Answer, Ask, Conf, Figures, Force, Out, Override
 from quadexp.cli.logs import Vehicle
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
+from quadexp.names import without
 from quadexp.progress import Progress
 
 Flights = Annotated[tuple[Path, ...], Ask("Of `quadexp import` or `simulate`.", "FLIGHT")]
@@ -151,7 +152,7 @@ def identify(
         settings={"powers": CURVES[curve], "radius": radius}, figure=figure, force=force,
     )  # fmt: skip
     taken = report["method"]
-    record = {key: value for key, value in report.items() if key not in ("lines", "main")}
+    record = without(report, ("lines", "main"))
     if taken == "delays":
         rows = [{**flight, "overrides": " ".join(flight["overrides"])} for flight in report["flights"]]
         return Answer({"method": taken, "flights": report["flights"]}, rows, report["lines"])

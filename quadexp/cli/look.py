@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command, single_values
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
+from quadexp.names import without
 from quadexp.progress import Progress
 from quadexp.writer import check_output, write_text
 
@@ -228,7 +229,7 @@ def show(
     from quadexp.report.summary import summarise
 
     summary = summarise(path)
-    record = {key: value for key, value in summary.items() if key not in ("lines", "tables")}
+    record = without(summary, ("lines", "tables"))
     return Answer(record, summary.get("tables", []), summary["lines"])
 
 
@@ -289,7 +290,7 @@ def compare(
     wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")
-    record = {key: value for key, value in report.items() if key not in ("lines", "tables")}
+    record = without(report, ("lines", "tables"))
     record |= {"picture": out} if out else {}
     record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
     return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])

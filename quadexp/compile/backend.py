@@ -1,6 +1,6 @@
 """Two back ends for one CasADi function: the virtual machine, or generated C compiled once and cached.
 
-A compiled function lies in the user's cache folder (files/cache.py) under the hash of its source, the flags, the whole
+A compiled function lies in the user's cache folder (cache.py) under the hash of its source, the flags, the whole
 command of the compiler with its version, and the processor, with the hash of its own content beside it: one that does
 not match is never loaded but made anew, under a lock, so that any number of processes may ask for the same one. Without
 a compiler "auto" says so once and uses the virtual machine.
@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
-import hashlib
 import os
 import re
 import shlex
@@ -40,6 +39,7 @@ from quadexp.compile.compiler import (
 )
 from quadexp.compile.symbolic import ca
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.names import sha256_of
 from quadexp.writer import unfollowed, write_text, written
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def numbers_apart(source: str) -> tuple[str, str]:
 
 def _cached(name: str, source: str, flags: Sequence[str], suffix: str, make: Callable[[Path, Path], None]) -> Path:
     """Path of what `make`, in a private folder, builds of a source, unless the cache has it."""
-    key = hashlib.sha256("\n".join([FORM, toolchain(), *flags, source]).encode()).hexdigest()[:24]
+    key = sha256_of("\n".join([FORM, toolchain(), *flags, source]))[:24]
     folder = cache_folder()
     kept = folder.inside / f"{name}_{key}{suffix}"
     try:
@@ -207,13 +207,13 @@ def _build(name: str, make: Callable[[Path, Path], None], kept: Path) -> None:
         content = built.read_bytes()
     with written(kept) as file:
         file.write(content)
-    write_text(kept.with_suffix(".sha256"), hashlib.sha256(content).hexdigest())
+    write_text(kept.with_suffix(".sha256"), sha256_of(content))
 
 
 def _intact(kept: Path) -> bool:
     """Whether a file of the cache is there and is, byte for byte, what was made."""
     try:
-        return kept.with_suffix(".sha256").read_text() == hashlib.sha256(kept.read_bytes()).hexdigest()
+        return kept.with_suffix(".sha256").read_text() == sha256_of(kept.read_bytes())
     except (OSError, UnicodeError):
         return False
 

@@ -30,7 +30,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.vehicle import Vehicle
 
 MOST_ROTORS = 6  # 729 faces
@@ -72,17 +72,17 @@ def exact_allocation(vehicle: Vehicle, weight: tuple[float, ...]) -> ca.Function
     A, b = faces(vehicle, weight)
     n, low, high = vehicle.n_rotors, vehicle.thrust_min, vehicle.thrust_max
     y = ca.MX.sym("wrench", 4)
-    U = ca.reshape(ca.mtimes(ca.DM(A.reshape(-1, 4)), y) + ca.DM(b.ravel()), n, len(A))
+    U = ca.reshape(ca.DM(A.reshape(-1, 4)) @ y + ca.DM(b.ravel()), n, len(A))
     beyond = ca.sum1(ca.fmax(low - U, 0) + ca.fmax(U - high, 0))
-    short = ca.repmat(y, 1, len(A)) - ca.mtimes(ca.DM(vehicle.allocation), U)
+    short = ca.repmat(y, 1, len(A)) - vehicle.allocation @ U
     cost = ca.sum1(ca.repmat(ca.DM(weight), 1, len(A)) * short**2)
     if n > len(weight):
         H = vehicle.allocation.T @ np.diag(weight) @ vehicle.allocation
         cost += REGULAR * H.max() * ca.sum1(U**2)
     cost = ca.if_else(beyond > TOLERANCE * (high - low), NEVER, cost)
     chosen = cost <= ca.mmin(cost)
-    u = ca.mtimes(U, chosen.T) / ca.sum2(chosen)  # faces of equal cost meet in one point
-    return ca.Function("allocation", [y], [ca.fmin(ca.fmax(u, low), high)], ["wrench"], ["thrust"])
+    u = U @ chosen.T / ca.sum2(chosen)  # faces of equal cost meet in one point
+    return ca.Function("allocation", [y], [limited(u, low, high)], ["wrench"], ["thrust"])
 
 
 def allocation(vehicle: Vehicle, kind: str, weight: tuple[float, ...]) -> ca.Function:
@@ -107,7 +107,7 @@ def prioritised(vehicle: Vehicle, wrench: Expression, *, airmode: bool = True, y
     lift = inverse[:, 0]
     if (lift <= 0).any():
         raise UsageError(f"vehicle={vehicle.name}: thrust by priority needs rotors that all lift at once")
-    tilt, yaw = ca.mtimes(ca.DM(inverse[:, 1:3]), wrench[1:3]), ca.DM(inverse[:, 3]) * wrench[3]
+    tilt, yaw = ca.DM(inverse[:, 1:3]) @ wrench[1:3], ca.DM(inverse[:, 3]) * wrench[3]
     n, per_lift = vehicle.n_rotors, tilt / lift
     share = ca.SX(1)
     for i in range(n):
@@ -126,13 +126,13 @@ def prioritised(vehicle: Vehicle, wrench: Expression, *, airmode: bool = True, y
         share = ca.fmin(share, ca.fmin(_share(yaw[i], allowed - u[i]), _share(-yaw[i], u[i] - low)))
     u = u + ca.fmax(share, 0) * yaw
     u = u + _within(0, (low - u) / lift, (high - u) / lift) * lift if yaw_margin else u
-    return ca.fmin(ca.fmax(u, low), high)
+    return limited(u, low, high)
 
 
 def clipped(vehicle: Vehicle, wrench: Expression) -> Expression:
     """Rotor thrusts G^+ (T, tau), (n,) (N), each clipped to its limits."""
-    u = ca.mtimes(ca.DM(np.linalg.pinv(vehicle.allocation)), wrench)
-    return ca.fmin(ca.fmax(u, vehicle.thrust_min), vehicle.thrust_max)
+    u = ca.DM(np.linalg.pinv(vehicle.allocation)) @ wrench
+    return limited(u, vehicle.thrust_min, vehicle.thrust_max)
 
 
 def held(vehicle: Vehicle, u: Expression) -> Expression:
@@ -147,4 +147,4 @@ def _share(step: Expression, room: Expression) -> Expression:
 
 def _within(value: Expression, low: Expression, high: Expression) -> Expression:
     """`value` within the largest of `low` and the smallest of `high`."""
-    return ca.fmin(ca.fmax(value, ca.mmax(low)), ca.mmin(high))
+    return limited(value, ca.mmax(low), ca.mmin(high))

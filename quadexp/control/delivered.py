@@ -23,6 +23,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.built import built
 from quadexp.control.instant import Operation, Told, call, copy, move
 from quadexp.physics.expression import Expression
@@ -86,10 +87,10 @@ def commands_function(
 
 
 def _commands_function(rotors: int, pending: int) -> ca.Function:
-    shapes = {"commands": (rotors, pending), "thrust": (rotors, 1), "sent": (rotors, 1), "numbers": (6, 1)}
-    a = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
-    names = ["commands_next", "thrust_next", "mean"]
-    return ca.Function("delivered", [*a.values()], [*delivered_by_commands(*a.values())], [*a], names)
+    shapes = {"commands": (rotors, pending), "thrust": rotors, "sent": rotors, "numbers": 6}
+    a = named_symbols(ca.SX, shapes)
+    commands, thrust, mean = delivered_by_commands(*a.values())
+    return named_function("delivered", a, {"commands_next": commands, "thrust_next": thrust, "mean": mean})
 
 
 class DeliveredThrust:
@@ -204,6 +205,6 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
 @lru_cache(maxsize=32)
 def weights_function(count: int, period: float, spans: int) -> ca.Function:
     """`command_weights` of so many spans at once: spans (2, k), delays: dead time and lag -> weights (m, k)."""
-    span, delays = ca.SX.sym("spans", 2, spans), ca.SX.sym("delays", 2)
+    span, delays = symbols(ca.SX, spans=(2, spans), delays=2)
     each = [command_weights(count, period, ca.vertsplit(one), delays[0], delays[1]) for one in ca.horzsplit(span)]
     return ca.Function("weights", [span, delays], [ca.horzcat(*each)], ["spans", "delays"], ["weights"])

@@ -26,6 +26,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
@@ -82,8 +83,9 @@ def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
     if not keys.cutoff < keys.rate / 2:
         raise UsageError(f"inner.cutoff={keys.cutoff:g}: must be below half of inner.rate={keys.rate:g} Hz")
     b, a = _low_pass(keys)
-    wanted, rate, delivered = ca.MX.sym("wanted", n), ca.MX.sym("rate", 3), ca.MX.sym("delivered", n)
-    memory, before = ca.MX.sym("memory", 3 + n, 2), ca.MX.sym("before", 3 + n)
+    wanted, rate, delivered, memory, before = symbols(
+        ca.MX, wanted=n, rate=3, delivered=n, memory=(3 + n, 2), before=3 + n
+    )
 
     root = ca.sqrt(ca.fmax(delivered, 0))  # sqrt(c_t) W
     now = ca.vertcat(rate, root)
@@ -91,9 +93,9 @@ def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
     memory_next = ca.horzcat(b[1] * now - a[1] * filtered + memory[:, 1], b[2] * now - a[2] * filtered)
 
     G, J = ca.DM(vehicle.allocation), ca.DM(vehicle.inertia_matrix)
-    meant = ca.mtimes(G, wanted)
-    torque = meant[1:] - ca.cross(rate, ca.mtimes(J, rate))  # J alpha
-    torque += ca.mtimes(G[1:, :], filtered[3:] ** 2) - ca.mtimes(J, (filtered[:3] - before[:3]) / dt)
+    meant = G @ wanted
+    torque = meant[1:] - ca.cross(rate, J @ rate)  # J alpha
+    torque += G[1:, :] @ filtered[3:] ** 2 - J @ ((filtered[:3] - before[:3]) / dt)
     wrench = ca.vertcat(meant[0], torque)
     if keys.rotor_inertia:
         spin = _spin(vehicle, keys)
@@ -130,8 +132,8 @@ def _without_spin_up(
     G, roots = ca.DM(vehicle.allocation), ca.fmax(start, 0.05 * np.sqrt(vehicle.hover_thrust))
     last = ca.DM([[0.0]] * 3 + [[1.0]])
     for _ in range(NEWTON_STEPS):
-        residual = ca.mtimes(G, roots**2) + last * ca.dot(gain, roots - root) - wrench
-        slope = 2 * ca.mtimes(G, ca.diag(roots)) + ca.mtimes(last, gain.T)
+        residual = G @ roots**2 + last * ca.dot(gain, roots - root) - wrench
+        slope = 2 * (G @ ca.diag(roots)) + last @ gain.T
         roots = ca.fmax(roots - ca.solve(slope, residual), 0.0)
     return wrench - last * ca.dot(gain, roots - root)
 

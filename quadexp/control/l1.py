@@ -15,7 +15,7 @@ the mean of the delivered thrusts over it. This is the exact hold of the continu
 a T/(e^{a T} - 1) times the mean disturbance of the last period (dead beat), so that w_co alone shapes the response.
 
 The thrusts are those of the commands, not c_t W^2 of measured rotor speeds: a motor that gives less than it was told is
-a matched disturbance too. Where u leaves the limits, desaturation.py decides. World ENU, body FLU, SI.
+a matched disturbance too. Where u leaves the limits, allocation.py decides. World ENU, body FLU, SI.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import prioritised
 from quadexp.control.base import Controller, Window, no_belief
 from quadexp.control.instant import YES, Instant, Operation, Told, believing, call, copy, instant_of, move
@@ -38,9 +39,9 @@ from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.settings import Settings, key, part
-from quadexp.physics.expression import Expression
-from quadexp.physics.rigid_body import body_features
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.expression import Expression, limited
+from quadexp.physics.rigid_body import features_function
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -142,63 +143,63 @@ def l1_functions(
     """
     n = vehicle.n_rotors
     sizes = {"x": N_STATE, "x_last": N_STATE, "acting": n, "rotors": n, "memory": 18}
-    inputs = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    inputs = named_symbols(ca.MX, sizes)
     decay = math.exp(-period / lag) if lag else 0.0
     rotors_next = inputs["acting"] + decay * (inputs["rotors"] - inputs["acting"])
     mean = inputs["acting"] + lag / period * (1 - decay) * (inputs["rotors"] - inputs["acting"])
     air = [ca.DM.zeros(N_OUTPUTS)] * 2
     if residual is not None:
-        model = (residual.to_compile if compiled else None) or residual.function
+        model = residual.form(compiled)
         inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
-        x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n)
-        features = ca.Function("features", [x, u], [body_features(x, u)])
+        features = features_function(vehicle)
         air = [model(features(inputs[name], mean), inputs["theta"])[0] for name in ("x", "x_last")]
     predictor = _predictor(vehicle, keys, period)
     results = predictor(inputs["x"], inputs["x_last"], mean, inputs["memory"], *map(ca.densify, air))
-    names = ["memory_next", "body", "lateral", "rotors_next"]
-    estimate = ca.Function("l1_estimate", [*inputs.values()], [*results, rotors_next], [*inputs], names)
-    base, y = ca.SX.sym("base", n), ca.SX.sym("filtered", 6)
+    outputs = dict(zip(("memory_next", "body", "lateral"), results, strict=True)) | {"rotors_next": rotors_next}
+    estimate = named_function("l1_estimate", inputs, outputs)
+    base, y = symbols(ca.SX, base=n, filtered=6)
     u = added(vehicle, base, -y[2:])
     return estimate, ca.Function("l1_add", [base, y], [ca.cse(u)], ["base", "filtered"], ["u"])
 
 
 def added(vehicle: Vehicle, base: Expression, wrench: Expression) -> Expression:
     """Commands, (n,) (N), that add a wrench [T; tau], (4,), to others, (n,), by priority where that exceeds a limit."""
-    u = base + ca.mtimes(ca.DM(np.linalg.pinv(vehicle.allocation)), wrench)
+    u = base + ca.DM(np.linalg.pinv(vehicle.allocation)) @ wrench
     within = ca.logic_and(ca.mmin(u) >= vehicle.thrust_min, ca.mmax(u) <= vehicle.thrust_max)
-    return ca.if_else(within, u, prioritised(vehicle, ca.mtimes(ca.DM(vehicle.allocation), u)))
+    return ca.if_else(within, u, prioritised(vehicle, vehicle.allocation @ u))
 
 
 def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
     """(x, x_last, thrusts, memory, air, air_last) -> memory_next, body, lateral; see l1_functions."""
     m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
-    x, x_last, thrust = ca.SX.sym("x", N_STATE), ca.SX.sym("x_last", N_STATE), ca.SX.sym("thrust", vehicle.n_rotors)
-    memory, air, air_last = ca.SX.sym("memory", 18), ca.SX.sym("air", N_OUTPUTS), ca.SX.sym("air_last", N_OUTPUTS)
-    wrench = ca.mtimes(ca.DM(vehicle.allocation), thrust)
+    x, x_last, thrust, memory, air, air_last = symbols(
+        ca.SX, x=N_STATE, x_last=N_STATE, thrust=vehicle.n_rotors, memory=18, air=N_OUTPUTS, air_last=N_OUTPUTS
+    )
+    wrench = vehicle.allocation @ thrust
 
     def known(state: Expression, y: Expression) -> Expression:
         R, w = rotation_matrix(state[ATTITUDE]), state[RATE]
-        linear = ca.mtimes(R, ca.vertcat(0, 0, wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
-        return ca.vertcat(linear, ca.mtimes(ca.inv(J), wrench[1:] + y[3:] - ca.cross(w, ca.mtimes(J, w))))
+        linear = R @ (along_z(wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
+        return ca.vertcat(linear, ca.inv(J) @ (wrench[1:] + y[3:] - ca.cross(w, J @ w)))
 
     moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
     poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
     decay = np.exp(-poles * period)
     reach, gain = (1 - decay) / poles, poles * decay / (1 - decay)
     s_F, s_tau = ca.vertsplit(memory[DISTURBANCE], 3)
-    believed = ca.vertcat(s_F / m, ca.mtimes(ca.inv(J), s_tau))
+    believed = ca.vertcat(s_F / m, ca.inv(J) @ s_tau)
     error = ca.DM(decay) * memory[ERROR] + period / 2 * (known(x, air) + known(x_last, air_last))
     error += ca.DM(reach) * believed - moved
     estimate = -ca.DM(gain) * error
-    s_F, s_tau = m * estimate[:3], ca.mtimes(J, estimate[3:])
+    s_F, s_tau = m * estimate[:3], J @ estimate[3:]
     R = rotation_matrix(x[ATTITUDE])
-    body = ca.vertcat(ca.mtimes(R.T, s_F), s_tau)
+    body = ca.vertcat(R.T @ s_F, s_tau)
     stays = math.exp(-keys.bandwidth * period)
     filtered = stays * memory[FILTERED] + (1 - stays) * body
     force = keys.force_limit * m * vehicle.gravity
     bound = ca.vertcat(force, force, force, keys.torque_limit * ca.DM(np.diag(vehicle.inertia_matrix)))
-    filtered = ca.fmin(ca.fmax(filtered, -bound), bound)
-    lateral = ca.mtimes(R, ca.vertcat(filtered[:2], 0))
+    filtered = limited(filtered, -bound, bound)
+    lateral = R @ ca.vertcat(filtered[:2], 0)
     outputs = [ca.vertcat(error, s_F, s_tau, filtered), body, lateral]
     return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))
 

@@ -48,7 +48,7 @@ class ControllerPart(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class Remedy(Part):
-    """A remedy. believes: whether it tells the controller of disturbances, see control/belief.py."""
+    """A remedy. believes: whether it tells the controller of disturbances, see control/base.py."""
 
     believes: ClassVar[bool] = False
 

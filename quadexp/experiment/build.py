@@ -246,9 +246,8 @@ def checked(seam: str, part: Part, product: Any) -> Any:
     """What a part made; UsageError where it lacks what its seam asks for."""
     lacking = [name for name in SEAMS[seam] if not hasattr(product, name)]
     if lacking:
-        target = getattr(part, "_target_", f"{type(part).__module__}.{type(part).__qualname__}")
         said = f"made no {seam}, a {type(product).__name__} without {', '.join(lacking)}"
-        raise UsageError(f"{seam}._target_={target}: {said}")
+        raise UsageError(f"{seam}._target_={part.class_path}: {said}")
     return product
 
 

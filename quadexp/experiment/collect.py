@@ -34,7 +34,9 @@ from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residu
 from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset
 from quadexp.models.residual import VELOCITY
 from quadexp.models.rotor_thrust import fit_timing, mean_thrust
+from quadexp.names import without
 from quadexp.parts.schema import WORLD, Config
+from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 from quadexp.reference.base import FlatOutput, standing
@@ -107,7 +109,7 @@ def collect_flights(
         build_loop(world, model)
     sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))
     offset = np.random.default_rng(sequence.spawn(1)[0]).random()
-    decisive = {key: value for key, value in asdict(settings).items() if key not in OF_RECORDED}
+    decisive = without(asdict(settings), OF_RECORDED)
     flights: list[Flight] = []
     recorded = 0.0
     while not flights or recorded < settings.duration - 1e-6:
@@ -279,7 +281,7 @@ def collect_dataset(
     write_table(path, dataset.columns, metadata, "residuals", force=force)
     if len(worlds) > len(flown):
         notes.append(f"warning: {len(flown)} flights in the first of {len(worlds)} worlds: raise collect.duration")
-    speed = np.linalg.norm(dataset.matrix(VELOCITY), axis=1)
+    speed = norms(dataset.matrix(VELOCITY))
     median, high, largest = float(np.median(speed)), float(np.percentile(speed, 95)), float(speed.max())
     seconds = float(np.sum(dataset.columns["dt"]))
     rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"

@@ -32,6 +32,7 @@ from quadexp.experiment.identity import (
 )
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.schema import Flight
+from quadexp.log.signal import finite_rows
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
@@ -263,7 +264,7 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     if not ranges or not len(flight):
         return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}
     rate = flight.stack(["w_x", "w_y", "w_z"])
-    finite = np.isfinite(flight.state).all(axis=1)
+    finite = finite_rows(flight.state)
     masks = outside(ranges, feature_rows(flight.air_velocity[finite], rate[finite], flight.input[finite]))
     where = _longest(masks["any"], flight.t[finite], flight.state[finite, POSITION])
     shares = {name: float(mask.mean()) for name, mask in masks.items()}
@@ -292,7 +293,7 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
     """The metadata of every flight."""
     identity, record = identity_with(config, model), flight_record(config)
     parts = {group: getattr(config, group) for group, part in record.items() if isinstance(part, dict)}
-    classes = {group: f"{type(part).__module__}.{type(part).__qualname__}" for group, part in parts.items()}
+    classes = {group: part.class_path for group, part in parts.items()}
     return {
         "config": record, "classes": classes, "config_hash": digest(record), "seed": config.seed,
         "inputs": identity.inputs, "code": identity.code,

@@ -15,6 +15,7 @@ from quadexp.models.gaussian_process import GPModel
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.neural import NeuralModel
 from quadexp.models.verdict import fit_with_report, verdict, verdict_lines, without
+from quadexp.names import distinct
 from quadexp.parts.schema import Config
 from quadexp.provenance import provenance, versions
 
@@ -75,7 +76,7 @@ def _held_out_lines(report: Mapping[str, Any]) -> list[str]:
     rows = report["rows"]
     if not rows:
         return ["no flights held out, so no report"]
-    predictors = list(dict.fromkeys(row["predictor"] for row in rows))
+    predictors = distinct(row["predictor"] for row in rows)
     by_output: dict[str, dict[str, str]] = {}
     for row in rows:
         score = f"{row['rmse']:8.4f} {row['nlpd']:7.3f}  {100 * row['inside_1']:3.0f} % {100 * row['inside_2']:3.0f} %"

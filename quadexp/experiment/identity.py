@@ -12,7 +12,6 @@ same (`part_identity`).
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import os
@@ -26,7 +25,8 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.models.base import model_class
-from quadexp.parts.part import TARGET, Part, imported
+from quadexp.names import sha256_of
+from quadexp.parts.part import Part
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import OWN, modules_of
@@ -62,7 +62,7 @@ def canonical(value: Any) -> str:
 
 def digest(value: Any) -> str:
     """sha256 of the canonical JSON, 20 hex digits."""
-    return hashlib.sha256(canonical(value).encode()).hexdigest()[:20]
+    return sha256_of(canonical(value))[:20]
 
 
 def flying_parts(config: Config) -> dict[str, Part]:
@@ -145,7 +145,7 @@ def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
             maker = model_class(kind).maker
             raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {maker}")
     files = tuple(_file(folder) for folder in controller.models)
-    together = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
+    together = sha256_of("".join(file.sha256 for file in files))
     return ModelFile("+".join(file.path for file in files), together, files)
 
 
@@ -192,12 +192,9 @@ def decides(group: str, part: Part) -> Decides:
     """
     if part.shipped:
         return Decides(_shipped_files(group, part), {}, frozenset({type(part).__module__}))
-    if hasattr(part, TARGET):
-        imported(group, getattr(part, TARGET))
-    target = getattr(part, TARGET, f"{type(part).__module__}.{type(part).__qualname__}")
-    behind = {kind.__module__: kind for kind in type(part).__mro__} | {target.rpartition(".")[0]: type(part)}
+    behind = {kind.__module__: kind for kind in reversed(type(part).__mro__)}
     code, elsewhere, modules = modules_of(behind)
-    texts = {f"{group} class": target} | {f"{group} module {name}": content for name, content in code.items()}
+    texts = {f"{group} class": part.class_path} | {f"{group} module {name}": content for name, content in code.items()}
     tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {OWN}
     outside = {name for name in behind if name in elsewhere and name.partition(".")[0] in tops}
     texts |= {f"{group} module {name}": _outside(behind[name]) for name in outside}

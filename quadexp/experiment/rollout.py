@@ -20,7 +20,7 @@ from quadexp.log.outcome import CORRIDOR, corridor
 from quadexp.log.schema import Flight
 from quadexp.models.residual import Residual
 from quadexp.physics.rotation import heading, heading_rate
-from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, in_motion, input_columns
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, in_motion, input_columns, norms
 from quadexp.reference.base import Trajectory
 from quadexp.reference.flatness import Reference, clipped, flat_reference
 from quadexp.world.base import Plant
@@ -244,7 +244,7 @@ def fly(
         raise QuadexpError(f"the flight ended before its first sample: {cause}")
     wanted = log.state_reference[: log.rows]
     width = corridor(plant.vehicle.size, reference.t[: log.rows], wanted[:, POSITION], wanted[:, VELOCITY])
-    away = np.linalg.norm(log.state[: log.rows, POSITION] - wanted[:, POSITION], axis=1)
+    away = norms(log.state[: log.rows, POSITION] - wanted[:, POSITION])
     if outcome == "ok" and away.max() > width:
         at = int(away.argmax())
         outcome = "left_corridor"

@@ -20,6 +20,7 @@ from quadexp.models.samples import FlightRows, read_rows
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.validation import Predictor, Track
 from quadexp.models.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
+from quadexp.names import distinct, without
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
@@ -59,7 +60,7 @@ def validate(
     notes: list[str] = []
     for done, tested in enumerate(folds):
         progress(done, len(folds))
-        others = {name: flight for name, flight in flown.items() if name not in tested}
+        others = without(flown, tested)
         chosen = refitted(loaded, others, vehicle) if leave_one_out else loaded
         used = _predictors(chosen, vehicle)
         rows = [read_rows(flown[name], name, used[0].curve.signal, used[0].curve.delay) for name in tested]
@@ -76,7 +77,7 @@ def validate(
         "nominal": None if leave_one_out else str(used[0].curve),
         "rows": validation.score_rows(scored), "bands": validation.band_rows(scored),
         "rollouts": [row for predicted in by_predictor.values() for row in _rollouts(predicted, horizons, vehicle)],
-        "notes": list(dict.fromkeys(notes)), "versions": versions(), "provenance": provenance(),
+        "notes": distinct(notes), "versions": versions(), "provenance": provenance(),
     }  # fmt: skip
     from quadexp.report.model_lines import validation_lines
 

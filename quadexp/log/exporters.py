@@ -14,6 +14,7 @@ from quadexp.errors import QuadexpError, UsageError, missing_package
 from quadexp.log.schema import Flight, describe
 from quadexp.log.store import read_flight
 from quadexp.messages import csv_line
+from quadexp.physics.state import norms
 from quadexp.writer import check_output, write_text, written
 
 POSE = ("p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w")
@@ -83,13 +84,13 @@ def _record(flight: Flight, path: Path, rr: Any) -> None:
         index = [rr.TimeColumn("t", duration=flight.t)]
         poses = rr.Transform3D.columns(translation=flown, quaternion=flight.stack(POSE[3:]))
         stream.send_columns("world/drone", index, poses)
-        arm = float(np.linalg.norm(flight.rotor_position, axis=1).max())  # m
+        arm = float(norms(flight.rotor_position).max())  # m
         body = [[[arm, 0, 0], [-arm, 0, 0]], [[0, arm, 0], [0, -arm, 0]], [[0, 0, 0], [0, 0, arm]]]
         stream.log("world/drone/body", rr.LineStrips3D(body, colors=[BLUE]), static=True)
         if "ref_p_x" in flight.columns:
             wanted = flight.stack([f"ref_{name}" for name in POSE[:3]])
             stream.log("world/reference", rr.LineStrips3D([wanted], colors=[GREY]), static=True)
-            error = np.linalg.norm(flown - wanted, axis=1)
+            error = norms(flown - wanted)
             stream.send_columns("error", index, rr.Scalars.columns(scalars=error))
         for name, values in flight.columns.items():
             stream.send_columns(f"columns/{name}", index, rr.Scalars.columns(scalars=values.astype(float)))

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.names import sha256_of
 
 ALWAYS = 100_000_000  # bytes in memory that a file may declare whatever its size
 EXPANSION = 60  # times its own size that a larger one may declare: an hour of hover, of which two columns move, has 40
@@ -157,7 +158,7 @@ def sealed_parquet(table: Any, **options: Any) -> bytes:
         writer.add_key_value_metadata({FILE_KEY: _NONE_YET})
     content = memory.getvalue().to_pybytes()
     (seal,) = _SEAL.finditer(content, _footer_start(content))
-    return content[: seal.start(1)] + hashlib.sha256(content).hexdigest().encode() + content[seal.end(1) :]
+    return content[: seal.start(1)] + sha256_of(content).encode() + content[seal.end(1) :]
 
 
 def sealed_bytes(path: Path) -> tuple[bytes, bool | None]:

@@ -22,6 +22,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadexp.physics.state import norms
+
 CORRIDOR = 20.0  # sizes of the vehicle, in every direction from the reference
 COMPLETED = ("ok", "left_corridor")  # flown to the end: their errors are those of the whole path
 UNFLOWN = ("infeasible", "failed")  # without a sample
@@ -35,5 +37,5 @@ def corridor(size: float, t: np.ndarray, position: np.ndarray, velocity: np.ndar
     size: of the vehicle (m). t: (k,) (s). position, velocity: of the reference, (k, 3) (m, m/s).
     """
     moved = np.diff(position, axis=0) - (velocity[1:] + velocity[:-1]) / 2 * np.diff(t)[:, None]
-    jump = np.linalg.norm(moved, axis=1).max(initial=0.0)
+    jump = norms(moved).max(initial=0.0)
     return CORRIDOR * size + float(jump)

@@ -10,7 +10,6 @@ noticed.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
@@ -31,7 +30,7 @@ from quadexp.log.integrity import (
     sealed_value,
 )
 from quadexp.log.schema import Flight, describe
-from quadexp.names import check_names
+from quadexp.names import check_names, sha256_of
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.progress import doing
 from quadexp.writer import written
@@ -95,7 +94,7 @@ def _schema(kind: str, columns: tuple[tuple[str, Any], ...]) -> tuple[Any, list[
 def _digest(record: bytes, names: list[str], content: bytes) -> bytes:
     """Hash of a table's record, of its columns' names, and of the hash of its columns."""
     parts = [record, *(name.encode() for name in names), content]
-    return hashlib.sha256(b"\0".join(parts)).hexdigest().encode()
+    return sha256_of(b"\0".join(parts)).encode()
 
 
 def _plain(value: Any) -> Any:

@@ -28,6 +28,7 @@ from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import Adapting
 from quadexp.models.residual import VELOCITY, Residual
 from quadexp.parts.settings import Setting, record
+from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 
 Callback = Callable[[str, float], None]  # told a message and the completed share, 0 .. 1
@@ -234,7 +235,7 @@ def outside_shares(ranges: Mapping[str, Sequence[float]], rows: ResidualDataset)
 
 def _values(rows: ResidualDataset, name: str) -> np.ndarray:
     """Values of a feature, or of the speed, (k,)."""
-    return np.linalg.norm(rows.matrix(VELOCITY), axis=1) if name == SPEED else rows.matrix([name])[:, 0]
+    return norms(rows.matrix(VELOCITY)) if name == SPEED else rows.matrix([name])[:, 0]
 
 
 def require_variation(rows: ResidualDataset, features: Sequence[str], outputs: Sequence[str], key: str) -> None:

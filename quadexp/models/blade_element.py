@@ -45,6 +45,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
@@ -55,8 +56,9 @@ from quadexp.models.samples import READINGS, check_columns
 from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
+from quadexp.physics.rotation import along_z
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
-from quadexp.physics.state import STATE_COLUMNS
+from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 ITERATIONS = 4  # Newton steps; three reach 1e-9 m/s in cruise, idling rotors and steep descents need a fourth
@@ -81,7 +83,7 @@ def blade_element_residual(
     iterations: Newton steps for V_I.
     Raises UsageError where the vehicle has no rotor geometry.
     """
-    z, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", len(THETA))
+    z, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=len(THETA))
     y, dy_dz = blade_element_correction(vehicle, z, theta, iterations=iterations)
     return symbolic_residual("blade_element", y, z, theta, coefficients.parameters(), source=source, slope=dy_dz)
 
@@ -108,11 +110,11 @@ def blade_element_correction(
     force, torque = aerodynamic_wrench(
         vehicle, theta, velocity, w, induced, rate=rate, lift_scale=lift_scale, terms=terms
     )
-    acceleration = force / (vehicle.mass + payload) - ca.vertcat(0, 0, ca.sum1(command) / vehicle.mass)
-    y = ca.vertcat(acceleration, torque - ca.mtimes(ca.sparsify(ca.DM(vehicle.allocation[1:])), command))
+    acceleration = force / (vehicle.mass + payload) - along_z(ca.sum1(command) / vehicle.mass)
+    y = ca.vertcat(acceleration, torque - ca.sparsify(ca.DM(vehicle.allocation[1:])) @ command)
     dg_dz, slope = ca.jacobian(equation.value(induced), z), equation.slope(induced)
-    d_induced = -ca.mtimes(ca.diag(1 / slope), dg_dz)
-    dy_dz = ca.jacobian(y, z) + ca.mtimes(ca.jacobian(y, induced), d_induced)
+    d_induced = -(ca.diag(1 / slope) @ dg_dz)
+    dy_dz = ca.jacobian(y, z) + ca.jacobian(y, induced) @ d_induced
     y, dy_dz = ca.substitute([y, dy_dz], [induced], [solution])
     return y, dy_dz
 
@@ -163,7 +165,7 @@ def fit_blade_element(
 
     def linearised(error: np.ndarray, design: np.ndarray) -> tuple[float, np.ndarray]:
         """sigma and H."""
-        noise = max(float(np.sqrt(np.mean(error**2))), 1e-9)
+        noise = max(root_mean_square(error), 1e-9)
         return noise, np.einsum("kai,kaj->ij", design, design) / noise**2 + np.diag(1 / spread**2)
 
     c = first.copy()
@@ -200,11 +202,11 @@ def fit_blade_element(
 def _force_function(vehicle: Vehicle) -> ca.Function:
     """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5)."""
     n = vehicle.n_rotors
-    v, w, theta, induced = (ca.SX.sym(name, size) for name, size in (("v", 3), ("w", n), ("theta", 5), ("V_I", n)))
+    v, w, theta, induced = symbols(ca.SX, v=3, w=n, theta=5, V_I=n)
     flow = rotor_flow(vehicle, v)
     equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
-    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, induced), equation.derivative(induced, theta))
+    slope = ca.jacobian(force, theta) + ca.jacobian(force, induced) @ equation.derivative(induced, theta)
     results, solution = [force / vehicle.mass, ca.densify(slope) / vehicle.mass], safe_newton(equation, SAFE_ITERATIONS)
     return ca.Function("specific_force", [v, w, theta], ca.cse(ca.substitute(results, [induced], [solution])))
 

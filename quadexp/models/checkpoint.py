@@ -7,7 +7,6 @@ and loading it imports neither torch nor CasADi. The payload is the model's reco
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Model, Record, model_class
 from quadexp.models.residual import LEARNED
-from quadexp.names import check_names
+from quadexp.names import check_names, sha256_of
 from quadexp.physics.vehicle import Vehicle
 from quadexp.writer import check_output, write_folder
 
@@ -105,7 +104,7 @@ def _line(error: Exception) -> str:
 
 def _hash(payload: Any) -> str:
     text = json.dumps(payload, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+    return sha256_of(text)
 
 
 def plain(record: Record) -> Any:

@@ -40,14 +40,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
+from quadexp.log.signal import finite_rows
 from quadexp.log.store import read_table
 from quadexp.models.residual import AXES, OUTPUTS, THRUST
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import rigid_body_function
 from quadexp.physics.rotation import air_velocity
-from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns
+from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns, norms
 from quadexp.physics.vehicle import Vehicle
 
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive
@@ -154,7 +156,7 @@ def transitions(
     thrust = _read(flight, inputs)[:-1] if thrust is None else thrust
 
     k = consecutive(t, flight.columns.get("segment"))
-    k = k[np.isfinite(thrust[k]).all(axis=1)]
+    k = k[finite_rows(thrust[k])]
     before, after, u, dt = state[k], state[k + 1], thrust[k], np.diff(t)[k]
     before[:, ATTITUDE] = _unit(before[:, ATTITUDE], k)
     after[:, ATTITUDE] = _unit(after[:, ATTITUDE], k + 1)
@@ -276,7 +278,7 @@ def consecutive(t: np.ndarray, segment: np.ndarray | None) -> np.ndarray:
 
 
 def _unit(quaternion: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    norm = np.linalg.norm(quaternion, axis=1)
+    norm = norms(quaternion)
     bad = np.flatnonzero(np.abs(norm - 1) > 0.1)
     if len(bad):
         raise DataError(f"row {rows[bad[0]]}: the quaternion's norm is {norm[bad[0]]:.3g}, it must be 1")
@@ -310,7 +312,7 @@ def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray)
     if not len(state):
         return state.copy()
     rigid_body = rigid_body_function(vehicle)
-    x, thrust, step = ca.SX.sym("x", state.shape[1]), ca.SX.sym("u", u.shape[1]), ca.SX.sym("dt")
+    x, thrust, step = symbols(ca.SX, x=state.shape[1], u=u.shape[1], dt=1)
     end = rk4_step(lambda at: rigid_body(at, thrust), x, step)
     after = np.empty(state.shape)
     evaluate_rows(ca.Function("step", [x, thrust, step], [ca.densify(end)]), (state, u, dt[:, None]), after)

@@ -38,6 +38,7 @@ from msgspec.structs import replace
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import (
     AXIS,
@@ -68,6 +69,7 @@ from quadexp.models.residual import (
     check_features,
     feature_names,
     feature_places,
+    residual_function,
 )
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
@@ -300,7 +302,7 @@ def gaussian_process_residual(
     names = feature_names(vehicle.n_rotors)
     structure = tuple((o.output, tuple(o.features), len(o.alpha)) for o in outputs)
     n_alpha, n_point = _sizes(structure)
-    z_, theta_ = ca.MX.sym("z", len(names)), ca.MX.sym("theta", len(theta))
+    z_, theta_ = symbols(ca.MX, z=len(names), theta=len(theta))
     sizes = [n_mean, len(n_point), sum(n_point), sum(n_alpha), len(known) * N_FALLBACK, sum(map(len, factors))]
     mean_, scale_, points_, alpha_, known_, factor_ = _split(theta_, sizes)
     select, assemble = _scalar_functions(
@@ -309,8 +311,7 @@ def gaussian_process_residual(
 
     def posterior_mean(sums: Callable[..., Sums]) -> ca.Function:
         of_points = [ca.vertcat(*part) for part in sums(structure, select(z_, scale_), points_, alpha_, factor_)]
-        results = assemble(z_, mean_, scale_, known_, *of_points)
-        return ca.Function("residual_gaussian_process", [z_, theta_], [*results], ["z", "theta"], ["y", "dy_dz"])
+        return residual_function("gaussian_process", z_, theta_, assemble(z_, mean_, scale_, known_, *of_points))
 
     return Residual("gaussian_process", posterior_mean(_matrix_sums), theta, source, posterior_mean(_compiled_sums))
 
@@ -356,8 +357,8 @@ def _matrix_sums(
     if not factor.numel():
         return *sums, [], []
     roots = [ca.reshape(f, m, m) for f, m in zip(_split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
-    known = [ca.mtimes(f, k) for f, k in zip(roots, kernels, strict=True)]
-    back = [ca.mtimes(f.T, q) * k for f, q, k in zip(roots, known, kernels, strict=True)]
+    known = [f @ k for f, k in zip(roots, kernels, strict=True)]
+    back = [f.T @ q * k for f, q, k in zip(roots, known, kernels, strict=True)]
     slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
     return *sums, [ca.dot(q, q) for q in known], slopes
 
@@ -400,12 +401,17 @@ def _scalar_functions(
     (z, s) -> s phi of all features; (z, mean, s, fallback, sums ..) -> y, dy/dz with structural zeros. mean: parameters
     of the mean function. fallback: numbers of all outputs, see `fallback`; none where they are not weighed.
     """
-    z, mean = ca.SX.sym("z", len(names)), ca.SX.sym("mean", n_mean)
+    z, mean = symbols(ca.SX, z=len(names), mean=n_mean)
     n_features = sum(len(features) for _, features, _ in structure)
-    scale, slope = ca.SX.sym("scale", n_features), ca.SX.sym("slope", n_features)
-    value, known = ca.SX.sym("value", len(structure)), ca.SX.sym("known", weighed * len(structure))
-    known_slope = ca.SX.sym("known_slope", weighed * n_features)
-    numbers = ca.SX.sym("fallback", weighed * N_FALLBACK * len(structure))
+    scale, slope, value, known, known_slope, numbers = symbols(
+        ca.SX,
+        scale=n_features,
+        slope=n_features,
+        value=len(structure),
+        known=weighed * len(structure),
+        known_slope=weighed * n_features,
+        fallback=weighed * N_FALLBACK * len(structure),
+    )
     y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
     if with_mean:
         y[:3] = linear_drag_acceleration(z, mean) if mean_terms is None else mean_terms.acceleration(z, mean)
@@ -419,7 +425,7 @@ def _scalar_functions(
             share, far = 1 / (1 + ratio - known[i]), ca.SX(0)
             if mean_terms is None and {*features} <= _continued(output):
                 v = z[AXIS[output]]
-                far = c[0] + c[1] * v + c[2] * v * ca.fabs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
+                far = c[0] + c[1] * v + c[2] * v * abs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
             d_share = (value[i] - far) * share**2
             correction = far + share * (value[i] - far)
             dy_dz[row, :] += (1 - share) * ca.jacobian(far, z)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError
 from quadexp.models.dataset import evaluate_rows
 from quadexp.models.terms import ITERATIONS, TERMS, Z_TERMS, Inflow, OperatingPoint
@@ -53,12 +54,11 @@ def momentum_of(vehicle: Vehicle | None, radius: float | None) -> float:
 @cache
 def _force_function(rotors: int, kappa: float) -> ca.Function:
     """(v (3,), a (n,), theta (4,)) -> f and df/dtheta, (5,)."""
-    v, a, theta = ca.SX.sym("v", 3), ca.SX.sym("a", rotors), ca.SX.sym("theta", len(Z_TERMS))
-    V = ca.SX.sym("V", rotors)
+    v, a, theta, V = symbols(ca.SX, v=3, a=rotors, theta=len(Z_TERMS), V=rotors)
     point = OperatingPoint(v, a, Inflow(kappa, theta[1], theta[2], theta[0]), V)
     equation = point.balance
     force = sum(theta[j] * TERMS[name].phi(point, 2) for j, name in enumerate(Z_TERMS))
-    slope = ca.jacobian(force, theta) + ca.mtimes(ca.jacobian(force, V), equation.derivative(V, theta))
+    slope = ca.jacobian(force, theta) + ca.jacobian(force, V) @ equation.derivative(V, theta)
     solved = ca.substitute(ca.vertcat(force, slope.T), V, safe_newton(equation, ITERATIONS))
     return ca.Function("force", [v, a, theta], [ca.densify(ca.cse(solved))])
 

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
@@ -33,6 +34,8 @@ from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import along_z
+from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 N_PARAMETERS = 7
@@ -154,7 +157,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
 def linear_drag_acceleration(features: Expression, theta: Expression) -> Expression:
     """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta = [D (3,), b (3,), kappa]."""
     thrust = ca.sum1(features[6:])
-    return linear_drag_force(features[:3], theta[:3]) + theta[3:6] + ca.vertcat(0, 0, theta[6] * thrust)
+    return linear_drag_force(features[:3], theta[:3]) + theta[3:6] + along_z(theta[6] * thrust)
 
 
 def linear_drag_residual(
@@ -162,7 +165,7 @@ def linear_drag_residual(
     source: str = "",
 ) -> Residual:  # fmt: skip
     """Linear-drag residual; drag (3,) 1/s, intercept (3,) m/s^2, thrust_gain 1/kg."""
-    features, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", N_PARAMETERS)
+    features, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=N_PARAMETERS)
     outputs = ca.vertcat(linear_drag_acceleration(features, theta), ca.SX(3, 1))
     values = np.concatenate([np.asarray(drag), np.asarray(intercept), [thrust_gain]])
     return symbolic_residual("linear_drag", outputs, features, theta, values, source=source)
@@ -216,7 +219,7 @@ def fit_linear_drag(
             over="flights",
         )  # fmt: skip
         value[places], error[places], freedom[places] = fit.coefficients, fit.errors, fit.freedom
-        std[i] = np.sqrt(np.mean(fit.residual**2))
+        std[i] = root_mean_square(fit.residual)
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
         r_squared[i] = 1 - np.sum(fit.residual**2) / spread if spread > 0 else 0.0
     return LinearDrag(

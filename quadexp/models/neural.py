@@ -26,7 +26,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
@@ -34,6 +34,7 @@ import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.base import (
     AXIS,
@@ -51,7 +52,7 @@ from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.online import Adapting, Block
 from quadexp.models.recorded import with_common_scale
-from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places
+from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places, residual_function
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
 from quadexp.physics.expression import Expression
@@ -237,21 +238,20 @@ def _network_function(names: tuple[str, ...], network: Network, layer: Layer, ba
     """(z, theta) -> y, dy/dz for a network of these sizes."""
     sizes = network.sizes
     lengths = [length for columns, rows in pairwise(sizes) for length in (rows * columns, rows)]
-    z, theta = ca.MX.sym("z", len(names)), ca.MX.sym("theta", sum(lengths))
+    z, theta = symbols(ca.MX, z=len(names), theta=sum(lengths))
     parts = ca.vertsplit(theta, np.cumsum([0, *lengths]).tolist())
     weights = [ca.reshape(w, rows, columns) for w, (columns, rows) in zip(parts[::2], pairwise(sizes), strict=True)]
     places = feature_places(names, network.features, "network")
     select = _zeros_and_ones(places, len(names))
     place = _zeros_and_ones([[OUTPUTS.index(output)] for output in network.outputs], len(OUTPUTS)).T
-    x, slopes = ca.mtimes(select, z), []
+    x, slopes = select @ z, []
     for w, b in zip(weights[:-1], parts[1:-1:2], strict=True):
         x, slope = layer(w, b, x)
         slopes.append(slope)
-    y, gradient = ca.mtimes(weights[-1], x) + parts[-1], weights[-1]
+    y, gradient = weights[-1] @ x + parts[-1], weights[-1]
     for w, slope in zip(reversed(weights[:-1]), reversed(slopes), strict=True):
         gradient = backward(gradient, slope, w)
-    results = [ca.mtimes(place, y), ca.mtimes(place, ca.mtimes(gradient, select))]
-    return ca.Function("residual_neural", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
+    return residual_function("neural", z, theta, [place @ y, place @ (gradient @ select)])
 
 
 def _zeros_and_ones(places: list[list[int]], columns: int) -> ca.DM:
@@ -260,11 +260,11 @@ def _zeros_and_ones(places: list[list[int]], columns: int) -> ca.DM:
 
 
 def _layer(w: Expression, b: Expression, x: Expression) -> tuple[Expression, Expression]:
-    return activation(ca.mtimes(w, x) + b)
+    return activation(w @ x + b)
 
 
 def _backward(gradient: Expression, slope: Expression, w: Expression) -> Expression:
-    return ca.mtimes(gradient * ca.repmat(slope.T, gradient.size1(), 1), w)
+    return gradient * ca.repmat(slope.T, gradient.size1(), 1) @ w
 
 
 def _compiled_layer(w: Expression, b: Expression, x: Expression) -> tuple[Expression, Expression]:
@@ -328,15 +328,10 @@ def _train(
         value.backward()
         return value.item(), flat.grad.numpy()
 
-    done = 0
-
-    def step(_: np.ndarray) -> None:
-        nonlocal done
-        done += 1
-        callback("fit network", done / settings.max_iterations)
-
+    done = count(1)
     result = minimize(
-        loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B", callback=step,
+        loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B",
+        callback=lambda _: callback("fit network", next(done) / settings.max_iterations),
         options={"maxiter": settings.max_iterations, "maxfun": 2 * settings.max_iterations, "maxcor": 30,
                  "ftol": 1e-12, "gtol": 1e-8},
     )  # fmt: skip

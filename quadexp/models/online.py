@@ -51,10 +51,11 @@ import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -105,7 +106,7 @@ def from_zero(adapting: Adapting) -> Adapting:
 
 def regressors(adapting: Adapting, rotors: int) -> ca.Function:
     """(z, theta) -> y (6,) and, for each block, dy_i/da of its component, (1, h): the regressors of its weights."""
-    z, theta = ca.MX.sym("z", len(feature_names(rotors))), ca.MX.sym("theta", len(adapting.residual.theta))
+    z, theta = symbols(ca.MX, z=len(feature_names(rotors)), theta=len(adapting.residual.theta))
     with_weights, weights = ca.MX(theta), [ca.MX.sym("a", len(block.at)) for block in adapting.blocks]
     for block, a in zip(adapting.blocks, weights, strict=True):
         with_weights[block.at.tolist()] = a
@@ -143,18 +144,19 @@ def update_function(
     """
     law = law or Law()
     n = vehicle.n_rotors
-    x, f, u, path = (ca.MX.sym(name, size) for name, size in (("x", N_STATE), ("f", 3), ("u", n), ("path", 6)))
-    belief = ca.MX.sym("belief", len(prior_belief(adapting)))
-    known_theta = ca.MX.sym("known_theta", 0 if known is None else len(known.theta))
-    variance, decay, tracking, rate = (ca.MX.sym(name) for name in ("variance", "decay", "tracking", "tracking_rate"))
+    shapes = {"x": N_STATE, "f": 3, "u": n, "path": 6, "belief": len(prior_belief(adapting))}
+    shapes |= {"known_theta": 0 if known is None else len(known.theta)}
+    shapes |= {"variance": 1, "decay": 1, "tracking": 1, "tracking_rate": 1}
+    inputs = named_symbols(ca.MX, shapes)
+    x, f, u, path, belief, known_theta, variance, decay, tracking, rate = inputs.values()
 
     z = ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
     prior = ca.DM(adapting.residual.theta)
     y, *rows = regressors(adapting, n)(z, prior)
-    sample = f - ca.vertcat(0, 0, ca.sum1(u) / vehicle.mass) - y[:3]
+    sample = f - along_z(ca.sum1(u) / vehicle.mass) - y[:3]
     if known is not None:
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
-    sigma = ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
+    sigma = rotation_matrix(x[ATTITUDE]).T @ (x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
 
     beliefs = ca.vertsplit(belief, np.cumsum([0, *(block.size for block in adapting.blocks)]).tolist())
     theta, innovation, updated = ca.MX(prior), [ca.MX(0)] * 3, []
@@ -163,12 +165,8 @@ def update_function(
         after, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *given)
         updated.append(after)
         theta[block.at.tolist()] = weights
-    return ca.Function(
-        "adapt", [x, f, u, path, belief, known_theta, variance, decay, tracking, rate],
-        [ca.vertcat(*updated), theta, ca.vertcat(*innovation)],
-        ["x", "f", "u", "path", "belief", "known_theta", "variance", "decay", "tracking", "tracking_rate"],
-        ["new_belief", "theta", "innovation"],
-    )  # fmt: skip
+    outputs = {"new_belief": ca.vertcat(*updated), "theta": theta, "innovation": ca.vertcat(*innovation)}
+    return named_function("adapt", inputs, outputs)
 
 
 def _block(
@@ -180,7 +178,7 @@ def _block(
     row: regressors of the weights. noise: r. push: dt c sigma. Only one triangle of P is used, so it is symmetric.
     """
     h, root = len(block.at), ca.DM(block.root)
-    b, P, phi = belief[:h], ca.reshape(belief[h:], h, h), ca.mtimes(root.T, row)
+    b, P, phi = belief[:h], ca.reshape(belief[h:], h, h), root.T @ row
     if law.name == "rls":
         P = P * ca.fmin(1 / decay, ca.fmax(1, h / ca.trace(P)))
     else:
@@ -188,15 +186,15 @@ def _block(
     if law.fitc:
         noise += ca.fmax(block.signal_variance - ca.dot(phi, phi), 0)
     error = sample - ca.dot(phi, b)
-    spread = ca.mtimes(P, phi)
+    spread = P @ phi
     s = ca.dot(phi, spread) + noise
     gain = spread / s
-    crossed = ca.mtimes(gain, spread.T)
-    P = ca.tril2symm(ca.tril(P - crossed - crossed.T + s * ca.mtimes(gain, gain.T)))
+    crossed = gain @ spread.T
+    P = ca.tril2symm(ca.tril(P - crossed - crossed.T + s * (gain @ gain.T)))
     b = b + gain * error
     if law.name == "composite":
-        b += push * ca.mtimes(P, phi)
-    return ca.vertcat(b, ca.vec(P)), ca.DM(block.mean) + ca.mtimes(root, b), error
+        b += push * (P @ phi)
+    return ca.vertcat(b, ca.vec(P)), ca.DM(block.mean) + root @ b, error
 
 
 def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Expression, ...]:

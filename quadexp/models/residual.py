@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import FEATURES, N_OUTPUTS, OUTPUTS
@@ -66,6 +67,10 @@ class Residual:
         features = np.atleast_2d(features)
         outputs, _ = self.function(features.T, np.tile(self.theta[:, None], (1, len(features))))
         return np.array(ca.DM(outputs).full()).T
+
+    def form(self, compiled: bool) -> ca.Function:
+        """The function, or its form for compilation."""
+        return (self.to_compile if compiled else None) or self.function
 
     @property
     def is_zero(self) -> bool:
@@ -111,8 +116,13 @@ def symbolic_residual(
         outputs, slope = ca.sparsify(outputs), ca.jacobian(outputs, features)
     else:
         outputs, slope = ca.cse([outputs, slope])
-    function = ca.Function(f"residual_{name}", [features, theta], [outputs, slope], ["z", "theta"], ["y", "dy_dz"])
+    function = residual_function(name, features, theta, [outputs, slope])
     return Residual(name, function, np.asarray(values, float).ravel(), source)
+
+
+def residual_function(name: str, z: Expression, theta: Expression, results: Sequence[Expression]) -> ca.Function:
+    """The function of a residual. results: y and dy/dz."""
+    return ca.Function(f"residual_{name}", [z, theta], list(results), ["z", "theta"], ["y", "dy_dz"])
 
 
 def no_residual(vehicle: Vehicle) -> Residual:
@@ -144,7 +154,7 @@ def sum_residual(parts: Sequence[Residual]) -> Residual:
     function = _sum([part.function for part in parts], parts)
     to_compile = None
     if any(part.to_compile is not None for part in parts):
-        to_compile = _sum([part.to_compile or part.function for part in parts], parts)
+        to_compile = _sum([part.form(True) for part in parts], parts)
     return Residual(
         "+".join(part.name for part in parts), function, theta, "+".join(sources), to_compile, ranges or None
     )
@@ -152,19 +162,18 @@ def sum_residual(parts: Sequence[Residual]) -> Residual:
 
 def _sum(functions: Sequence[ca.Function], parts: Sequence[Residual]) -> ca.Function:
     ends = np.cumsum([0, *(len(part.theta) for part in parts)]).tolist()
-    z, theta = ca.MX.sym("z", functions[0].size1_in(0)), ca.MX.sym("theta", ends[-1])
+    z, theta = symbols(ca.MX, z=functions[0].size1_in(0), theta=ends[-1])
     values = [function(z, given) for function, given in zip(functions, ca.vertsplit(theta, ends), strict=True)]
     results = [sum(terms[1:], terms[0]) for terms in zip(*values, strict=True)]
-    return ca.Function("residual_sum", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
+    return residual_function("sum", z, theta, results)
 
 
 def scaled_residual(residual: Residual) -> Residual:
     """The residual with a scale behind its parameters, 1 at first; `unscaled` is the residual itself."""
 
     def scaled(function: ca.Function) -> ca.Function:
-        z, theta = ca.MX.sym("z", function.size1_in(0)), ca.MX.sym("theta", function.size1_in(1) + 1)
-        results = [theta[-1] * value for value in function(z, theta[:-1])]
-        return ca.Function("residual_scaled", [z, theta], results, ["z", "theta"], ["y", "dy_dz"])
+        z, theta = symbols(ca.MX, z=function.size1_in(0), theta=function.size1_in(1) + 1)
+        return residual_function("scaled", z, theta, [theta[-1] * value for value in function(z, theta[:-1])])
 
     to_compile = None if residual.to_compile is None else scaled(residual.to_compile)
     theta = np.append(residual.theta, 1.0)

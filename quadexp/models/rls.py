@@ -40,6 +40,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, key, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
@@ -63,9 +64,8 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     regressors (3, 5) (m/s^2); weight beta_x.
     """
     n = vehicle.n_rotors
-    v, w, y = ca.SX.sym("v", 3), ca.SX.sym("w", n), ca.SX.sym("y", 3)
-    used, coefficients = ca.SX.sym("used", len(THETA)), ca.SX.sym("coefficients", len(THETA))
-    sigma, forgetting, lift_weight = (ca.SX.sym(name) for name in ("sigma", "forgetting", "lift_weight"))
+    v, w, y, used, coefficients = symbols(ca.SX, v=3, w=n, y=3, used=len(THETA), coefficients=len(THETA))
+    sigma, forgetting, lift_weight = symbols(ca.SX, sigma=1, forgetting=1, lift_weight=1)
     thetas = [ca.SX.sym(f"theta_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
     covariances = [ca.SX.sym(f"P_{a}", len(at), len(at)) for a, at in zip("xyz", AXES, strict=True)]
     priors = [ca.SX.sym(f"prior_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
@@ -79,7 +79,7 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     if gauss_newton:
         through = ca.substitute(ca.jacobian(force[2], induced), coefficients, used)
         gain_regressors = ca.SX(regressors)
-        gain_regressors[2, C_LA] += ca.mtimes(through, equation.derivative(induced, used[C_LA])) / vehicle.mass
+        gain_regressors[2, C_LA] += through @ equation.derivative(induced, used[C_LA]) / vehicle.mass
     regressors, gain_regressors = ca.substitute(
         [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
     )
@@ -89,16 +89,16 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
         phi, direction = regressors[axis, at].T, gain_regressors[axis, at].T
         theta, P = thetas[axis], covariances[axis]
         kept = forgetting * ca.DM.eye(len(at)) + (1 - forgetting) * P / ca.repmat(priors[axis], 1, len(at))
-        P = ca.mtimes(P, ca.inv_minor(kept))
+        P = P @ ca.inv_minor(kept)
         P = (P + P.T) / 2
-        spread = ca.mtimes(P, direction)
+        spread = P @ direction
         gain = spread / (ca.dot(direction, spread) + sigma**2)
         errors.append(y[axis] - ca.dot(phi, theta))
         new_thetas.append(theta + gain * errors[-1])
-        new_covariances.append(P - ca.mtimes(gain, spread.T))
+        new_covariances.append(P - gain @ spread.T)
 
-    speed = ca.fabs(v[0]) + ca.fabs(v[1])
-    weight = ca.if_else(speed > 0, ca.fabs(v[0]) / (speed + (speed <= 0)), 0.5)
+    speed = abs(v[0]) + abs(v[1])
+    weight = ca.if_else(speed > 0, abs(v[0]) / (speed + (speed <= 0)), 0.5)
     raw = _combine(new_thetas, weight, lift_weight)
     given = [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight]
     results = [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]

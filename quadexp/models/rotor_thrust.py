@@ -33,7 +33,7 @@ from quadexp.log.schema import Flight
 from quadexp.models.dataset import consecutive
 from quadexp.models.residual import VELOCITY
 from quadexp.models.samples import rotor_columns
-from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns
+from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 NO_LAG = 1e-12  # s, in place of 0: what is left after a step of it is 0
@@ -272,7 +272,7 @@ class _Score:
         for axis, effect in enumerate(self._effect):
             powers = np.stack([thrust @ effect, thrust**2 @ effect], axis=1)
             error = target[:, axis] - _explained(np.concatenate([self._terms, powers], axis=1), target[:, axis])
-            remaining.append(float(np.sqrt(np.mean(error**2))))
+            remaining.append(root_mean_square(error))
         return remaining[0], remaining[1], remaining[2]
 
     def __call__(self, timing: Timing) -> float:
@@ -298,7 +298,7 @@ def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehi
             t, rest = np.asarray(flight.t, float), _settled(flight)
             model = held_commands(flight, vehicle, timing).value(t)[rest]
             error.append((thrust[rest] - (_scaled(model, thrust[rest], t[rest]) if scaled else model)).ravel())
-        return float(np.sqrt(np.mean(np.concatenate(error) ** 2)))
+        return root_mean_square(np.concatenate(error))
 
     timing = Timing()
     if beside(timing, scaled=False) > MEASURED_APART * vehicle.hover_thrust:

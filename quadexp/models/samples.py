@@ -26,8 +26,10 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
+from quadexp.log.signal import period_of
 from quadexp.models.dataset import WIND, name_of
 from quadexp.models.residual import VELOCITY
+from quadexp.physics.state import norms
 
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
@@ -92,7 +94,7 @@ def earlier(time: np.ndarray, segment: np.ndarray, delay: float) -> np.ndarray:
 
     time, segment: (k,), segments one after another with increasing numbers.
     """
-    rows = round(delay / float(np.median(np.diff(time))))
+    rows = round(delay / period_of(time))
     late: np.ndarray = np.maximum(np.arange(len(time)) - rows, np.searchsorted(segment, segment))
     return late
 
@@ -163,7 +165,7 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
     samples = gather(flights, choose_signal(flights, signal), names)
     if not samples.held.all():
         return samples
-    period = float(np.median(np.diff(samples.time)))
+    period = period_of(samples.time)
     most = round(LARGEST_DELAY / period)
     rows = np.arange(most, len(samples))
     rows = rows[samples.segment[rows] == samples.segment[rows - most]]
@@ -196,11 +198,11 @@ class FlightRows:
 
     @property
     def dt(self) -> float:
-        return float(np.median(np.diff(self.samples.time)))
+        return period_of(self.samples.time)
 
     @property
     def speed(self) -> np.ndarray:
-        return np.linalg.norm(self.samples.velocity, axis=1)
+        return norms(self.samples.velocity)
 
 
 def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> FlightRows:

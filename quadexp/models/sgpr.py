@@ -26,6 +26,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from typing import Any
 
 import gpytorch
@@ -35,7 +36,10 @@ from linear_operator.utils.errors import NanError, NotPSDError
 from linear_operator.utils.warnings import NumericalWarning
 from scipy.linalg import cholesky, eigh, solve_triangular
 from scipy.optimize import minimize
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.utils.checkpoint import checkpoint
+
+from quadexp.physics.state import root_mean_square
 
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
@@ -67,7 +71,7 @@ def fit_output(
     replace the first stages. report: called with the completed share.
     """
     centre, spread = z.mean(axis=0), z.std(axis=0)
-    unit = float(np.sqrt(np.mean(target**2))) or 1.0
+    unit = root_mean_square(target) or 1.0
     x, y = (z - centre) / spread, target / unit
     order = rng.permutation(len(x))
 
@@ -202,40 +206,28 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
     """
     model.train()
     parameters = [p for p in model.parameters() if p.requires_grad]
-    shapes = [p.numel() for p in parameters]
-
-    def load(flat: np.ndarray) -> None:
-        with torch.no_grad():
-            for p, part in zip(parameters, np.split(flat, np.cumsum(shapes)[:-1]), strict=True):
-                p.copy_(torch.from_numpy(part).reshape(p.shape))
+    done = count(1)
 
     def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
-        load(flat)
+        vector_to_parameters(torch.tensor(flat), parameters)
         model.zero_grad()
         try:
             value = -model.objective()
             value.backward()
         except (NotPSDError, NanError, torch.linalg.LinAlgError):
             return FAILED, np.zeros_like(flat)
-        gradient = np.concatenate([p.grad.numpy().reshape(-1) for p in parameters])
+        gradient = parameters_to_vector([p.grad for p in parameters]).numpy()
         finite = bool(np.isfinite(value.item()) and np.all(np.isfinite(gradient)))
         return (value.item(), gradient) if finite else (FAILED, np.zeros_like(flat))
 
-    done = 0
-
-    def step(_: np.ndarray) -> None:
-        nonlocal done
-        done += 1
-        report(done)
-
-    flat = np.concatenate([p.detach().numpy().reshape(-1) for p in parameters])
+    flat = parameters_to_vector(parameters).detach().numpy()
     with warnings.catch_warnings(), gpytorch.settings.max_cholesky_size(EXACT_LIMIT):
         warnings.simplefilter("ignore", NumericalWarning)
         result = minimize(
-            loss, flat, jac=True, method="L-BFGS-B", callback=step,
+            loss, flat, jac=True, method="L-BFGS-B", callback=lambda _: report(next(done)),
             options={"maxiter": iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-6},
         )  # fmt: skip
-    load(result.x)
+    vector_to_parameters(torch.tensor(result.x), parameters)
     return -float(result.fun)
 
 

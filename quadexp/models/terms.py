@@ -70,6 +70,7 @@ import msgspec
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
@@ -79,6 +80,7 @@ from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, sym
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import Balance, safe_newton
+from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 Axes = tuple[tuple[str, ...], ...]  # names of the terms, per axis
@@ -161,7 +163,7 @@ _ROOT = "1/sqrt(m)"  # (m/s^2) / (m/s sqrt(m/s^2))
 TERMS = {
     "linear": Term("1/s", lambda p, i: -p.v[i]),
     "offset": Term("m/s^2", lambda p, i: ca.SX(1)),
-    "quadratic": Term("1/m", lambda p, i: -p.v[i] * ca.fabs(p.v[i])),
+    "quadratic": Term("1/m", lambda p, i: -p.v[i] * abs(p.v[i])),
     "body": Term("1/m", lambda p, i: -p.v[i] * ca.sqrt(ca.dot(p.v, p.v) + TINY_SPEED**2)),
     "hub": Term(_ROOT, lambda p, i: -p.v[i] * ca.sum1(p.rotor_speed)),
     "hub_climb": Term("1/m", lambda p, i: -p.v[i] * p.a.numel() * p.v[2]),
@@ -190,7 +192,7 @@ def term_expressions(terms: Axes, v: Expression, a: Expression, momentum: Moment
 @cache
 def _columns_function(terms: Axes, rotors: int, momentum: Momentum) -> ca.Function:
     """(v (3,), a (n,)) -> the phi of all axes one after the other."""
-    v, a = ca.SX.sym("v", 3), ca.SX.sym("a", rotors)
+    v, a = symbols(ca.SX, v=3, a=rotors)
     phi = sum(term_expressions(terms, v, a, momentum), [])
     return ca.Function("terms", [v, a], [ca.densify(ca.cse(ca.vertcat(*phi)))])
 
@@ -227,8 +229,7 @@ class TermStructure(NamedTuple):
 
 def term_residual(vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "") -> Residual:
     """Residual of the terms; coefficients of all axes, (p,). source: for the record."""
-    features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))
-    theta = ca.SX.sym("theta", structure.n_parameters)
+    features, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=structure.n_parameters)
     outputs = ca.vertcat(structure.acceleration(features, theta), ca.SX(3, 1))
     return symbolic_residual("identified", outputs, features, theta, coefficients, source=source)
 
@@ -336,7 +337,7 @@ def fit_terms(
     return TermModel(
         kind, tuple(map(tuple, terms)), tuple(fit.coefficients[k] for fit, k in last),
         tuple(fit.covariance[k, k] for fit, k in last), tuple(int(fit.freedom) for fit in fits),
-        np.array([np.sqrt(np.mean(fit.residual**2)) for fit in fits]), np.array([fit.condition for fit in fits]),
+        np.array([root_mean_square(fit.residual) for fit in fits]), np.array([fit.condition for fit in fits]),
         rotors.shape[1], momentum, options.get("loss", "squares"),
     )  # fmt: skip
 

@@ -28,6 +28,7 @@ from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
 from quadexp.models.regression import Regression, half_width, regress
 from quadexp.models.samples import SIGNALS, Samples, earlier, rotor_columns
+from quadexp.physics.state import root_mean_square
 
 # Powers of the signal in the curve, and the signals with an intercept by default.
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
@@ -208,7 +209,7 @@ def fit_thrust_samples(
         kind, np.array(powers, float), value[:q], error[:q], reference, float(g), g_error,
         float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
         float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
-        regression.condition, float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]),
+        regression.condition, root_mean_square(regression.residual), np.array([scaled.min(), scaled.max()]),
         delay=samples.delay,
     )  # fmt: skip
     return curve, regression

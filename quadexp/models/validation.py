@@ -34,6 +34,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.base import Model, outside_shares, rms
 from quadexp.models.checkpoint import record_of
@@ -48,7 +49,7 @@ from quadexp.models.vehicle_model import VehicleModel
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import state_derivative
 from quadexp.physics.rotation import air_velocity
-from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY, norms, root_mean_square
 from quadexp.physics.vehicle import GRAVITY, Vehicle
 
 BLOCK = 2.0  # s, of the bootstrap
@@ -254,7 +255,7 @@ def accelerometer_bias(
             world = np.gradient(velocity[rows], time[rows], axis=0) + [0.0, 0.0, gravity]
             errors.append(force[rows] - np.einsum("kji,kj->ki", matrix[rows], world))
     error = np.concatenate(errors)
-    distance = np.linalg.norm(error - np.median(error, axis=0), axis=1)
+    distance = norms(error - np.median(error, axis=0))
     return np.mean(error[distance <= max(FAR * np.median(distance), STEP)], axis=0)
 
 
@@ -287,7 +288,7 @@ def full_rollout(
 
     mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
     """
-    x, u, y, h = ca.SX.sym("x", 13), ca.SX.sym("u", vehicle.n_rotors), ca.SX.sym("y", 6), ca.SX.sym("h")
+    x, u, y, h = symbols(ca.SX, x=13, u=vehicle.n_rotors, y=6, h=1)
     step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
     scale = track.scale[starts] if tracked else np.ones(len(starts))
     quaternion = track.rotation[starts].as_quat(scalar_first=True)
@@ -335,7 +336,7 @@ def rollout_errors(
             values = np.concatenate([part[name] for part in parts])
             finite = values[np.isfinite(values)]
             row["lost"] = float(1 - len(finite) / len(values))
-            row[name] = float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+            row[name] = root_mean_square(finite) if len(finite) else float("nan")
             row[f"{name}_median"] = float(np.median(finite)) if len(finite) else float("nan")
         rows.append(row)
     return rows
@@ -354,6 +355,6 @@ def _end_errors(
         level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
         turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
         errors["attitude"] = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
-        errors["rate"] = np.linalg.norm(last[:, RATE] - track.rate[end], axis=1)
-    errors["position"] = np.linalg.norm(position - track.position[end], axis=1)
-    return errors | {"velocity": np.linalg.norm(velocity - track.velocity[end], axis=1)}
+        errors["rate"] = norms(last[:, RATE] - track.rate[end])
+    errors["position"] = norms(position - track.position[end])
+    return errors | {"velocity": norms(velocity - track.velocity[end])}

@@ -23,6 +23,7 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
+from quadexp.log.signal import period_of
 from quadexp.models.base import Model, Prediction, feature_ranges, rms
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.inflow import fit_inflow, momentum_of
@@ -241,10 +242,9 @@ def _dataset_record(samples: Samples) -> dict[str, Any]:
     digest = hashlib.sha256()
     for part in (samples.time, samples.force, samples.velocity, samples.signal):
         digest.update(np.ascontiguousarray(part).tobytes())
-    step = np.median(np.diff(samples.time))
     return {
         "sha256": digest.hexdigest(), "rows": len(samples), "flights": len(samples.names),
-        "duration": float(len(samples) * step), "names": list(samples.names),
+        "duration": len(samples) * period_of(samples.time), "names": list(samples.names),
     }  # fmt: skip
 
 

@@ -38,6 +38,7 @@ from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import LEAST_FLIGHTS, between_flights
 from quadexp.models.terms import MEANS, fit_term_mean
+from quadexp.physics.state import root_mean_square
 
 Row = dict[str, Any]
 ACCELERATION = list(AXIS)
@@ -142,7 +143,7 @@ def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
     error, std = target - mean, np.maximum(std, 1e-12)
     scaled = error / std
     return {
-        "rmse": float(np.sqrt(np.mean(error**2))),
+        "rmse": root_mean_square(error),
         "nlpd": float(np.mean(0.5 * scaled**2 + np.log(std) + 0.5 * np.log(2 * np.pi))),
         "inside_1": float(np.mean(np.abs(scaled) < 1)),
         "inside_2": float(np.mean(np.abs(scaled) < 2)),

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from quadexp.log.schema import Flight
 from quadexp.papers.lei_li import flown, titled, without_corridor
+from quadexp.physics.state import root_mean_square
 from quadexp.report.metrics import position_error
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.table import Table
@@ -42,7 +41,7 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
             cells = []
             for low, high in WINDOWS:
                 inside = error[(t >= low) & (t < high)]
-                cells.append(f"{np.sqrt(np.mean(inside**2)):.2f}" if len(inside) else "-")
+                cells.append(f"{root_mean_square(inside):.2f}" if len(inside) else "-")
             lines.append([TITLES.get(plant, plant), name, *cells, flight.outcome])
     heads = ["change", "controller", *(f"{low:g}..{high:g} s" for low, high in WINDOWS), "outcome"]
     left = frozenset({0, 1, len(heads) - 1})
@@ -60,7 +59,7 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]]) -> Figure:
 
     flights: plant -> controller -> flight.
     """
-    figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0), layout="constrained")
+    figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0))
     panels = figure.subplots(1, len(flights), sharey=True, squeeze=False)[0]
     look = looks([name for by_controller in flights.values() for name in by_controller])
     for panel, (plant, by_controller) in zip(panels, flights.items(), strict=True):

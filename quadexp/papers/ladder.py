@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from quadexp.names import distinct
 from quadexp.report.draw import figure_of
 from quadexp.report.pairing import contestant_labels, grouped
 from quadexp.report.statistics import Statistic, compute_statistics
@@ -60,7 +61,7 @@ def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ())
         at = s.plant if first == "plant" else world, courses[s.trajectory, s.setting]
         speeds.setdefault(at, {}).setdefault(s.speed, {})[label] = s
     places = {(*at, speed): of_speed[speed] for at, of_speed in speeds.items() for speed in sorted(of_speed)}
-    return Means(first, list(dict.fromkeys([*(name for name in order if name in labels), *labels])), places)
+    return Means(first, distinct([*(name for name in order if name in labels), *labels]), places)
 
 
 def means_table(means: Means, title: str, *, bold: bool = False) -> Table:

@@ -140,7 +140,7 @@ def _truth(flight: Flight) -> dict[str, float]:
 @styled
 def path_figure(flights: Mapping[str, Flight], title: str) -> Figure:
     """Path seen from above and altitude over time, the reference in grey. flights: controller -> flight."""
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = Figure(figsize=(10.0, 4.4))
     above, height = figure.subplots(1, 2, width_ratios=(1, 1.25))
     look = looks(list(flights))
     first = next(iter(flights.values()))
@@ -167,7 +167,7 @@ def titled(figure: Figure, title: str = "") -> Figure:
 @styled
 def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
     """Averages since the start of ||e_xi|| (m) and of ||e_eta|| (rad), the distance to the desired attitude."""
-    figure = Figure(figsize=(10.0, 3.9), layout="constrained")
+    figure = Figure(figsize=(10.0, 3.9))
     position, attitude = figure.subplots(1, 2)
     for name, look in looks(list(flights)).items():
         flight = flights[name]
@@ -184,7 +184,7 @@ def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
 @styled
 def induced_velocity_figure(flight: Flight, title: str) -> Figure:
     """Induced velocity and speed of every rotor over time."""
-    figure = Figure(figsize=(10.0, 3.9), layout="constrained")
+    figure = Figure(figsize=(10.0, 3.9))
     induced, speed = figure.subplots(1, 2)
     for i, side in enumerate(("front", "right", "rear", "left")[: flight.n_rotors]):
         look = {"color": COLOURS[i + 1], "linestyle": DASHES[i], "linewidth": 1.1, "label": f"rotor {i + 1} ({side})"}
@@ -200,7 +200,7 @@ def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
     """Coefficients in use over time, every seed a thin line and their mean a thick one, the truth dashed."""
     truth, samples = _truth(flights[0]), min(len(flight) for flight in flights)
     t = flights[0].t[:samples]
-    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
+    figure = Figure(figsize=(11.0, 5.2))
     *panels, beside = figure.subplots(2, 3, sharex=True).flat
     for panel, (name, symbol) in zip(panels, SYMBOLS.items(), strict=True):
         values = np.stack([flight[name][:samples] for flight in flights])

@@ -41,6 +41,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in, note
+from quadexp.names import without
 from quadexp.parts.crazyflies import CRAZYFLIE, crazyflie_numbers
 from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
@@ -190,7 +191,7 @@ class OptionFiles:
         if not usable:
             raise UsageError(f"{extending[-1].path}: defaults: {group}={name} extends itself")
         definition = min(usable, key=lambda each: bool(extending) and each.place < extending[-1].place)
-        content = {key: value for key, value in definition.content.items() if key not in (LOOK, CRAZYFLIE)}
+        content = without(definition.content, (LOOK, CRAZYFLIE))
         drone = definition.content.get(CRAZYFLIE)
         return definition, content if drone is None else crazyflie_numbers(group, str(drone)) | content
 

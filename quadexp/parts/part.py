@@ -25,6 +25,7 @@ from typing import Any, ClassVar, Self
 
 from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
+from quadexp.names import without
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.parts.settings import Name, Settings, record
 from quadexp.parts.user_modules import OWN, generation, import_from, lies_outside, load, own_folders
@@ -60,6 +61,11 @@ class Part(Settings):
         """Whether it is of this program, and not a user's own."""
         return type(self).__module__.partition(".")[0] == OWN
 
+    @property
+    def class_path(self) -> str:
+        """What its option names: MODULE.CLASS."""
+        return f"{type(self).__module__}.{type(self).__qualname__}"
+
     def recorded(self) -> dict[str, Any]:
         """Its settings as plain data, for files and hashes."""
         return dict(self._recorded)
@@ -67,7 +73,7 @@ class Part(Settings):
     @functools.cached_property
     def _recorded(self) -> dict[str, Any]:
         usual = {k for k in self.added if getattr(self, k) == getattr(type(self), k)}
-        settings = {k: v for k, v in record(self).items() if k not in usual}
+        settings = without(record(self), usual)
         return settings | ({"kind": self.former_kind} if self.former_kind else {})
 
     def anew(self) -> Self:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from functools import reduce
 
 from quadexp.errors import UsageError
+from quadexp.names import distinct
 from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
 from quadexp.parts.settings import find, shown
 
@@ -42,7 +43,7 @@ def is_read(key: str, command: str) -> bool:
 
 def refuse_unread(command: str, given: str, keys: Iterable[str]) -> None:
     """UsageError where other commands read what an override sets, and this one reads none of it. given: its text."""
-    readers = list(dict.fromkeys(other for key in keys for other in READS if is_read(key, other)))
+    readers = distinct(other for key in keys for other in READS if is_read(key, other))
     if not readers or command in readers:
         return
     advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"

@@ -99,7 +99,7 @@ PARTS = tuple(group for group in CHOSEN if group not in {*BUNDLES, *PRESETS})  #
 def of_contestant(key: str) -> bool:
     """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise.
 
-    "results" is the folder that a flight of several results comes from (compare_picture.py)."""
+    "results" is the folder that a flight of several results comes from."""
     group = key.partition(".")[0]
     return PRESETS.get(group, group) in ("controller", "model", "remedies", *REMEDIES, "results")
 

@@ -15,7 +15,6 @@ flight in this process has the code that a worker process imports.
 from __future__ import annotations
 
 import functools
-import hashlib
 import importlib
 import importlib.util
 import sys
@@ -26,6 +25,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from quadexp.errors import UsageError
+from quadexp.names import sha256_of
 from quadexp.provenance import content_hash, follow
 
 if TYPE_CHECKING:
@@ -212,7 +212,7 @@ class _Loader(SourceFileLoader):
     def exec_module(self, module: ModuleType) -> None:
         text = self.get_data(self.path)
         _state["mixed"] |= self.name in _texts  # by importlib.reload
-        _texts[self.name] = hashlib.sha256(text).hexdigest()
+        _texts[self.name] = sha256_of(text)
         try:
             exec(self.source_to_code(text, self.path), vars(module))
         except BaseException:

@@ -6,7 +6,6 @@ quadratic  F_i = -c_i V_i |V_i|      Torrente et al. 2021, simplified simulation
 
 from __future__ import annotations
 
-from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 
@@ -17,4 +16,4 @@ def linear_drag_force(body_velocity: Expression, coefficient: Expression) -> Exp
 
 def quadratic_drag_force(body_velocity: Expression, coefficient: Expression) -> Expression:
     """Quadratic drag per axis, (3,) (N); body_velocity (3,) (m/s), coefficient (3,) (N s^2 / m^2)."""
-    return -coefficient * body_velocity * ca.fabs(body_velocity)
+    return -coefficient * body_velocity * abs(body_velocity)

@@ -21,6 +21,7 @@ from functools import cache
 from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.physics.blade_element import ADOPTED, TINY_SPEED, CrossTerms, thrust_loss_per_flow, unloaded_thrust
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotor import STANDING, RotorGeometry
@@ -145,15 +146,16 @@ def root_is_unique(equation: Balance, induced: Expression) -> Expression:
 @cache
 def solution_function(geometry: RotorGeometry, terms: CrossTerms = ADOPTED) -> ca.Function:
     """(C_la, w (rad/s), V_h^2 (m^2/s^2), V_z (m/s, positive down)) -> V_I (m/s), Defined; accurate to rounding."""
-    lift_slope, w, squared, axial = (ca.SX.sym(name) for name in ("lift_slope", "w", "in_plane_squared", "axial"))
+    inputs = named_symbols(ca.SX, {"lift_slope": 1, "w": 1, "in_plane_squared": 1, "axial": 1})
+    lift_slope, w, squared, axial = inputs.values()
     equation = balance(geometry, lift_slope, w, squared, axial, terms)
     induced = safe_newton(equation)
     moving = squared + axial * axial > 0
     stopped, unique = w <= STANDING, root_is_unique(equation, induced)
-    finite = ca.fabs(lift_slope) + ca.fabs(w) + squared + ca.fabs(axial) < ca.inf
+    finite = abs(lift_slope) + abs(w) + squared + abs(axial) < ca.inf
     status = ca.if_else(unique, int(Defined.OK), int(Defined.NOT_UNIQUE))
     status = ca.if_else(stopped, ca.if_else(moving, int(Defined.STOPPED), int(Defined.OK)), status)
     status = ca.if_else(finite, status, int(Defined.NOT_FINITE))
     induced = ca.if_else(ca.logic_and(stopped, ca.logic_not(moving)), 0, induced)
-    names = ["lift_slope", "w", "in_plane_squared", "axial"], ["induced_velocity", "status"]
-    return ca.Function("induced_velocity", [lift_slope, w, squared, axial], ca.cse([induced, status]), *names)
+    induced, status = ca.cse([induced, status])
+    return named_function("induced_velocity", inputs, {"induced_velocity": induced, "status": status})

@@ -15,8 +15,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import air_velocity, quaternion_rate, rotation_matrix
+from quadexp.physics.rotation import air_velocity, along_z, quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -48,20 +49,18 @@ def state_derivative(
     correction: [a_body (m/s^2), tau_body (N m)], (6,), or None for the nominal body.
     """
     q, v, w = x[ATTITUDE], x[VELOCITY], x[RATE]
-    wrench = ca.mtimes(ca.sparsify(ca.DM(vehicle.allocation)), u)
-    acceleration = ca.vertcat(0, 0, wrench[0] / vehicle.mass)
+    wrench = ca.sparsify(ca.DM(vehicle.allocation)) @ u
+    acceleration = along_z(wrench[0] / vehicle.mass)
     torque = wrench[1:]
     if correction is not None:
         acceleration += correction[:3]
         torque += correction[3:]
     inertia = ca.sparsify(ca.DM(vehicle.inertia_matrix))
-    angular_acceleration = ca.mtimes(
-        ca.sparsify(ca.inv(ca.DM(vehicle.inertia_matrix)), 1e-14), torque - ca.cross(w, ca.mtimes(inertia, w))
+    angular_acceleration = ca.sparsify(ca.inv(ca.DM(vehicle.inertia_matrix)), 1e-14) @ (
+        torque - ca.cross(w, inertia @ w)
     )
-    gravity = ca.vertcat(0, 0, -vehicle.gravity)
-    return ca.vertcat(
-        v, quaternion_rate(q, w), ca.mtimes(rotation_matrix(q), acceleration) + gravity, angular_acceleration
-    )
+    gravity = along_z(-vehicle.gravity)
+    return ca.vertcat(v, quaternion_rate(q, w), rotation_matrix(q) @ acceleration + gravity, angular_acceleration)
 
 
 def body_features(x: Expression, u: Expression) -> Expression:
@@ -69,19 +68,28 @@ def body_features(x: Expression, u: Expression) -> Expression:
     return ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
 
 
+def features_function(vehicle: Vehicle) -> ca.Function:
+    """(x (13,), u (n,)) -> z, see body_features."""
+    x, u = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors)
+    return ca.Function("features", [x, u], [body_features(x, u)])
+
+
+def derivative_function(vehicle: Vehicle) -> ca.Function:
+    """(x (13,), u (n,), y (6,)) -> x' (13,), see state_derivative."""
+    x, u, y = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors, y=N_OUTPUTS)
+    return ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
+
+
 def rigid_body_function(vehicle: Vehicle) -> ca.Function:
     """Nominal dynamics as a CasADi function (x (13,), u (n,)) -> x' (13,)."""
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    x, u = symbols(ca.SX, x=N_STATE, u=vehicle.n_rotors)
     return ca.Function("rigid_body", [x, u], [state_derivative(x, u, vehicle)], ["x", "u"], ["x_dot"])
 
 
 def corrected_function(vehicle: Vehicle, residual: Correction) -> ca.Function:
     """Dynamics with a residual, (x (13,), u (n,), theta (p,)) -> x' (13,): f_cor = f_dyn + B_d r(z)."""
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
-    y = ca.SX.sym("y", N_OUTPUTS)
-    features = ca.Function("features", [x, u], [body_features(x, u)])
-    derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
-    x, u = ca.MX.sym("x", N_STATE), ca.MX.sym("u", vehicle.n_rotors)
-    theta = ca.MX.sym("theta", residual.function.size1_in(1))
-    output, _ = residual.function(features(x, u), theta)
-    return ca.Function("corrected", [x, u, theta], [derivative(x, u, output)], ["x", "u", "theta"], ["x_dot"])
+    shapes = {"x": N_STATE, "u": vehicle.n_rotors, "theta": residual.function.size1_in(1)}
+    inputs = named_symbols(ca.MX, shapes)
+    x, u, theta = inputs.values()
+    output, _ = residual.function(features_function(vehicle)(x, u), theta)
+    return named_function("corrected", inputs, {"x_dot": derivative_function(vehicle)(x, u, output)})

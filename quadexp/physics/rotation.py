@@ -29,6 +29,11 @@ def rotation_matrix(q: Expression) -> Expression:
     return ca.vertcat(*(ca.horzcat(*row) for row in _entries(q[0], q[1], q[2], q[3])))
 
 
+def along_z(size: Expression) -> Expression:
+    """The vector of this size along z, (3,)."""
+    return ca.vertcat(0, 0, size)
+
+
 def air_velocity(q: Any, velocity: Any, wind: Any = None) -> Any:
     """Velocity relative to the air in body axes, R(q)' (v - wind), on which all aerodynamic forces depend.
 
@@ -37,7 +42,7 @@ def air_velocity(q: Any, velocity: Any, wind: Any = None) -> Any:
     """
     relative = velocity if wind is None else velocity - wind
     if not isinstance(q, np.ndarray):
-        return ca.mtimes(rotation_matrix(q).T, relative)
+        return rotation_matrix(q).T @ relative
     single = q.ndim == 1  # Python floats are several times faster than numpy scalars
     rows = _entries(*(q.tolist() if single else np.moveaxis(q, -1, 0)))
     x, y, z = relative.tolist() if single else np.moveaxis(relative, -1, 0)
@@ -92,12 +97,12 @@ def right_matrix(q: Expression) -> Expression:
 
 def quaternion_rate(q: Expression, w: Expression) -> Expression:
     """Time derivative of the quaternion, (4,) (1/s), under the body rate w, (3,) (rad/s)."""
-    return 0.5 * ca.mtimes(left_matrix(q)[:, 1:], w)
+    return 0.5 * (left_matrix(q)[:, 1:] @ w)
 
 
 def product(p: Expression, q: Expression) -> Expression:
     """Hamilton product p o q, (4,)."""
-    return ca.mtimes(left_matrix(p), q)
+    return left_matrix(p) @ q
 
 
 def conjugate(q: Expression) -> Expression:
@@ -119,7 +124,7 @@ def exponential(phi: Expression) -> Expression:
 def logarithm(q: Expression) -> Expression:
     """Log(q), the rotation vector (3,) (rad) of the shorter way round of a unit quaternion."""
     length = ca.sqrt(ca.sumsqr(q[1:]) + SMALLEST)
-    return ca.if_else(q[0] < 0, -1, 1) * 2 * ca.atan2(length, ca.fabs(q[0])) / length * q[1:]
+    return ca.if_else(q[0] < 0, -1, 1) * 2 * ca.atan2(length, abs(q[0])) / length * q[1:]
 
 
 def right_jacobian(phi: Expression) -> Expression:
@@ -129,4 +134,4 @@ def right_jacobian(phi: Expression) -> Expression:
     near = square < 1e-4  # where the quotients lose their digits, their series
     first = ca.if_else(near, 1 / 2 - square / 24, 2 * ca.sin(angle / 2) ** 2 / square)
     second = ca.if_else(near, 1 / 6 - square / 120, (angle - ca.sin(angle)) / (angle * square))
-    return ca.DM.eye(3) - first * cross + second * ca.mtimes(cross, cross)
+    return ca.DM.eye(3) - first * cross + second * (cross @ cross)

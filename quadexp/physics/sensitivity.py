@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, symbols
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_thrust
 from quadexp.physics.rigid_body import (
@@ -58,9 +59,16 @@ def rk4_sensitivity_function(
     flat = scalar and residual.function.is_a("SXFunction") and residual.function.n_instructions() < FLAT_LIMIT
     kind = ca.SX if flat else ca.MX
     n = vehicle.n_rotors
-    start, u = kind.sym("x", N_STATE + n * lag), kind.sym("u", n)
-    theta, dt, tau = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt"), kind.sym("tau")
-    plus, disturbance = kind.sym("added", n, 3), kind.sym("disturbance", N_DISTURBANCE)
+    start, u, theta, dt, tau, plus, disturbance = symbols(
+        kind,
+        x=N_STATE + n * lag,
+        u=n,
+        theta=residual.function.size1_in(1),
+        dt=1,
+        tau=1,
+        added=(n, 3),
+        disturbance=N_DISTURBANCE,
+    )
     x, thrust = (start[:N_STATE], start[N_STATE:]) if lag else (start, u)
     if added:
         thrust = thrust + plus[:, 0]
@@ -71,7 +79,7 @@ def rk4_sensitivity_function(
         *a: Expression,
     ) -> tuple[Expression, Expression]:  # fmt: skip
         k, G = slope(x_stage, u, y, dy_dz)
-        return k, _by_command(G, *a) + c * ca.mtimes(G[:, :N_MOTION], S)
+        return k, _by_command(G, *a) + c * (G[:, :N_MOTION] @ S)
 
     parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
     stage, combine = (as_scalars(f) if scalar else f for f in parts)
@@ -99,7 +107,7 @@ def rk4_sensitivity_function(
     given = {"x": start, "u": u, "theta": theta, "dt": dt}
     further = {"tau": (lag, tau), "added": (added, plus), "disturbance": (disturbed, disturbance)}
     given |= {name: symbol for name, (asked, symbol) in further.items() if asked}
-    return ca.Function("node", [*given.values()], outputs, [*given], ["x_next", "A", "B"])
+    return named_function("node", given, dict(zip(("x_next", "A", "B"), outputs, strict=True)))
 
 
 def _by_command(G: Expression, a: Expression | None = None) -> Expression:
@@ -143,16 +151,20 @@ def _combine(
 
 def _slope_function(vehicle: Vehicle, residual: Correction, *, dense: bool) -> ca.Function:
     """(x, u, y, dy/dz) -> x' (13,), G = [f_s, f_u] (10, 10 + n) of the corrected dynamics."""
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
-    y = ca.SX.sym("y", residual.function.sparsity_out(0))
-    dy_dz = ca.SX.sym("dy_dz", residual.function.sparsity_out(1))
-    correction = ca.SX.sym("correction", N_OUTPUTS)
+    x, u, y, dy_dz, correction = symbols(
+        ca.SX,
+        x=N_STATE,
+        u=vehicle.n_rotors,
+        y=residual.function.sparsity_out(0),
+        dy_dz=residual.function.sparsity_out(1),
+        correction=N_OUTPUTS,
+    )
     derivative = state_derivative(x, u, vehicle, correction)
     motion, features = ca.vertcat(x[3:], u), body_features(x, u)
     partial, by_correction, derivative = (
         ca.substitute(expression, correction, ca.densify(y))
         for expression in (ca.jacobian(derivative[3:], motion), ca.jacobian(derivative[3:], correction), derivative)
     )
-    G = partial + ca.mtimes(by_correction, ca.mtimes(dy_dz, ca.jacobian(features, motion)))
+    G = partial + by_correction @ (dy_dz @ ca.jacobian(features, motion))
     G = ca.densify(G) if dense else ca.sparsify(G)
     return ca.Function("slope", [x, u, y, dy_dz], ca.cse([derivative, G]))

@@ -28,3 +28,13 @@ def input_columns(n_rotors: int) -> tuple[str, ...]:
 def in_motion(state: np.ndarray) -> bool:
     """Whether a state (13,) has a velocity."""
     return bool(np.abs(state[VELOCITY]).max() > AT_REST)
+
+
+def norms(vectors: np.ndarray) -> np.ndarray:
+    """Euclidean norm of every row, (k, m) -> (k,)."""
+    return np.linalg.norm(vectors, axis=1)
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    """Of all numbers, whatever their shape."""
+    return float(np.sqrt(np.mean(values**2)))

@@ -26,7 +26,6 @@ sets no end: vehicles of 20 g and of 40 kg are inside.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -37,6 +36,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from quadexp.errors import UsageError
+from quadexp.names import sha256_of
 from quadexp.parts.part import Part
 from quadexp.parts.settings import REQUIRED, Triple, key
 from quadexp.physics.rotor import RotorGeometry
@@ -153,7 +153,7 @@ class Vehicle(Part):
         """Short hash of all physical parameters, without the name: vehicles with equal fingerprints fly identically."""
         given = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
         physics = {FORMER_NAMES.get(key, key): value for key, value in given.items()}
-        return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]
+        return sha256_of(json.dumps(physics, sort_keys=True))[:12]
 
     @property
     def record(self) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
 from quadexp.parts.settings import Setting, key
+from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 
 SPEED = Setting(
@@ -169,4 +170,4 @@ def derivatives(function: Any) -> tuple[Any, ...]:
 def sampled_peak_speed(trajectory: Trajectory, step: float = 2e-3) -> float:
     """Largest speed on a grid of `step` (s), m/s."""
     t = np.linspace(0.0, trajectory.duration, int(np.ceil(trajectory.duration / step)) + 1)
-    return float(np.linalg.norm(trajectory.flat_output(t).position[:, 1], axis=1).max())
+    return float(norms(trajectory.flat_output(t).position[:, 1]).max())

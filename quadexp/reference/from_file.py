@@ -30,6 +30,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
 from quadexp.parts.settings import REQUIRED, key
+from quadexp.physics.state import norms
 from quadexp.reference.base import (
     MARGIN,
     SPEED,
@@ -122,7 +123,7 @@ def _columns(where: str, header: list[str]) -> tuple[str, ...]:
 
 def _heading(path: Path, rows: list[tuple[int, list[str]]], quaternion: np.ndarray) -> np.ndarray:
     """Yaw (k,) (rad) of attitudes (k, 4), w last; DataError where one is not of unit length."""
-    lengths = np.linalg.norm(quaternion, axis=1)
+    lengths = norms(quaternion)
     if np.any(np.abs(lengths - 1) > 0.01):
         i = int(np.argmax(np.abs(lengths - 1)))
         raise DataError(f"{path}, line {rows[i][0]}: the quaternion has length {lengths[i]:.3g}, not 1")
@@ -207,7 +208,7 @@ class FileTrajectory(LimitedTrajectory):
                     " trajectory.allow_infeasible=true"
                 )
             return timed, ""
-        lengths = np.linalg.norm(np.diff(positions.points, axis=0), axis=1) / np.ptp(positions.points, axis=0).max()
+        lengths = norms(np.diff(positions.points, axis=0)) / np.ptp(positions.points, axis=0).max()
         candidates = []
         for power in POWERS:
             path = minimum_snap(np.concatenate([[0.0], np.cumsum(lengths**power)]), points)

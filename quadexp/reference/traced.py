@@ -16,6 +16,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.models.residual import FEATURES, N_OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_step import AirModel, AirResponse, outputs_and_gradients, predicted_and_next
@@ -102,7 +103,7 @@ class CompiledStep:
 
     def __init__(self, demand: Demand, vehicle: Vehicle, model: AirModel, calculus: Calculus) -> None:
         residual, self._demand, self._calculus = model.residual, demand, calculus
-        functions = compiled_steps(vehicle, residual.to_compile or residual.function, demand.yaw is None)
+        functions = compiled_steps(vehicle, residual.form(True), demand.yaw is None)
         self._first, self._step = map(BufferedFunction, functions)
         self._step.arguments["theta"].ravel()[:], self._step.arguments["share"][:] = residual.theta, model.share
         self._rows = np.zeros((len(demand.t), N_DEMAND + N_AIR + 1))
@@ -129,7 +130,7 @@ def compiled_steps(vehicle: Vehicle, residual: ca.Function, free_heading: bool) 
 
     row: N_DEMAND numbers, an Air's outputs, l', l'', and the twist at one instant, (26,).
     """
-    row, chi = ca.SX.sym("row", N_DEMAND + N_AIR), ca.SX.sym("chi")
+    row, chi = symbols(ca.SX, row=N_DEMAND + N_AIR, chi=1)
     rows = _column(row, (N_DEMAND + N_AIR,))
     velocity, jerk, snap, force, yaw = (rows[3 * i : 3 * i + 3] for i in range(5))
     outputs = rows[N_DEMAND:]
@@ -155,8 +156,7 @@ def compiled_steps(vehicle: Vehicle, residual: ca.Function, free_heading: bool) 
     last = ca.Function("last", [row, chi, ca.vertcat(*parts)], [ca.cse(_vector([*predicted, *after]))])
     middle = ca.Function("middle", [row, chi], [ca.cse(features[0])])
 
-    given, theta = ca.MX.sym("row", N_DEMAND + N_AIR + 1), ca.MX.sym("theta", residual.size1_in(1))
-    share = ca.MX.sym("share")
+    given, theta, share = symbols(ca.MX, row=N_DEMAND + N_AIR + 1, theta=residual.size1_in(1), share=1)
     split = [given[:-1], given[-1]]
     response = share * outputs_and_gradients(residual, middle(*split), theta)
     functions = [

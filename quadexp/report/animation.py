@@ -26,6 +26,7 @@ from quadexp.errors import UsageError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.physics.state import norms
 from quadexp.progress import Progress
 from quadexp.report.metrics import position_error
 from quadexp.report.style import Figure, looks, plain_log, styled
@@ -176,7 +177,7 @@ class _Picture:
     @styled
     def __init__(self, labels: Sequence[str], flights: Sequence[Flight], begin: float, end: float) -> None:
         longest = max(flights, key=lambda flight: len(flight["t"]))
-        figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+        figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
         left, right = halves
         path, course = left.subplots(2, 1, height_ratios=(2.2, 1))
@@ -196,7 +197,7 @@ class _Picture:
             body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
             self._flown.append(_Flown(flight, error, flight.rotor_position, trail, vehicle, body, line))
         shown = [flown.error[flown.sample(begin) : flown.sample(end) + 1].max() for flown in self._flown]
-        size = max(float(np.linalg.norm(flown.rotors, axis=1).max()) for flown in self._flown)
+        size = max(float(norms(flown.rotors).max()) for flown in self._flown)
         reach = 1.05 * float(max(shown)) + 1.6 * size
         near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
         near.set_aspect("equal")
@@ -241,7 +242,7 @@ def _body(flight: Flight, k: int, rotors: np.ndarray) -> list[np.ndarray]:
     rotation = Rotation.from_quat([flight[f"q_{axis}"][k] for axis in "xyzw"]).as_matrix()
     centre = np.array([flight[f"p_{axis}"][k] - flight[f"ref_p_{axis}"][k] for axis in "xyz"])
     angle = np.linspace(0, 2 * np.pi, 17)
-    radius = 0.55 * np.linalg.norm(rotors[:, :2], axis=1).min()
+    radius = 0.55 * norms(rotors[:, :2]).min()
     disc = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     lines = [np.stack([centre, centre + rotation @ rotor])[:, :2] for rotor in rotors]
     return lines + [(centre + (rotor + disc) @ rotation.T)[:, :2] for rotor in rotors]

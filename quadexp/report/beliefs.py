@@ -208,7 +208,7 @@ def beliefs_table(flight: Flight) -> Table:
 def beliefs_figure(flight: Flight) -> Figure:
     """A panel for each quantity: what was believed, its band, and what was true."""
     quantities = beliefs(flight)
-    figure = Figure(figsize=(9.0, 1.5 * len(quantities) + 0.6), layout="constrained")
+    figure = Figure(figsize=(9.0, 1.5 * len(quantities) + 0.6))
     panels = np.atleast_1d(figure.subplots(len(quantities), sharex=True))
     for panel, belief in zip(panels, quantities, strict=True):
         t, half = flight.columns["t"], BAND * belief.deviation

@@ -25,7 +25,9 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata
+from quadexp.names import distinct
 from quadexp.parts.settings import flat
+from quadexp.physics.state import norms
 from quadexp.report.frame import read_results
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
@@ -219,7 +221,7 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
     if not len(t):
         return {"common": 0, "identical": False, "text": "one of them has none: the paths are not compared"}
     paths = [np.column_stack([np.interp(t, flight.t, flight[f"p_{i}"]) for i in "xyz"]) for flight in (a, b)]
-    apart = np.linalg.norm(paths[0] - paths[1], axis=1)
+    apart = norms(paths[0] - paths[1])
     at = int(np.argmax(apart))
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
     text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {t[at]:.2f} s ({len(t)} common samples{length})"
@@ -247,7 +249,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     metric = records[0].get("metric", "mean_error")
     sides = matched(*tables)
     cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
-    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in cells)))
+    labels = contestant_labels(distinct(contestant for _, contestant, _ in cells))
     completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
     ended = {who: {(at, seed) for at, contestant, seed in completed if contestant == who} for who in labels}
     compared, shared = common(ended)
@@ -289,7 +291,7 @@ def _mean(rows: Sequence[Row], metric: str) -> float:
 
 def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:
     """Label -> number of own cells that are not in the other table."""
-    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in mine)))
+    labels = contestant_labels(distinct(contestant for _, contestant, _ in mine))
     return dict(Counter(labels[key[1]] for key in mine if key not in its))
 
 

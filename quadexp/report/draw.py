@@ -83,7 +83,7 @@ def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, *
     dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
     lines = filter(None, (view.heading, *(() if view.width else (view.caption, *view.notes)), *dropped))
     above = [row for line in lines for row in textwrap.wrap(line, int(15 * width))]
-    figure = Figure(figsize=(width, each * down + 0.4 + room + 0.17 * len(above)), layout="constrained")
+    figure = Figure(figsize=(width, each * down + 0.4 + room + 0.17 * len(above)))
     grid = figure.subplots(down, across, squeeze=False, **share)
     for panel, facet in zip(grid.flat, panels, strict=False):
         panel.set_title(textwrap.fill(view.title(view.facet, facet), max(12, int(11 * width / across))))

@@ -17,7 +17,10 @@ from matplotlib.colors import LogNorm, Normalize
 from quadexp.errors import UsageError
 from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
+from quadexp.log.signal import finite_rows
 from quadexp.log.signal.windows import Pair, cut, pairs, streams_of
+from quadexp.names import distinct
+from quadexp.physics.state import norms
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import grouped
 from quadexp.report.style import COLOURS, ERROR_COLOURS, HUES, Figure, entries, error_bar, looks, plain_log, styled
@@ -48,7 +51,7 @@ def tracked_paths(
     without a flight, written there. left_out: what has no panel, named below the title.
     """
     places = dict.fromkeys([*flights, *(missing or {})])
-    controllers, conditions = (list(dict.fromkeys(place[k] for place in places)) for k in (0, 1))
+    controllers, conditions = (distinct(place[k] for place in places) for k in (0, 1))
     most = max(1, MAX_PANELS // len(conditions))
     left_out = [*left_out, *(f"{controller} (no room)" for controller in controllers[most:])]
     panels = [(controller, condition) for controller in controllers[:most] for condition in conditions]
@@ -107,7 +110,7 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
         raise UsageError(f"{empty}: holds no samples ({flights[empty].outcome}), there is nothing to draw")
     first = next(iter(flights.values()))
     thrusts = [name for name in first.columns if name.startswith("u_")] if len(flights) == 1 else []
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = Figure(figsize=(10.0, 4.4))
     places: Any = figure.subplot_mosaic([["above", "course"], ["above", "thrusts" if thrusts else "course"]])
     above, course = places["above"], places["course"]
     referred = "ref_p_x" in first.columns
@@ -122,7 +125,7 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
                 f"{name}: mean {MS * mean_error(flight):.3g} mm",
             )
         else:
-            values = np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1)
+            values = norms(flight.stack(["v_x", "v_y", "v_z"]))
         course.plot(flight.t, values, label=name, **worn.line())
     above.set(xlabel="x (m)", ylabel="y (m)")
     above.set_aspect("equal", adjustable="datalim")
@@ -146,7 +149,7 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
 def over_time(flight: Flight, columns: Sequence[str], units: Mapping[str, str]) -> Figure:
     """Columns over time; those that share a unit share a panel. units: by column."""
     groups = grouped((units.get(name, ""), name) for name in columns)
-    figure = Figure(figsize=(7.2, 0.6 + 1.8 * len(groups)), layout="constrained")
+    figure = Figure(figsize=(7.2, 0.6 + 1.8 * len(groups)))
     panels = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (unit, names) in zip(panels, groups.items(), strict=True):
         for i, name in enumerate(names):
@@ -163,7 +166,7 @@ def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -
     their time spans shaded. Columns: velocity, specific force, body rate; rows: the axes."""
     t, relations = _relations(flight)
     shown = [finding for finding in findings if finding.severity in MARKS]
-    figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)), layout="constrained")
+    figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)))
     grid = figure.subplots(3, 3, sharex=True)
     for column, (names, title, sensor, computed) in zip(grid.T, COMPARED, strict=True):
         pair = next((relations[relation] for relation in names if relation in relations), None)
@@ -193,8 +196,8 @@ def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -
 def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
     """Times of the windows, (n, k) (s), and what two streams say of the same quantity in each, by relation."""
     t = np.asarray(flight.t, float)
-    streams = {name: x for name, x in streams_of(flight).items() if np.isfinite(x).all(axis=1).mean() > 0.5}
-    good = np.isfinite(t) & np.all([np.isfinite(values).all(axis=1) for values in streams.values()], axis=0)
+    streams = {name: x for name, x in streams_of(flight).items() if finite_rows(x).mean() > 0.5}
+    good = np.isfinite(t) & np.all([finite_rows(values) for values in streams.values()], axis=0)
     windows = cut(t, streams, good, flight.columns.get("segment"))
     return windows.t, {pair.name: pair for pair in pairs(windows)} if len(windows.t) else {}
 
@@ -232,7 +235,7 @@ class Profile(NamedTuple):
 @styled
 def delay_figure(profiles: Sequence[Profile]) -> Figure:
     """A panel for each profile: what every candidate leaves unexplained."""
-    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
+    figure = Figure(figsize=(9.0, 2.8))
     places: Any = figure.subplot_mosaic([[profile.name for profile in profiles]])
     for profile in profiles:
         panel = places[profile.name]

@@ -28,6 +28,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import describe
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
+from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.options import units
 from quadexp.parts.schema import PARTS, REMEDIES, WORLD
@@ -139,7 +140,7 @@ class SweepFrame:
 
     def values(self, name: str) -> list[Any]:
         """The different values of a column, without None; numbers sorted, texts in the order of the rows."""
-        values = list(dict.fromkeys(value for value in self.column(name) if value is not None))
+        values = distinct(value for value in self.column(name) if value is not None)
         return sorted(values) if all(map(is_number, values)) else values
 
     def controllers(self, axes: Iterable[str]) -> list[str]:

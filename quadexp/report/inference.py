@@ -158,13 +158,9 @@ def _signs(n: int) -> np.ndarray:
     return drawn
 
 
-def least_p(n: int) -> float:
-    """The smallest p that n values can give: two of 2^n patterns, one of those that are tried."""
-    return max(2.0 ** (1 - n), 1 / PATTERNS) if n > 0 else math.nan
-
-
 def least_seeds(comparisons: int, confidence: float = 0.95) -> int:
-    """The smallest n that can show a difference: least_p(n) < 1 - confidence, over so many comparisons."""
+    """The smallest n that can show a difference, over so many comparisons: the least p, of two of 2^n patterns, is less
+    than 1 - confidence."""
     return math.floor(2 + math.log2(comparisons / (1 - confidence)) + 1e-9)
 
 

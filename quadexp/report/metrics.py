@@ -22,7 +22,8 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
-from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, VELOCITY
+from quadexp.names import without
+from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, VELOCITY, norms, root_mean_square
 from quadexp.report.table import csv_text
 
 SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor counts as at its limit
@@ -73,7 +74,7 @@ SHOWN = {name: (NUMBERS[name].factor, NUMBERS[name].unit) for name in ("rmse", "
 
 def position_error(flight: Flight) -> np.ndarray:
     """Distance to the reference, (k,) (m)."""
-    return np.linalg.norm(np.subtract(*both(flight, POSITION)), axis=1)
+    return norms(np.subtract(*both(flight, POSITION)))
 
 
 def both(flight: Flight, part: slice) -> list[np.ndarray]:
@@ -100,7 +101,7 @@ def attitude_error(flight: Flight) -> np.ndarray:
         from quadexp.physics.rotation import thrust_axis  # imports CasADi, which showing a flight does without
 
         a, b = thrust_axis(a), thrust_axis(b)
-    apart, together = np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)
+    apart, together = norms(a - b), norms(a + b)
     if free:
         return 2 * np.arctan2(apart, together)
     return 4 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
@@ -141,13 +142,13 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
     last, ordered = len(solve_time) - 1, np.sort(solve_time)  # a third of the time of np.quantile
     median, p99, longest = np.interp([0.5 * last, 0.99 * last, last], np.arange(last + 1), ordered).tolist()
     metrics = {
-        "rmse": float(np.sqrt(np.mean(error**2))),
+        "rmse": root_mean_square(error),
         "mean_error": float(np.mean(error)),
         "max_error": float(np.max(error)),
-        "attitude_rmse": float(np.sqrt(np.mean(angle**2))),
-        "heading_rmse": None if _free(flight) else float(np.sqrt(np.mean(heading_error(flight) ** 2))),
+        "attitude_rmse": root_mean_square(angle),
+        "heading_rmse": None if _free(flight) else root_mean_square(heading_error(flight)),
         "saturated_share": saturated_share(flight, thrust_min, thrust_max),
-        "peak_speed": float(np.linalg.norm(both(flight, VELOCITY)[0], axis=1).max()),
+        "peak_speed": float(norms(both(flight, VELOCITY)[0]).max()),
         "duration": float(t[-1] - t[0]),
         "unconverged_count": int(np.sum(unconverged)),
         "solve_time_median": median,
@@ -160,7 +161,7 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
 def renewed(flight: Flight) -> dict[str, Any]:
     """The metadata of a flight whose samples are no longer those that were flown: the numbers of its row are of the
     samples that are there, in the order of time; without a row where these do not suffice."""
-    metadata = {name: value for name, value in flight.metadata.items() if name not in ("row", "thinned")}
+    metadata = without(flight.metadata, ("row", "thinned"))
     row, config = flight.metadata["row"], flight.metadata["config"]
     limits, rate = config["vehicle"], config["controller"].get("rate")
     try:

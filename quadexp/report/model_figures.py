@@ -123,7 +123,7 @@ def fit_figure(model: GPModel, data: ResidualDataset) -> Figure:
     pairs = [(output, i) for output in model.outputs for i in range(len(output.features))]
     columns = min(len(pairs), MAX_COLUMNS)
     lines = -(-len(pairs) // columns)
-    figure = Figure(figsize=(3.3 * columns + 0.4, 4.6 * lines + 0.4), layout="constrained")
+    figure = Figure(figsize=(3.3 * columns + 0.4, 4.6 * lines + 0.4))
     grid = figure.subplots(2 * lines, columns, squeeze=False, height_ratios=(1.7, 1) * lines)
     for k in range(lines * columns):
         panels = grid[2 * (k // columns), k % columns], grid[2 * (k // columns) + 1, k % columns]
@@ -201,7 +201,7 @@ def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
     plain = samples.signal.shape[1] if curve.signal != "thrust_acceleration" else 1
     total = curve.of_signal(np.repeat(grid[:, None], plain, axis=1), np.full(100, curve.reference_voltage)).sum(axis=1)
     residual = samples.force[:, 2] - curve.of_signal(samples.signal, samples.voltage).sum(axis=1)
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(9.0, 3.6))
     force, beyond = figure.subplots(1, 2)
     beyond.axhline(0, color="#000000", linewidth=0.8)
     for i, name in enumerate(samples.names):
@@ -244,7 +244,7 @@ def drag_figure(model: VehicleModel, samples: Samples) -> Figure:
     usual = np.tile(np.median(rotors, axis=0), (100, 1))
     fitted: list[tuple[TermModel, str, str]] = [(model.linear, ORANGE, "-")]
     fitted += [(model.quadratic, HUES["green"], "--")] if model.quadratic is not None else []
-    figure = Figure(figsize=(9.6, 3.4), layout="constrained")
+    figure = Figure(figsize=(9.6, 3.4))
     panels = figure.subplots(1, 3)
     for i, (axis, panel) in enumerate(zip(AXES, panels, strict=True)):
         v, a = samples.velocity[:, i], target[:, i]
@@ -275,7 +275,7 @@ def validation_figures(report: Mapping[str, Any]) -> dict[str, Figure]:
 def band_figure(bands: Sequence[Mapping[str, Any]]) -> Figure:
     """RMS of the vector over speed, as fitted (left) and with the thrust scale tracked (right)."""
     look = looks([row["predictor"] for row in bands])
-    figure = Figure(figsize=(7.6, 3.4), layout="constrained")
+    figure = Figure(figsize=(7.6, 3.4))
     panels = figure.subplots(1, 2, sharey=True)
     titles = {"rms": "as fitted", "rms_tracked": "thrust scale tracked"}
     for panel, (key, title) in zip(panels, titles.items(), strict=True):
@@ -295,7 +295,7 @@ def rollout_figure(rollouts: Sequence[Mapping[str, Any]]) -> Figure:
     modes = [mode for mode in MODES if any(row["mode"] == mode for row in rows)]
     quantities = [name for name in QUANTITIES if any(name in row for row in rows)]
     look = looks([row["predictor"] for row in rows])
-    figure = Figure(figsize=(0.6 + 3.1 * len(quantities), 0.5 + 2.5 * len(modes)), layout="constrained")
+    figure = Figure(figsize=(0.6 + 3.1 * len(quantities), 0.5 + 2.5 * len(modes)))
     grid = figure.subplots(len(modes), len(quantities), squeeze=False)
     for (i, j), panel in np.ndenumerate(grid):
         mode, quantity = modes[i], quantities[j]

@@ -8,6 +8,7 @@ from typing import Any
 
 from quadexp.models.regression import FLIGHT_CLUSTERS, LEAST_FLIGHTS
 from quadexp.models.vehicle_model import VehicleModel
+from quadexp.names import distinct
 from quadexp.report.table import Table
 
 Row = Mapping[str, Any]
@@ -216,7 +217,7 @@ def rollout_lines(rows: Sequence[Row]) -> list[str]:
     """Errors of one mode at each horizon, a line per predictor (and per thrust scale, tracked or not)."""
     horizons = sorted({row["horizon"] for row in rows})
     quantities = [name for name in QUANTITIES if name in rows[0]]
-    keys = list(dict.fromkeys((row["predictor"], row["thrust_tracked"]) for row in rows))
+    keys = distinct((row["predictor"], row["thrust_tracked"]) for row in rows)
     several = len({tracked for _, tracked in keys}) > 1
     values = {(row["predictor"], row["thrust_tracked"], row["horizon"]): row for row in rows}
     lines = []

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from quadexp.names import distinct
 from quadexp.parts.schema import of_contestant
 
 Who = TypeVar("Who", bound=Hashable)
@@ -248,7 +249,7 @@ class Groups:
         self.worlds: dict[World, list[Condition]] = grouped(
             (condition.world, condition) for condition in self.conditions
         )
-        self.contestants = list(dict.fromkeys(contestant for _, contestant in self.cells))
+        self.contestants = distinct(contestant for _, contestant in self.cells)
         self.labels = labels or contestant_labels(self.contestants)
         self._baselines = [contestant for contestant in self.contestants if contestant.controller == baseline]
 

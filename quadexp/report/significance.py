@@ -25,6 +25,7 @@ from functools import cached_property
 
 import numpy as np
 
+from quadexp.names import distinct
 from quadexp.report.inference import Ratio, holm, least_seeds, log_ratio, sign_flips, vary
 from quadexp.report.pairing import Condition, Contestant, Groups, grouped, seed_means, whole
 from quadexp.report.text import count, speed_text, too_few
@@ -124,7 +125,7 @@ class Tests:
     def _flew(self) -> list[Contestant]:
         """The contestants that completed a flight."""
         flew = (who for (_, who), cell in self.groups.cells.items() if any(flown.complete for flown in cell))
-        return list(dict.fromkeys(flew))
+        return distinct(flew)
 
     @property
     def _times(self) -> int:

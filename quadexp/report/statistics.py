@@ -13,7 +13,6 @@ is for new seeds of these conditions, not for new trajectories; `between` says w
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -25,6 +24,7 @@ import numpy as np
 
 from quadexp.log.outcome import FAILURES
 from quadexp.log.schema import describe
+from quadexp.names import sha256_of
 from quadexp.report import inference
 from quadexp.report.metrics import SHOWN
 from quadexp.report.pairing import BASELINE, Condition, Contestant, Flights, Flown, Groups, Row, causes_text
@@ -339,7 +339,7 @@ class Statistics:
     @cached_property
     def fingerprint(self) -> str:
         """20 hex digits of all numbers."""
-        return hashlib.sha256(self.csv.encode()).hexdigest()[:20]
+        return sha256_of(self.csv)[:20]
 
 
 def results_statistics(rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE) -> Statistics:

@@ -30,6 +30,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from quadexp.messages import clean, html
+from quadexp.names import distinct
 from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
 from quadexp.report import FORMATS
@@ -61,6 +62,7 @@ GLYPHS = {  # marker of matplotlib -> the same as letters, filled and hollow
 MARKERS = tuple(GLYPHS)
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 STYLE: Any = {  # matplotlib types every single key
+    "figure.constrained_layout.use": True,
     "font.size": 9,
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
@@ -192,7 +194,7 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     controller that states its look has it, in whatever company; its variants, and the same with remedies
     (gp_mpc+wind), have the shades of its hue that are free, with hollow markers. All others take what is free in CYCLE.
     """
-    labels = list(dict.fromkeys(labels))
+    labels = distinct(labels)
     order = {name: place for place, name in enumerate(LOOKS)}
     chosen: dict[str, Look] = {}
     for label in sorted(labels, key=lambda label: order.get(name_of(label), len(order))):

@@ -16,6 +16,7 @@ from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, read_metadata, read_table
+from quadexp.names import distinct
 from quadexp.parts.schema import WORLD
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
@@ -236,7 +237,7 @@ def held_out_table(rows: Sequence[Mapping[str, Any]]) -> Table | None:
     errors: dict[str, dict[str, str]] = {}
     for row in rows:
         errors.setdefault(f"{row['output']} ({row['unit']})", {})[row["predictor"]] = number(row["rmse"])
-    predictors = list(dict.fromkeys(row["predictor"] for row in rows))
+    predictors = distinct(row["predictor"] for row in rows)
     lines = [[output, *(texts.get(predictor, "-") for predictor in predictors)] for output, texts in errors.items()]
     return Table(["RMSE on held-out flights", *predictors], lines)
 

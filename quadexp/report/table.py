@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from quadexp.messages import csv_line, html, latex, markdown, printable
+from quadexp.names import distinct
 
 # The two marks stand at numbers only: a name is no mark, whatever its letters.
 _MARKS = re.compile(r"\*\*(-?[\d.e+-]+)\*\*|(?<=[\d\]*])\*(?=$| \()")
@@ -136,7 +137,7 @@ def _latex_row(cells: Sequence[str]) -> str:
 
 def records_table(records: Sequence[Mapping[str, Any]]) -> Table:
     """A table of records, a row each: numbers in full precision, nothing for what is missing."""
-    names = list(dict.fromkeys(name for record in records for name in record))
+    names = distinct(name for record in records for name in record)
     rows = [[_exact(record.get(name)) for name in names] for record in records]
     left = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
     return Table(names, rows, left=frozenset(left))

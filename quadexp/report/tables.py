@@ -23,6 +23,7 @@ import numpy as np
 
 from quadexp.errors import QuadexpError
 from quadexp.log.store import read_table, read_text, write_table
+from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
 from quadexp.report.document import sortable_page
@@ -81,14 +82,14 @@ def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
     Other settings belong to the condition: they stand beside the trajectory, see `course_labels`.
     """
-    labels = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
+    labels = contestant_labels(distinct(map(contestant_of, rows)))
     several = [name for name in ("plant", "vehicle") if len({row[name] for row in rows}) > 1]
     return [" ".join([labels[contestant_of(row)], *(f"@{row[name]}" for name in several)]) for row in rows]
 
 
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
     """(trajectory, other settings) -> label of a line, such as "circle, payload 0.1 kg"; no two are the same."""
-    conditions = list(dict.fromkeys(conditions))
+    conditions = distinct(conditions)
     labels = {at: ", ".join([at[0], *(setting_text(*pair) for pair in setting_pairs(at[1]))]) for at in conditions}
     count = Counter(labels.values())
     return {at: " ".join(filter(None, at)) if count[label] > 1 else label for at, label in labels.items()}

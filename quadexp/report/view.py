@@ -30,6 +30,7 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
@@ -203,7 +204,7 @@ class View:
 
     def _values(self, start: int, end: int) -> list[Place]:
         """The different values of some of the keys, sorted where all are numbers."""
-        values = list(dict.fromkeys(place[start:end] for place in self.places))
+        values = distinct(place[start:end] for place in self.places)
         return sorted(values) if all(is_number(value) for place in values for value in place) else values
 
     @property
@@ -331,7 +332,7 @@ def _made(
             raise UsageError(f"no completed flight has {y} and a value of {listed(keys)}")
         flights = count(len(frame.rows), "flight")
         raise UsageError(f"none of the {flights} was completed: there is no {y} to draw (--y success draws that)")
-    values = list(dict.fromkeys(shown_column(frame, x, keys))) if x in WHO else frame.values(x)
+    values = distinct(shown_column(frame, x, keys)) if x in WHO else frame.values(x)
     alone = {}  # what all flights share of who flew and what, without what the figure shows
     for key in ("controller", "trajectory", "trajectory.speed"):
         column = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
@@ -358,7 +359,7 @@ def _notes(
         column = shown_column(frame, key, keys)
         lacking = [row["controller"] for row, value in zip(frame.rows, column, strict=True) if value is None]
         if lacking:
-            names = listed(list(dict.fromkeys(lacking)))
+            names = listed(distinct(lacking))
             notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({names})")
     for key in others:
         texts = [value_text(key, value) for value in frame.values(key)]

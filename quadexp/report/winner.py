@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.report.pairing import BASELINE, Condition, Contestant, Flights, Groups, Row, flew_least, is_bound
+from quadexp.report.pairing import Condition, Contestant, Flights, Groups, flew_least, is_bound
 from quadexp.report.significance import Difference, Tests, place_texts
 from quadexp.report.text import count, listed, probability
 
@@ -177,11 +177,3 @@ def verdict(tests: Tests, conditions: Sequence[Condition]) -> Verdict:
         of_bound=tests.difference(least, bound, conditions) if least and bound else None,
         compared=[label[who] for who in among.compared],
     )
-
-
-def verdicts(
-    rows: Sequence[Row], *, metric: str = "mean_error", baseline: str = BASELINE, confidence: float = 0.95
-) -> list[Verdict]:
-    """One verdict for every plant and vehicle."""
-    tests = Tests(Groups(rows, baseline, (metric,)), 0, confidence)
-    return [verdict(tests, conditions) for conditions in tests.groups.worlds.values()]

@@ -15,7 +15,7 @@ import numpy as np
 from quadexp import report
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
-from quadexp.names import file_name
+from quadexp.names import distinct, file_name
 from quadexp.report.frame import SweepFrame
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.tables import course_labels
@@ -73,7 +73,7 @@ class PathGrid(NamedTuple):
 def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
     """By trajectory with a completed flight. Of many speeds the slowest, the fastest, one between; where
     worlds and other settings differ too, the fastest of each."""
-    names = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
+    names = contestant_labels(distinct(map(contestant_of, rows)))
     courses = course_labels((row["trajectory"], condition_of(row).setting) for row in rows)
     several = [key for key in ("plant", "vehicle") if len({row[key] for row in rows}) > 1]
     cells: dict[str, dict[tuple[str, str, float], Row]] = {}

@@ -16,6 +16,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
+from quadexp.names import distinct
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 SAFE, PATH = "PYTHONSAFEPATH", "PYTHONPATH"
 # What nearly every flight needs.
@@ -30,7 +32,7 @@ def start_server(preload: Sequence[str] = PRELOAD) -> None:
 
     Its children search for modules where this process does, and use one thread of linear algebra.
     """
-    multiprocessing.get_context("forkserver").set_forkserver_preload(list(dict.fromkeys(preload)))
+    multiprocessing.get_context("forkserver").set_forkserver_preload(distinct(preload))
     with undisturbed(), same_imports(), environment(dict.fromkeys(THREADS, "1")):
         resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
         with deaf_children():
@@ -38,7 +40,7 @@ def start_server(preload: Sequence[str] = PRELOAD) -> None:
                 forkserver.ensure_running()
             except ChildProcessError:  # that of the process which this one was forked from
                 forkserver._forkserver.__init__()  # type: ignore[misc]  # to forget it
-                forkserver.set_forkserver_preload(list(dict.fromkeys(preload)))
+                forkserver.set_forkserver_preload(distinct(preload))
                 forkserver.ensure_running()
 
 

@@ -25,6 +25,7 @@ from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
+from quadexp.names import without
 from quadexp.parts.cells import Cell, Cells
 from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
@@ -238,7 +239,7 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
         )
     if others and old == "refly":
         store.remove(others)
-        rows = {key: row for key, row in rows.items() if key not in others}
+        rows = without(rows, others)
         notes.append(f"{len(others)} cells of other sources are flown again: {programs}")
     elif others:
         notes.append(f"{len(others)} cells of other sources are kept: {programs}; these are {sources()}")

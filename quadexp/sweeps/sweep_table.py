@@ -6,7 +6,6 @@ sweep.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_table, write_table
-from quadexp.names import NAMED, check_names
+from quadexp.names import NAMED, check_names, sha256_of
 from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, errors_none, from_columns, to_columns, to_csv, typed
 from quadexp.report.statistics import Statistics, results_statistics
@@ -73,7 +72,7 @@ def write_results(
     if not write:
         return statistics, table, {}, []
     csv, columns, path = to_csv(rows), to_columns(rows), root / RESULTS
-    made = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in {**texts, "results.csv": csv}.items()}
+    made = {name: sha256_of(text) for name, text in {**texts, "results.csv": csv}.items()}
     record = {**record, "made": made, "statistics": statistics.fingerprint}
     wrong = []
     if path.exists():
@@ -94,5 +93,5 @@ def altered_texts(root: Path, record: Mapping[str, Any]) -> dict[str, str]:
     return {
         str(path): f"is not what was written with {RESULTS} (edited, or a run was ended between the two)"
         for path, digest in texts.items()
-        if hashlib.sha256(path.read_bytes()).hexdigest() != digest
+        if sha256_of(path.read_bytes()) != digest
     }

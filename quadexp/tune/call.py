@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.experiment.identity import find_model
 from quadexp.log.store import write_table
+from quadexp.names import sha256_of
 from quadexp.parts.compose import session
 from quadexp.parts.options import Folders
 from quadexp.parts.override import quoted
@@ -133,7 +133,7 @@ def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -
     short = completed & np.array([trial.worth.margin < request.least_margin for trial in trials])
     least = f"trial with a delay margin below {1e3 * request.least_margin:g} ms"
     with rc_context(STYLE):
-        figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+        figure = Figure(figsize=(6.4, 3.4))
         panel = figure.subplots()
         panel.plot(spent, np.where(completed & ~short, error, np.nan), "o", ms=3.5, color="#4a6fa5", label="trial")
         if short.any():
@@ -177,7 +177,7 @@ def _write_history(out: Path, request: Request, search: Search, trials: Sequence
 
 def fingerprint(trials: Sequence[Sequence[float]]) -> str:
     """Hash of the numbers and the value of every trial, 20 hex digits: what a history holds, and an option names."""
-    return hashlib.sha256(np.array(trials, float).tobytes()).hexdigest()[:20]
+    return sha256_of(np.array(trials, float).tobytes())[:20]
 
 
 def _about(request: Request, search: Search, trials: Sequence[Trial], best: int) -> dict[str, Any]:

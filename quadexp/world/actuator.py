@@ -39,9 +39,9 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import decayed, time_constant_towards
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -147,7 +147,7 @@ class Actuator(Effect):
     def _after(self, at: Moment) -> tuple[Expression, Expression]:
         """y (n,) in the middle and at the end of the step."""
         y, (up, down, low, high) = at.inner[: at.command.numel()], ca.vertsplit(at.parameters[:4])
-        command = self._lagging(ca.fmin(ca.fmax(at.command, low), high))
+        command = self._lagging(limited(at.command, low, high))
         half = time_constant_towards(y, command, up, down)  # of the decays: which of the two holds
         return decayed(y, command, half), decayed(y, command, half**2)
 
@@ -187,8 +187,8 @@ class PushingActuator(Actuator):
         before, between, after = (ca.dot(at.parameters[-n:], self._root(y)) for y in (first, middle, end))
         w = at.x[RATE]
         torque = ca.vertcat(w[1] * between, -w[0] * between, (after - before) / at.step)
-        more = ca.mtimes(ca.reshape(at.parameters[N_FIXED:-n], 4, n), at.thrust)
-        return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, more[0])), torque + more[1:]
+        more = ca.reshape(at.parameters[N_FIXED:-n], 4, n) @ at.thrust
+        return rotation_matrix(at.x[ATTITUDE]) @ along_z(more[0]), torque + more[1:]
 
     def _root(self, y: Expression) -> Expression:
         """Root of the thrusts (n,) that the motors give."""

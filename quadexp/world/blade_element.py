@@ -29,6 +29,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.models.blade_element import blade_element_correction
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
@@ -42,7 +43,7 @@ from quadexp.physics.blade_element import (
     rotor_flow,
     static_coefficients,
 )
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.induced_velocity import (
     REASONS,
     Balance,
@@ -213,7 +214,7 @@ class BladeElementPlant(RotorSpeedPlant):
     def residual(self) -> Residual:
         """As things stand now; motor lag and the upper limits are left out."""
         n = self.vehicle.n_rotors
-        z, parameters = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", len(self._air_parameters()))
+        z, parameters = symbols(ca.SX, z=len(feature_names(n)), theta=len(self._air_parameters()))
         theta, lift_scale, mass = self._model.split(parameters)
         y, dy_dz = blade_element_correction(
             self.vehicle,
@@ -287,7 +288,7 @@ class BladeElementModel:
         """Rotor speeds that the static thrusts u (n,) (N) ask for, within the limits, and `blend`, (n + 1,)."""
         thrust_coefficient = parameters[-1 - self.vehicle.n_rotors : -1]
         if self.effects.thrust_limits:
-            u = ca.fmin(ca.fmax(u, self.vehicle.thrust_min), self.vehicle.thrust_max)
+            u = limited(u, self.vehicle.thrust_min, self.vehicle.thrust_max)
         w = ca.fmax(ca.sqrt(ca.fmax(u, 0) / thrust_coefficient), max(self.effects.rotor_speed_min, STANDING))
         if self.effects.rotor_speed_max is not None:
             w = ca.fmin(w, self.effects.rotor_speed_max)
@@ -335,7 +336,7 @@ def fast_equations(model: BladeElementModel, rough: bool = False) -> Equations:
     """
     n = model.vehicle.n_rotors
     x, w, held, parameters, h = _symbols(model, ca.SX)
-    last, doubt, noise = ca.SX.sym("V_I", n), ca.SX.sym("doubt"), ca.SX.sym("noise", 0)
+    last, doubt, noise = symbols(ca.SX, V_I=n, doubt=1, noise=0)
     w_now, doubts, induced = model.rotor_speed(w, held), [doubt], last
 
     def slope(state: Expression) -> Expression:
@@ -372,7 +373,7 @@ def fast_equations(model: BladeElementModel, rough: bool = False) -> Equations:
 def checked_equations(model: BladeElementModel) -> Equations:
     """Never in doubt. Kept of every step: status (n,) as `Defined`, flow (3, n): V_h, V_z, w there. s: x, w."""
     n = model.vehicle.n_rotors
-    s, noise = ca.MX.sym("s", N_STATE + n), ca.MX.sym("noise", 0)
+    s, noise = symbols(ca.MX, s=N_STATE + n, noise=0)
     x, w = s[:N_STATE], s[N_STATE:]
     _, _, held, parameters, h = _symbols(model, ca.MX)
     solution = solution_function(model.vehicle.rotor_geometry, model.terms).map(n)
@@ -406,7 +407,7 @@ def _begin(model: BladeElementModel, first: Callable[..., ca.MX]) -> ca.Function
     """Equations.begin. first: (x, w, held, parameters) -> s."""
     n = model.vehicle.n_rotors
     x, _, _, parameters, _ = _symbols(model, ca.MX)
-    inner, u = ca.MX.sym("inner", 2 * n), ca.MX.sym("u", n)
+    inner, u = symbols(ca.MX, inner=2 * n, u=n)
     held = model.commanded(u, parameters)
     return ca.Function("begin_period", [x, inner, u, parameters], [first(x, inner[:n], held, parameters), held])
 
@@ -430,7 +431,7 @@ def _symbols(model: BladeElementModel, kind: type[Expression]) -> list[Expressio
     """x, w, held, parameters, h."""
     n = model.vehicle.n_rotors
     sizes = {"x": N_STATE, "w": n, "held": n + 1, "parameters": len(THETA) + 2 * n + 2, "h": 1}
-    return [kind.sym(name, size) for name, size in sizes.items()]
+    return symbols(kind, **sizes)
 
 
 def _row(value: Expression, n: int) -> Expression:
@@ -440,6 +441,6 @@ def _row(value: Expression, n: int) -> Expression:
 
 def _doubt(equation: Balance, before: Expression, induced: Expression) -> Expression:
     """1 where the last Newton step was too long to end, or the root lies below V_z with V_z > 2.83 V_h; else 0."""
-    unsettled = ca.fabs(induced - before) > LARGEST_CHANGE
+    unsettled = abs(induced - before) > LARGEST_CHANGE
     steep = equation.axial**2 > 8 * equation.in_plane_squared
     return ca.mmax(ca.logic_or(unsettled, ca.logic_and(steep, induced < equation.axial)))

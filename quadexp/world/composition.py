@@ -20,6 +20,7 @@ from itertools import accumulate
 from typing import Any
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -68,11 +69,17 @@ def compose(
     stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
     parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
     airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
-    x, inner = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", layout.size("inner") + WIND)
-    u, step = ca.MX.sym("u", n), ca.MX.sym("step")
-    noise = ca.MX.sym("noise", equations.step.size1_in(2), steps)
-    parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
-    time = ca.MX.sym("time")
+    x, inner, u, step, noise, parameters, draws, time = symbols(
+        ca.MX,
+        x=N_STATE,
+        inner=layout.size("inner") + WIND,
+        u=n,
+        step=1,
+        noise=(equations.step.size1_in(2), steps),
+        parameters=layout.size("parameters"),
+        draws=layout.size("draws"),
+        time=1,
+    )
 
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
     inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
@@ -133,12 +140,10 @@ def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: c
     """
     if steps > WRITTEN_OUT:
         again = [ca.repmat(value, 1, steps) for value in held]
-        results = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
-        return list(results) if isinstance(results, tuple) else [results]
+        return list(one.mapaccum(steps).call([state, times, *again[:2], noise, *again[2:]]))
     columns = list[list[ca.MX]]()
     for i in range(steps):
-        results = one(state, times[i], *held[:2], noise[:, i], *held[2:])
-        columns.append(list(results) if isinstance(results, tuple) else [results])
+        columns.append(list(one.call([state, times[i], *held[:2], noise[:, i], *held[2:]])))
         state = columns[-1][0]
     return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
 
@@ -308,11 +313,11 @@ class _Parts:
         equations, layout, n = self._equations, self._layout, self._vehicle.n_rotors
         further, moving = equations.step.size1_in(0) - N_STATE, self.size(self.moving)
         sizes = [N_STATE, further, moving, WIND + n + 3]
-        S, still = ca.MX.sym("S", sum(sizes)), ca.MX.sym("still", self.size(self.still))
+        S, still = symbols(ca.MX, S=sum(sizes), still=self.size(self.still))
         x, rest, moved, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
-        t, u, step = ca.MX.sym("t"), ca.MX.sym("u", n), ca.MX.sym("step")
-        noise = ca.MX.sym("noise", equations.step.size1_in(2))
-        parameters = ca.MX.sym("parameters", layout.size("parameters"))
+        t, u, step, noise, parameters = symbols(
+            ca.MX, t=1, u=n, step=1, noise=equations.step.size1_in(2), parameters=layout.size("parameters")
+        )
         theta = parameters[: layout.airframe.parameters]
 
         pieces, first = [ca.MX(sizes.inner, 1) for sizes in layout.effects], 0
@@ -328,7 +333,7 @@ class _Parts:
         force, torque = self.pushes()(t, x, own, parameters, step, wind, given, *entering)
         mass = equations.mass(theta) if equations.mass else self._vehicle.mass
         kick = step / 2 * force / mass
-        turn = step / 2 * ca.mtimes(ca.inv(ca.DM(self._vehicle.inertia_matrix)), torque)
+        turn = step / 2 * (ca.inv(ca.DM(self._vehicle.inertia_matrix)) @ torque)
 
         def kicked(state: ca.MX) -> ca.MX:
             if not pushes:
@@ -336,22 +341,21 @@ class _Parts:
             return ca.vertcat(state[: VELOCITY.start], state[VELOCITY] + kick, state[RATE] + turn)
 
         seen = kicked(_seen_from_the_air(x, wind) if blows else x)
-        results = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
-        s, *kept = results if isinstance(results, tuple) else (results,)
+        s, *kept = equations.step.call([ca.vertcat(seen, rest), held, noise, theta, step])
         x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
         if blows:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
         if self.moving:
             advance = self.inner_after("advance", *IN_STEP, "x_next")
             own = advance(t, x, own, parameters, step, wind, thrusts, x_next, *entering)
-        pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
+        pushed = rotation_matrix(x_next[ATTITUDE]).T @ (force / mass) if pushes else ca.MX.zeros(3)
         S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
         one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
         if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
             return one
         # In scalar expressions everything is one function, without copies, and what two hooks compute is computed once.
-        symbols = one.sx_in()
-        return ca.Function(one.name(), symbols, ca.cse(one.call(symbols)))
+        arguments = one.sx_in()
+        return ca.Function(one.name(), arguments, ca.cse(one.call(arguments)))
 
     def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
         """The doubt of the airframe, or that an effect ends the flight: Python then says why."""

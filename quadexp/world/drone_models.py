@@ -27,13 +27,15 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Triple, key
 from quadexp.physics.drag import linear_drag_force
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
@@ -117,12 +119,12 @@ class DroneModelsPlant(RotorSpeedPlant):
         The lag of the motors, which controller.motor_lag says, is left out, and with it the torque of spinning up.
         """
         n, vehicle = self.vehicle.n_rotors, self.vehicle
-        z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_PARAMETERS)
+        z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_PARAMETERS)
         command = z[6:]
         rpm = _commanded(ca.fmax(command, 0.1 * vehicle.hover_thrust), theta)
         _, torque = wrench(z[:3], z[3:6], rpm, ca.SX(n, 1), vehicle, theta)
-        static = ca.mtimes(ca.DM(vehicle.allocation[1:3]), command - _thrust(rpm, theta))
-        nominal = ca.mtimes(ca.DM(vehicle.allocation[1:]), command)
+        static = vehicle.allocation[1:3] @ (command - _thrust(rpm, theta))
+        nominal = vehicle.allocation[1:] @ command
         acceleration = linear_drag_force(z[:3], theta[DRAG]) / vehicle.mass
         outputs = ca.vertcat(acceleration, torque + ca.vertcat(static, 0) - nominal)
         return symbolic_residual("plant", outputs, z, theta, self._values(), source="plant equations")
@@ -155,20 +157,20 @@ def wrench(
     v: air-relative velocity, body frame (3,) (m/s). rate: (3,) (rad/s). rpm, rpm_rate: (n,) (rpm, rpm/s).
     """
     spin, m = ca.DM(vehicle.rotor_spin), parameters[TORQUE]
-    rotors = ca.mtimes(ca.DM(vehicle.allocation[:3]), _thrust(rpm, parameters))
+    rotors = vehicle.allocation[:3] @ _thrust(rpm, parameters)
     reaction = ca.dot(spin, m[0] + m[1] * rpm + m[2] * rpm**2)
     total, change = RPM * ca.dot(spin, rpm), RPM * ca.dot(spin, rpm_rate)
     axis = ca.DM([0, 0, 1])
     momentum, momentum_rate = -parameters[INERTIA] * total * axis, -parameters[INERTIA] * change * axis
     gyroscopic = -ca.cross(rate, momentum) - momentum_rate
-    force = linear_drag_force(v, parameters[DRAG]) + ca.vertcat(0, 0, rotors[0])
+    force = linear_drag_force(v, parameters[DRAG]) + along_z(rotors[0])
     return force, ca.vertcat(rotors[1:], reaction) + gyroscopic
 
 
 def derivative(vehicle: Vehicle) -> ca.Function:
     """(s (13 + n,): x and rotor speeds (rad/s), u (n,) (N), parameters) -> s', and the specific force (3,) (m/s^2)."""
     n = vehicle.n_rotors
-    s, u, parameters = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("parameters", N_PARAMETERS)
+    s, u, parameters = symbols(ca.SX, s=N_STATE + n, u=n, parameters=N_PARAMETERS)
     x, rpm = s[:N_STATE], s[N_STATE:] / RPM
     spinning = _spinning(rpm, _commanded(u, parameters), parameters)
     z = body_features(x, u)
@@ -181,9 +183,8 @@ def derivative(vehicle: Vehicle) -> ca.Function:
 def _equations(vehicle: Vehicle) -> Equations:
     """RK4; inner states are the rotor speeds, and there is no noise."""
     n, f = vehicle.n_rotors, derivative(vehicle)
-    s, u, noise = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("noise", 0)
-    parameters, step = ca.SX.sym("parameters", N_PARAMETERS), ca.SX.sym("step")
-    thrusts = ca.fmin(ca.fmax(u, vehicle.thrust_min), vehicle.thrust_max)
+    s, u, noise, parameters, step = symbols(ca.SX, s=N_STATE + n, u=n, noise=0, parameters=N_PARAMETERS, step=1)
+    thrusts = limited(u, vehicle.thrust_min, vehicle.thrust_max)
     after = integrate("rk4", lambda state: f(state, thrusts, parameters)[0], s, step)
     results = ca.cse([after, f(after, thrusts, parameters)[1]])
     rpm = s[N_STATE:] / RPM

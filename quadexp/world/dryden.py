@@ -40,9 +40,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Triple, key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
@@ -87,7 +88,10 @@ def stationary(noise: np.ndarray) -> np.ndarray:
 
 
 def transition(time_scale: Expression, step: Expression) -> tuple[Expression, Expression]:
-    """F and sqrt(Q) of all filters over a step (s), (5, 5) each; time_scale T = L / V, (3,) (s)."""
+    """F and root of all filters over a step (s), (5, 5) each; time_scale T = L / V, (3,) (s).
+
+    Their states (5,) are then F filters + root noise, of noise (5,) standard normal.
+    """
     s = [step / time_scale[i] for i in range(3)]
     F, roots = [ca.exp(-s[0])], [ca.sqrt(-ca.expm1(-2 * s[0]))]
     for each in s[1:]:
@@ -96,12 +100,6 @@ def transition(time_scale: Expression, step: Expression) -> tuple[Expression, Ex
         F.append(ca.blockcat([[decay, 0], [decay * each, decay]]))
         roots.append(ca.blockcat([[root_11, 0], [root_21, root_22]]))
     return ca.diagcat(*F), ca.diagcat(*roots)
-
-
-def advanced(filters: Expression, noise: Expression, time_scale: Expression, step: Expression) -> Expression:
-    """Filter states (5,) after a step (s); noise (5,) standard normal; time_scale T = L / V, (3,) (s)."""
-    F, root = transition(time_scale, step)
-    return ca.mtimes(F, filters) + ca.mtimes(root, noise)
 
 
 def turbulence(filters: Expression, intensity: Expression) -> Expression:
@@ -175,13 +173,13 @@ class Dryden(MeanWind):
     def begin(self, at: Moment) -> Expression:
         """The winds of the period."""
         mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
-        airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0]), limits[1])
+        airspeed = limited(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0], limits[1])
         F, root = transition(length / airspeed, TICK)
         filters = at.inner[:N_FILTER]
         before, winds, times = filters, [_velocity(filters, at.parameters)], []
         for slot in ca.vertsplit(at.draws, 1 + N_NOISE):
             time, noise = ca.vertsplit(slot, [0, 1, 1 + N_NOISE])
-            before, filters = filters, ca.mtimes(F, filters) + ca.mtimes(root, noise)
+            before, filters = filters, F @ filters + root @ noise
             winds.append(_velocity(filters, at.parameters))
             times.append(time)
         filters = ca.if_else(times[-1] < NEVER, filters, before)  # a period may have one tick less than there are slots
@@ -197,14 +195,14 @@ class Dryden(MeanWind):
 
 @cache
 def _blown() -> ca.Function:
-    filters, parameters = ca.SX.sym("filters", N_FILTER), ca.SX.sym("parameters", N_PARAMETERS)
+    filters, parameters = symbols(ca.SX, filters=N_FILTER, parameters=N_PARAMETERS)
     return ca.Function("blown", [filters, parameters], [_velocity(filters, parameters)])
 
 
 def _velocity(filters: Expression, parameters: Expression) -> Expression:
     """The wind (3,), world (m/s), of the filters (5,) and the parameters of Dryden."""
     mean, directions, intensity = parameters[:3], parameters[3:12], parameters[12:15]
-    return mean + ca.mtimes(ca.reshape(directions, 3, 3), turbulence(filters, intensity))
+    return mean + ca.reshape(directions, 3, 3) @ turbulence(filters, intensity)
 
 
 def _root(s: Expression) -> tuple[Expression, Expression, Expression]:

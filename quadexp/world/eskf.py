@@ -41,11 +41,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import cross_matrix, exponential, product, right_jacobian, rotation_matrix
+from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
@@ -77,22 +78,22 @@ def propagate(
     half = exponential(phi / 2)
     turned_half = product(q, half)
     middle = rotation_matrix(turned_half)
-    pushed = ca.mtimes(middle, u)
-    gained = pushed + ca.vertcat(0, 0, -gravity * duration)
+    pushed = middle @ u
+    gained = pushed + along_z(-gravity * duration)
     after = ca.vertcat(p + duration * v + duration / 2 * gained, product(turned_half, half), v + gained)
 
-    by_attitude = -ca.mtimes(cross_matrix(pushed), rotation_matrix(q))
-    by_gyroscope = ca.mtimes([middle, cross_matrix(u), right_jacobian(phi / 2)]) * (duration / 2)
+    by_attitude = -(cross_matrix(pushed) @ rotation_matrix(q))
+    by_gyroscope = middle @ cross_matrix(u) @ right_jacobian(phi / 2) * (duration / 2)
     by_force = middle * duration
     turn, turn_by_gyroscope = rotation_matrix(product(half, half)).T, -right_jacobian(phi) * duration
 
     def transition(d: Expression) -> Expression:
         dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
-        gain = ca.mtimes(by_attitude, turned) - ca.mtimes(by_force, of_force) + ca.mtimes(by_gyroscope, of_rate)
+        gain = by_attitude @ turned - by_force @ of_force + by_gyroscope @ of_rate
         return ca.vertcat(
             dp + duration * dv + duration / 2 * gain,
             dv + gain,
-            ca.mtimes(turn, turned) + ca.mtimes(turn_by_gyroscope, of_rate),
+            turn @ turned + turn_by_gyroscope @ of_rate,
             of_force,
             of_rate,
         )
@@ -141,7 +142,7 @@ def update(
         told = sum(coefficient * d[i] for i, coefficient in row.items())
         gain = PH * (1 / (seen + variance))
         d = d + gain * (value - told)
-        covariance = ca.triu2symm(ca.triu(covariance - ca.mtimes(gain, PH.T)))
+        covariance = ca.triu2symm(ca.triu(covariance - gain @ PH.T))
     return inject(nominal, d), reset(covariance, d)
 
 
@@ -164,7 +165,7 @@ def reset(covariance: Expression, d: Expression) -> Expression:
 
     def apply(P: Expression) -> Expression:
         parts = ca.vertsplit(P, [0, D_ATTITUDE.start, D_ATTITUDE.stop, N_ERROR])
-        return ca.vertcat(parts[0], ca.mtimes(turn, parts[1]), parts[2])
+        return ca.vertcat(parts[0], turn @ parts[1], parts[2])
 
     return ca.triu2symm(ca.triu(apply(apply(covariance).T)))
 
@@ -302,14 +303,18 @@ class Navigation(Effect):
 
     def _output(self) -> ca.Function:
         """(nominal state, entry, gravity) -> nominal state after the entry's interval."""
-        nominal, entry, gravity = ca.SX.sym("nominal", N_NOMINAL), ca.SX.sym("entry", N_ENTRY), ca.SX.sym("gravity")
+        nominal, entry, gravity = symbols(ca.SX, nominal=N_NOMINAL, entry=N_ENTRY, gravity=1)
         after, _ = propagate(nominal, entry[:N_READING], entry[N_READING], gravity)
         return ca.Function("predict_output", [nominal, entry, gravity], ca.cse([after]))
 
     def _filter(self) -> ca.Function:
         """([nominal state, covariance], entry, parameters) -> [nominal state, covariance] after the entry."""
-        known, entry = ca.MX.sym("known", KNOWN.stop), ca.MX.sym("entry", self.entry_size)
-        parameters = ca.MX.sym("parameters", 1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids))
+        known, entry, parameters = symbols(
+            ca.MX,
+            known=KNOWN.stop,
+            entry=self.entry_size,
+            parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
+        )
         found = prediction()(known, entry[:N_READING], entry[N_READING], parameters[: 1 + N_DENSITIES])
         place, told = N_ENTRY, 1 + N_DENSITIES
         for aid in self.sensors.aids:
@@ -349,16 +354,16 @@ def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
 @cache
 def _off_by() -> ca.Function:
     """(nominal state, an error (15,), covariance (15, 15)) -> [nominal state with the error added, covariance]."""
-    nominal, d = ca.SX.sym("nominal", N_NOMINAL), ca.SX.sym("d", N_ERROR)
-    covariance = ca.SX.sym("covariance", N_ERROR, N_ERROR)
+    nominal, d, covariance = symbols(ca.SX, nominal=N_NOMINAL, d=N_ERROR, covariance=(N_ERROR, N_ERROR))
     found = ca.vertcat(inject(nominal, d), packed(covariance))
     return ca.Function("off_by", [nominal, d, covariance], [found])
 
 
 def prediction() -> ca.Function:
     """([nominal state, covariance], reading (6,), interval, [gravity, densities]) -> [nominal state, covariance]."""
-    known, reading = ca.SX.sym("known", KNOWN.stop), ca.SX.sym("reading", N_READING)
-    duration, parameters = ca.SX.sym("duration"), ca.SX.sym("parameters", 1 + N_DENSITIES)
+    known, reading, duration, parameters = symbols(
+        ca.SX, known=KNOWN.stop, reading=N_READING, duration=1, parameters=1 + N_DENSITIES
+    )
     covariance = unpacked(known[N_NOMINAL:])
     nominal, covariance = predict(known[:N_NOMINAL], covariance, reading, duration, parameters[0], parameters[1:])
     found = ca.vertcat(nominal, packed(covariance))
@@ -367,8 +372,7 @@ def prediction() -> ca.Function:
 
 def correction(aid: Aid) -> ca.Function:
     """(whether there is a fix, [nominal state, covariance], fix, deviations) -> [nominal state, covariance]."""
-    known, fix = ca.SX.sym("known", KNOWN.stop), ca.SX.sym("fix", aid.size)
-    deviations = ca.SX.sym("deviations", len(aid.deviations))
+    known, fix, deviations = symbols(ca.SX, known=KNOWN.stop, fix=aid.size, deviations=len(aid.deviations))
     nominal, covariance = known[:N_NOMINAL], unpacked(known[N_NOMINAL:])
     innovations = [(one.value, one.row, deviations[one.deviation] ** 2) for one in aid.compare(nominal, fix)]
     nominal, covariance = update(nominal, covariance, innovations)

@@ -17,10 +17,13 @@ from typing import Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key
-from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.expression import limited
+from quadexp.physics.rigid_body import derivative_function, features_function
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
@@ -85,16 +88,13 @@ class FromModelPlant(SimulatedPlant):
 def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, noisy: bool) -> Equations:
     """RK4, the noise, (6,) or none, held over each step; the parameters are [densities (6,) of a and tau, theta]."""
     n = vehicle.n_rotors
-    x, u, y = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("y", 6)
-    features = ca.Function("features", [x, u], [body_features(x, u)])
-    derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
-
-    x, command = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n)
-    noise, step = ca.MX.sym("noise", 6 * noisy), ca.MX.sym("step")
-    parameters = ca.MX.sym("parameters", 6 + len(model.theta))
+    features, derivative = features_function(vehicle), derivative_function(vehicle)
+    x, command, noise, step, parameters = symbols(
+        ca.MX, x=N_STATE, u=n, noise=6 * noisy, step=1, parameters=6 + len(model.theta)
+    )
     density, theta = ca.vertsplit(parameters, [0, 6, 6 + len(model.theta)])
     held = noise * density / ca.sqrt(step) if noisy else ca.MX.zeros(6)
-    thrusts = ca.fmin(ca.fmax(command, vehicle.thrust_min), vehicle.thrust_max)
+    thrusts = limited(command, vehicle.thrust_min, vehicle.thrust_max)
 
     def correction(state: ca.MX) -> ca.MX:
         wrench = ca.densify(model.function(features(state, thrusts), theta)[0])
@@ -106,6 +106,6 @@ def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, nois
         return derivative(state, thrusts, correction(state))
 
     after = integrate("rk4", slope, x, step)
-    reading = ca.vertcat(0, 0, ca.sum1(thrusts) / vehicle.mass) + correction(after)[:3]
+    reading = along_z(ca.sum1(thrusts) / vehicle.mass) + correction(after)[:3]
     arguments = [x, command, noise, parameters, step]
     return Equations(ca.Function("model_step", arguments, [after, reading], STEP_INPUTS, STEP_OUTPUTS))

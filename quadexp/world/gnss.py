@@ -93,10 +93,10 @@ def _compare(nominal: Expression, fix: Expression) -> list[Innovation]:
 
 def _measure_north(x: Expression, noise: Expression, deviations: Expression) -> Expression:
     error = deviations[0] * noise[0]
-    return ca.mtimes(rotation_matrix(x[ATTITUDE]).T, ca.vertcat(ca.sin(error), ca.cos(error), 0))
+    return rotation_matrix(x[ATTITUDE]).T @ ca.vertcat(ca.sin(error), ca.cos(error), 0)
 
 
 def _compare_north(nominal: Expression, fix: Expression) -> list[Innovation]:
     R = rotation_matrix(nominal[ATTITUDE])
-    north = ca.mtimes(R, fix)
+    north = R @ fix
     return [Innovation(ca.atan2(north[0], north[1]), {place: R[2, i] for i, place in enumerate(D_ATTITUDE)}, 0)]

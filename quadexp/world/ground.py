@@ -18,7 +18,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -40,10 +40,10 @@ def ground_wrench(
     limit: height of a rotor over the ground (m) above which there is no effect.
     """
     R = rotation_matrix(x[ATTITUDE])
-    height = x[POSITION][2] - ground + ca.mtimes(R[2, :], position).T
+    height = x[POSITION][2] - ground + (R[2, :] @ position).T
     added = ca.if_else(height < limit, thrust_factor(height, radius) - 1, 0) * thrust
     torque = ca.vertcat(ca.dot(position[1, :].T, added), -ca.dot(position[0, :].T, added), 0)
-    return ca.mtimes(R, ca.vertcat(0, 0, ca.sum1(added))), torque
+    return R @ along_z(ca.sum1(added)), torque
 
 
 @dataclass(frozen=True, kw_only=True)

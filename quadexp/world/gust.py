@@ -15,7 +15,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.settings import Triple, key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
 from quadexp.world.effect import Clock, Moment, Sizes, Start
@@ -26,7 +26,7 @@ def one_minus_cosine(t: Expression, start: Expression, duration: Expression, amp
 
     start t_0 and duration D: s.
     """
-    share = ca.fmin(ca.fmax((t - start) / duration, 0), 1)  # both ends are zeros of the shape
+    share = limited((t - start) / duration, 0, 1)  # both ends are zeros of the shape
     return amplitude / 2 * (1 - ca.cos(2 * math.pi * share))
 
 

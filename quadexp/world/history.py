@@ -27,7 +27,7 @@ class History(NamedTuple):
         """(k,) at a time (s) since the period began: a number, or a symbol; zeros outside the period."""
         steps, place = self.clock.steps, time / self.clock.step
         if isinstance(place, ca.MX):
-            return ca.mtimes(self.values, ca.fmax(1 - ca.fabs(place - ca.DM(range(steps + 1))), 0))
+            return self.values @ ca.fmax(1 - abs(place - ca.DM(range(steps + 1))), 0)
         later = min(max(math.ceil(place - ROUNDING), 0), steps)
         share = later - place
         if abs(share) < ROUNDING:
@@ -48,7 +48,7 @@ class History(NamedTuple):
         driven = before * self.values[:, :-1] + now * self.values[:, 1:]
         steps = np.arange(self.clock.steps + 1)
         gains = np.where(steps[:, None] <= steps, decay ** np.maximum(steps - steps[:, None], 0), 0.0)
-        return History(ca.mtimes(ca.horzcat(first, driven), ca.DM(gains)), self.clock)
+        return History(ca.horzcat(first, driven) @ ca.DM(gains), self.clock)
 
     def integral(self, first: ca.MX) -> History:
         """first, (k,), and what has come to it since the period began."""

@@ -45,7 +45,7 @@ from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import Setting, key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import conjugate, exponential, logarithm, product, rotation_matrix
+from quadexp.physics.rotation import along_z, conjugate, exponential, logarithm, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
@@ -131,8 +131,8 @@ def means(before: Expression, after: Expression, duration: Expression, gravity: 
     """
     turned = logarithm(product(conjugate(before[ATTITUDE]), after[ATTITUDE]))
     middle = product(before[ATTITUDE], exponential(turned / 2))
-    acceleration = (after[VELOCITY] - before[VELOCITY]) / duration + ca.vertcat(0, 0, gravity)
-    return ca.vertcat(ca.mtimes(rotation_matrix(middle).T, acceleration), turned / duration)
+    acceleration = (after[VELOCITY] - before[VELOCITY]) / duration + along_z(gravity)
+    return ca.vertcat(rotation_matrix(middle).T @ acceleration, turned / duration)
 
 
 def read(

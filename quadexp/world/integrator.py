@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.integrator import euler_step, rk4_step
@@ -73,13 +74,18 @@ def integrate(method: str, slope: Callable[[Expression], Expression], s: Express
 def period(equations: Equations, steps: int) -> ca.Function:
     """INPUTS -> OUTPUTS over `steps` steps of length `step` (s), noise (d, steps); then what is kept of the steps."""
     function, begin, end = equations.step, equations.begin, equations.end
-    x, inner, step = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", equations.inner_size), ca.MX.sym("step")
-    u = ca.MX.sym("u", begin.size1_in(2) if begin else function.size1_in(1))
-    noise, parameters = ca.MX.sym("noise", function.size1_in(2), steps), ca.MX.sym("parameters", function.size1_in(3))
+    x, inner, step, u, noise, parameters = symbols(
+        ca.MX,
+        x=N_STATE,
+        inner=equations.inner_size,
+        step=1,
+        u=begin.size1_in(2) if begin else function.size1_in(1),
+        noise=(function.size1_in(2), steps),
+        parameters=function.size1_in(3),
+    )
     s, held = begin(x, inner, u, parameters) if begin else (ca.vertcat(x, inner), u)
     again = [ca.repmat(value, 1, steps) for value in (held, parameters, step)]
-    results_of_steps = function.mapaccum(steps)(s, again[0], noise, *again[1:])
-    states, *kept = results_of_steps if isinstance(results_of_steps, tuple) else (results_of_steps,)
+    states, *kept = function.mapaccum(steps).call([s, again[0], noise, *again[1:]])
     if end:
         results = [*end(states[:, -1], held, parameters), *kept]
     else:

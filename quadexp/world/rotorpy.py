@@ -24,14 +24,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Triple, key
 from quadexp.physics.blade_element import TINY_SPEED
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
@@ -119,12 +121,12 @@ class RotorPyPlant(RotorSpeedPlant):
     def residual(self) -> Residual:
         """All but the lag of the motors, which controller.motor_lag says."""
         n, vehicle = self.vehicle.n_rotors, self.vehicle
-        z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_PARAMETERS)
+        z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_PARAMETERS)
         command = z[6:]
         w = _commanded_speed(command, vehicle, SLOWEST * theta[SPEED_MAX], theta[SPEED_MAX])
         force, torque = wrench(z[:3], z[3:6], w, vehicle, theta[AIR])
-        nominal = ca.mtimes(ca.DM(vehicle.allocation), command)
-        acceleration = (force - ca.vertcat(0, 0, nominal[0])) / vehicle.mass
+        nominal = vehicle.allocation @ command
+        acceleration = (force - along_z(nominal[0])) / vehicle.mass
         outputs = ca.vertcat(acceleration, torque - nominal[1:])
         return symbolic_residual("plant", outputs, z, theta, self._values(), source="plant equations")
 
@@ -154,13 +156,13 @@ def wrench(
 def _commanded_speed(u: Expression, vehicle: Vehicle, least: Expression, largest: Expression) -> Expression:
     """Rotor speeds (n,) (rad/s) that thrusts u (n,) (N) ask for, within the limits."""
     k = vehicle.static_thrust_coefficient
-    return ca.sqrt(ca.fmin(ca.fmax(u, k * least**2), k * largest**2) / k)
+    return ca.sqrt(limited(u, k * least**2, k * largest**2) / k)
 
 
 def derivative(vehicle: Vehicle) -> ca.Function:
     """(x (13,), w (n,) (rad/s), parameters) -> x' (13,), and the specific force (3,), body frame (m/s^2)."""
     n = vehicle.n_rotors
-    x, w, parameters = ca.SX.sym("x", N_STATE), ca.SX.sym("w", n), ca.SX.sym("parameters", N_PARAMETERS)
+    x, w, parameters = symbols(ca.SX, x=N_STATE, w=n, parameters=N_PARAMETERS)
     z = body_features(x, w)
     force, torque = wrench(z[:3], z[3:6], w, vehicle, parameters[AIR])
     motion = state_derivative(x, ca.SX(n, 1), vehicle, ca.vertcat(force / vehicle.mass, torque))
@@ -170,8 +172,7 @@ def derivative(vehicle: Vehicle) -> ca.Function:
 def _equations(vehicle: Vehicle) -> Equations:
     """RK4, the rotors' lag exact; inner states are the rotor speeds, and there is no noise."""
     n, f = vehicle.n_rotors, derivative(vehicle)
-    s, u, noise = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("noise", 0)
-    parameters, step = ca.SX.sym("parameters", N_PARAMETERS), ca.SX.sym("step")
+    s, u, noise, parameters, step = symbols(ca.SX, s=N_STATE + n, u=n, noise=0, parameters=N_PARAMETERS, step=1)
     command = _commanded_speed(u, vehicle, parameters[SPEED_MIN], parameters[SPEED_MAX])
     lags = parameters[LAG] > 0
     begun = ca.vertcat(s[:N_STATE], ca.if_else(lags, s[N_STATE:], command))

@@ -288,5 +288,5 @@ def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
 
 def turned(q: Any, error: Any) -> Any:
     """q o [1, e / 2], of unit length: an attitude (4,) with the small error e (3,), about body axes (rad)."""
-    product = ca.mtimes(left_matrix(q), ca.vertcat(1, error / 2))
+    product = left_matrix(q) @ ca.vertcat(1, error / 2)
     return product / ca.norm_2(product)

@@ -20,13 +20,15 @@ from typing import ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Settings, Triple, key, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import thrust_loss
 from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
@@ -106,10 +108,10 @@ class SimplifiedPlant(SimulatedPlant):
     def residual(self) -> Residual:
         """Drag and mean motor loss; noise and clipping left out."""
         n = self.vehicle.n_rotors
-        z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_EFFECTS)
+        z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_EFFECTS)
         command, delivered = z[6:], _delivered_thrust(z[6:], theta, self.vehicle)
-        nominal = ca.vertcat(0, 0, ca.sum1(command) / self.vehicle.mass)
-        torque = ca.mtimes(ca.DM(self.vehicle.allocation[1:]), delivered - command)
+        nominal = along_z(ca.sum1(command) / self.vehicle.mass)
+        torque = self.vehicle.allocation[1:] @ (delivered - command)
         acceleration = _body_acceleration(z[:3], delivered, theta, self.vehicle) - nominal
         outputs = ca.vertcat(acceleration, torque)
         return symbolic_residual("plant", outputs, z, theta, self.effects.parameters(), source="plant equations")
@@ -127,17 +129,16 @@ def _body_acceleration(
     force = linear_drag_force(body_velocity, effects[LINEAR_DRAG])
     force += quadratic_drag_force(body_velocity, effects[QUADRATIC_DRAG])
     lift = effects[LIFT] * ca.sumsqr(body_velocity[:2])
-    return (force + ca.vertcat(0, 0, ca.sum1(delivered) + lift)) / vehicle.mass
+    return (force + along_z(ca.sum1(delivered) + lift)) / vehicle.mass
 
 
 def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
     """RK4 with the noise, (n + 6,) or none, held over each step; the parameters are PlantEffects.parameters."""
     n = vehicle.n_rotors
-    x, u, noise = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("noise", (n + 6) * noisy)
-    effects, step = ca.SX.sym("effects", N_EFFECTS), ca.SX.sym("step")
+    x, u, noise, effects, step = symbols(ca.SX, x=N_STATE, u=n, noise=(n + 6) * noisy, effects=N_EFFECTS, step=1)
     scaled = noise / ca.sqrt(step) if noisy else ca.SX.zeros(n + 6)
     motor = effects[MOTOR_NOISE] * ca.sqrt(u * vehicle.thrust_max) * scaled[:n]
-    delivered = ca.fmin(ca.fmax(_delivered_thrust(u, effects, vehicle) - motor, 0), vehicle.thrust_max)
+    delivered = limited(_delivered_thrust(u, effects, vehicle) - motor, 0, vehicle.thrust_max)
     force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / vehicle.mass
     torque_noise = effects[TORQUE_NOISE] * scaled[n + 3 :]
 
@@ -147,7 +148,7 @@ def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
 
     def slope(state: Expression) -> Expression:
         """The rigid body is told what goes beyond the delivered thrust: drag, lift and noise."""
-        nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)
+        nominal = along_z(ca.sum1(delivered) / vehicle.mass)
         return state_derivative(state, delivered, vehicle, ca.vertcat(specific_force(state) - nominal, torque_noise))
 
     after = integrate("rk4", slope, x, step)

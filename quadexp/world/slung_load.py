@@ -25,7 +25,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Moment, Sizes, Start
@@ -86,21 +86,21 @@ def cable_force(cable: Cable, x: Expression, load: Expression, step: Expression)
 
 def cable_torque(cable: Cable, q: Expression, force: Expression) -> Expression:
     """Torque (3,), body (N m), of a force (3,), world (N), at the cable's end; q: attitude (4,), body to world."""
-    return ca.cross(_vector(cable.point), ca.mtimes(rotation_matrix(q).T, force))
+    return ca.cross(_vector(cable.point), rotation_matrix(q).T @ force)
 
 
 def advanced(cable: Cable, load: Expression, force: Expression, wind: Expression, step: Expression) -> Expression:
     """The load (6,) after a step (s) under the held force (3,) (N) on the vehicle, and wind (3,), world (m/s)."""
     through_air = load[3:] - wind
     drag = cable.drag * ca.sqrt(ca.sumsqr(through_air) + 1e-12) * through_air
-    acceleration = ca.vertcat(0, 0, -cable.gravity) - (force + drag) / cable.mass
+    acceleration = along_z(-cable.gravity) - (force + drag) / cable.mass
     return ca.vertcat(load[:3] + step * load[3:] + step**2 / 2 * acceleration, load[3:] + step * acceleration)
 
 
 def _anchor(cable: Cable, x: Expression) -> tuple[Expression, Expression]:
     """Position (3,) (m) and velocity (3,) (m/s), world, of the cable's end at the vehicle."""
     R, point = rotation_matrix(x[ATTITUDE]), _vector(cable.point)
-    return x[POSITION] + ca.mtimes(R, point), x[VELOCITY] + ca.mtimes(R, ca.cross(x[RATE], point))
+    return x[POSITION] + R @ point, x[VELOCITY] + R @ ca.cross(x[RATE], point)
 
 
 def _vector(values: Any) -> Expression:

@@ -201,11 +201,6 @@ class Streams:
         self.taken += 1
 
 
-def sampled(rng: np.random.Generator, times: np.ndarray, numbers: int) -> np.ndarray:
-    """Standard normal numbers (k, numbers) at some times (k,) (s); see Sampled."""
-    return Sampled(numbers, (0.0,)).begin(rng)(times, 0.0)
-
-
 def _split_mix(key: np.uint64, ticks: np.ndarray, numbers: int) -> np.ndarray:
     """Standard normal numbers (.., numbers) of ticks (..), of the sequence that begins at a key."""
     pairs = (numbers + 1) // 2

@@ -9,7 +9,7 @@ Mass, inertia and centre of mass by factors and an offset c, then a payload of m
 
 The state of a flight is that of the true centre of mass. Thrust and torque coefficients that are off by f_T and f_Q
 change what a rotor gives at the thrust u_i that it is asked for, whatever the plant (the factor on drag changes the
-plant itself, experiment/build_world.py):
+plant itself, experiment/build.py):
 
     F = R e_z sum_i (f_T - 1) u_i,   tau = sum_i (r_i'' x (f_T - 1) u_i e_z + c_tau s_i (f_T f_Q - 1) u_i e_z)
 """
@@ -25,7 +25,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -103,8 +103,8 @@ class TrueVehicle(Effect):
         return (), coefficient_allocation(start.vehicle, *factors).ravel(order="F")
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        wrench = ca.mtimes(ca.reshape(at.parameters, 4, at.thrust.numel()), at.thrust)
-        return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, wrench[0])), wrench[1:]
+        wrench = ca.reshape(at.parameters, 4, at.thrust.numel()) @ at.thrust
+        return rotation_matrix(at.x[ATTITUDE]) @ along_z(wrench[0]), wrench[1:]
 
     @property
     def idle(self) -> bool:

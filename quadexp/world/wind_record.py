@@ -19,7 +19,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
 from quadexp.parts.settings import REQUIRED, key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.world.effect import Effect, Moment
 
 COLUMNS = ("t", "wind_x", "wind_y", "wind_z")
@@ -40,7 +40,7 @@ class WindRecord:
         table = ca.interpolant(
             "wind_record", "linear", [self.t.tolist()], self.wind.ravel().tolist(), {"lookup_mode": ["binary"]}
         )
-        return table(ca.fmin(ca.fmax(t, self.t[0]), self.t[-1]))
+        return table(limited(t, self.t[0], self.t[-1]))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,10 @@ from quadexp.log.store import write_flight, write_table
 from quadexp.report.draw import figure_of
 from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import flight_metrics, to_columns
+from quadexp.report.pairing import BASELINE, Groups
+from quadexp.report.significance import Tests
 from quadexp.report.view import automatic
+from quadexp.report.winner import verdict
 from tests.log.flights import straight_flight
 
 ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]
@@ -100,3 +103,9 @@ def many_results(root: Path, conditions: int, seeds: int = 2) -> Path:
     record = {"metric": "mean_error", "grids": [], "conditions": [], "versions": {}, "provenance": {}}
     write_table(root / "results.parquet", to_columns(rows), record, "results")
     return root
+
+
+def verdicts(rows):
+    """One verdict for every plant and vehicle."""
+    tests = Tests(Groups(rows, BASELINE, ("mean_error",)), 0, 0.95)
+    return [verdict(tests, conditions) for conditions in tests.groups.worlds.values()]

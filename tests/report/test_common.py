@@ -15,9 +15,8 @@ from quadexp.report.page.source import read_comparison
 from quadexp.report.pairing import Flights, common, flew_least, whole
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import cell_text, error_table
-from quadexp.report.winner import verdicts
 from quadexp.sweeps.figures import path_grids
-from tests.report.results import speed_figure
+from tests.report.results import speed_figure, verdicts
 from tests.report.test_tables import row
 
 TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}

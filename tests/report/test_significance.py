@@ -14,7 +14,7 @@ from quadexp.report.page.answer import answer
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import error_table
-from quadexp.report.winner import verdicts
+from tests.report.results import verdicts
 from tests.report.test_tables import row
 
 FACTORS = {"nominal_mpc": 1.0, "linear_drag_mpc": 0.5, "gp_mpc": 0.1}

@@ -12,7 +12,7 @@ from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import numbers
 from quadexp.report.page.source import read_comparison
 from quadexp.report.tables import error_table
-from quadexp.report.winner import verdicts
+from tests.report.results import verdicts
 from tests.report.test_tables import row
 
 

@@ -9,7 +9,6 @@ from quadexp.parts.cells import Cells
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.schema import WORLD, Config
 from quadexp.parts.settings import keys_of
-from quadexp.report.inference import least_p
 from quadexp.sweeps.plan import plan_cells, too_few_seeds
 from tests.sweeps.test_sweep import key_of
 
@@ -140,7 +139,7 @@ class TestCells:
     ],
 )
 def test_before_a_sweep_it_is_said_how_many_seeds_could_show_a_difference(asked, comparisons):
-    enough = next(n for n in range(2, 99) if comparisons * least_p(n) < 0.05)
+    enough = next(n for n in range(2, 99) if comparisons * 2 / 2**n < 0.05)
     for seeds in range(2, 14):
         said = too_few_seeds(expand([*asked, f"seed=range({seeds})"]).grids, "nominal_mpc", 0.95)
         expected = f"no single line can be significant with {seeds} seeds; seed='range({enough})' could"

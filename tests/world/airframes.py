@@ -9,6 +9,7 @@ from quadexp.physics.state import ATTITUDE
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
 from quadexp.world.from_model import FromModelPlant
+from quadexp.world.streams import Sampled
 from tests.models.residuals import BLADE, with_rotors
 
 REST = np.r_[np.zeros(3), 1, np.zeros(9)]
@@ -56,3 +57,8 @@ def fly(plant, x, thrusts, seed=1):
         readings.append(reading)
         told.append(getattr(plant, "measured", x))
     return np.array(states), np.array(readings), np.array(told)
+
+
+def sampled(rng, times, numbers):
+    """Standard normal numbers (k, numbers) at some times (k,) (s)."""
+    return Sampled(numbers, (0.0,)).begin(rng)(times, 0.0)

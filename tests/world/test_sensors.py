@@ -25,11 +25,11 @@ from quadexp.world.effect import Clock
 from quadexp.world.history import History
 from quadexp.world.sensors import Sensors
 from quadexp.world.stated_estimate import StatedEstimate
-from quadexp.world.streams import part_stream, sampled
+from quadexp.world.streams import part_stream
 from quadexp.world.world import World
 from tests import paper
 from tests.models.residuals import with_rotors
-from tests.world.airframes import REST, commands, ideal, start
+from tests.world.airframes import REST, commands, ideal, sampled, start
 
 PERIOD = 0.02
 TURNING = ("vehicle.thrust_coefficient=1.2e-5", "actuator=speed_lag_30ms")

@@ -55,10 +55,15 @@ def filter_matrices(time_scale):
     return a, b @ b.T, c
 
 
+def advanced(filters, noise, time_scale, step):
+    F, root = dryden.transition(time_scale, step)
+    return F @ filters + root @ noise
+
+
 @cache
 def step_function():
     z, n, T, h = ca.SX.sym("z", 5), ca.SX.sym("n", 5), ca.SX.sym("T", 3), ca.SX.sym("h")
-    out = dryden.advanced(z, n, T, h)
+    out = advanced(z, n, T, h)
     return ca.Function("dryden", [z, n, T, h], [out, ca.jacobian(out, z), ca.jacobian(out, n)])
 
 
@@ -104,7 +109,7 @@ SERIES, SAMPLES = 12, 50_000
 def flown(step, time_scale):
     """States of the filters of independent flights, (SERIES, 5, SAMPLES)."""
     z, n = ca.SX.sym("z", 5), ca.SX.sym("n", 5)
-    one = ca.Function("one", [z, n], [dryden.advanced(z, n, np.array(time_scale), step)])
+    one = ca.Function("one", [z, n], [advanced(z, n, np.array(time_scale), step)])
     chain, rng = one.mapaccum(SAMPLES), np.random.default_rng(4)
     return np.array(
         [chain(dryden.stationary(rng.standard_normal(5)), rng.standard_normal((5, SAMPLES))) for _ in range(SERIES)]

@@ -16,9 +16,9 @@ from quadexp.world.battery import Battery
 from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.link import Latency
 from quadexp.world.stated_estimate import StatedEstimate
-from quadexp.world.streams import part_stream, sampled
+from quadexp.world.streams import part_stream
 from quadexp.world.world import World
-from tests.world.airframes import AIRFRAMES, PERIOD, STEP, airframe, commands, fly, start
+from tests.world.airframes import AIRFRAMES, PERIOD, STEP, airframe, commands, fly, sampled, start
 
 
 @pytest.mark.parametrize("kind", AIRFRAMES)

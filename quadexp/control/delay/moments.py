@@ -24,7 +24,9 @@ from scipy.linalg.blas import dger
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.errors import DataError
+from quadexp.log.signal import period_of
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -90,7 +92,7 @@ class Moments:
     def __init__(self, stream: Stream, vehicle: Vehicle) -> None:
         if len(stream.t) < LEAST:
             raise DataError(f"delays cannot be found in {len(stream.t)} samples, {LEAST} are needed")
-        self.vehicle, self.sizes = vehicle, Sizes(float(np.median(np.diff(stream.t))))
+        self.vehicle, self.sizes = vehicle, Sizes(period_of(stream.t))
         function = BufferedFunction(_row(vehicle, self.sizes.period))
         self._given, self._rows = function.arguments, function.results
         names = ("thrust", "turning_x", "turning_y")
@@ -186,9 +188,9 @@ def _row(vehicle: Vehicle, period: float) -> ca.Function:
     """
     sizes = Sizes(period)
     lags, m = sizes.lags, sizes.commands
-    shapes = {"x_before": (13, 1), "x": (13, 1), "forces": (3, lags + 1), "rates": (3, lags + 1)}
-    shapes |= {"thrusts": (3, sizes.all_commands), "t": (1, 1)}
-    a = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
+    shapes = {"x_before": 13, "x": 13, "forces": (3, lags + 1), "rates": (3, lags + 1)}
+    shapes |= {"thrusts": (3, sizes.all_commands), "t": 1}
+    a = named_symbols(ca.SX, shapes)
     p, q = (a[name][ATTITUDE] / ca.norm_2(a[name][ATTITUDE]) for name in ("x_before", "x"))
     p = p * ca.sign(ca.dot(p, q))
     middle = (p + q) / ca.norm_2(p + q)
@@ -196,15 +198,15 @@ def _row(vehicle: Vehicle, period: float) -> ca.Function:
     turn = 2 * (p[0] * q[1:] - q[0] * p[1:] - ca.cross(q[1:], p[1:]))
     newest = list(range(sizes.all_commands - 1, -1, -1))
     s, *torques = (a["thrusts"][i, newest].T for i in range(3))
-    v = ca.mtimes(rotation_matrix(q).T, a["x"][VELOCITY])
-    air = ca.vertcat(1, v, ca.fabs(v) * v)
+    v = rotation_matrix(q).T @ a["x"][VELOCITY]
+    air = ca.vertcat(1, v, abs(v) * v)
     thrust = ca.vertcat(s[:m], s[:m] ** 2, a["t"] * s[:m], air, a["forces"][2, -1])
     w, J = a["x"][RATE], ca.DM(vehicle.inertia_matrix)
-    needed = ca.mtimes(J, w - a["x_before"][RATE]) / period + ca.cross(w, ca.mtimes(J, w))
+    needed = J @ (w - a["x_before"][RATE]) / period + ca.cross(w, J @ w)
     turning = [ca.vertcat(torques[i][:m], air, needed[i]) for i in range(2)]
     recent = list(range(lags, -1, -1))
-    velocity = period * ca.horzcat(ca.mtimes(R, a["forces"][:, recent]), ca.mtimes(R[:, 2], s.T))
+    velocity = period * ca.horzcat(R @ a["forces"][:, recent], R[:, 2] @ s.T)
     results = {"thrust": thrust, "turning_x": turning[0], "turning_y": turning[1], "velocity": velocity}
-    results |= {"attitude": period * ca.mtimes(R, a["rates"][:, recent]), "turn": turn}
+    results |= {"attitude": period * (R @ a["rates"][:, recent]), "turn": turn}
     results["R"] = rotation_matrix(q)
-    return ca.Function("delay_row", [*a.values()], [ca.densify(r) for r in results.values()], [*a], [*results])
+    return named_function("delay_row", a, {name: ca.densify(result) for name, result in results.items()})

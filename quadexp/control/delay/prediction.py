@@ -22,6 +22,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.delay.strapdown import KnownDelay
@@ -143,12 +144,12 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     """
     n = vehicle.n_rotors
     model = corrected_function(vehicle, residual)
-    shapes = {"x": (N_STATE, 1), "commands": (n, commands), "weights": (commands, parts), "dt": (parts, 1)}
-    shapes |= {"theta": (residual.function.size1_in(1), 1), "wind": (3, 1), "push": (6, 1), "scale": (1, 1)}
-    arguments = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
+    shapes = {"x": N_STATE, "commands": (n, commands), "weights": (commands, parts), "dt": parts}
+    shapes |= {"theta": residual.function.size1_in(1), "wind": 3, "push": 6, "scale": 1}
+    arguments = named_symbols(ca.MX, shapes)
     x, dt, theta, wind = (arguments[name] for name in ("x", "dt", "theta", "wind"))
     pushed = ca.vertcat(wind, ca.MX(4, 1), arguments["push"])
-    thrusts = arguments["scale"] * ca.mtimes(arguments["commands"], arguments["weights"])
+    thrusts = arguments["scale"] * (arguments["commands"] @ arguments["weights"])
 
     def slope(s: ca.MX, held: ca.MX) -> ca.MX:
         return model(s, held, theta) + pushed
@@ -158,7 +159,7 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
         state = rk4_step_with_input(slope, state, [u] * 3, h)
     q = state[ATTITUDE]
     now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
-    return ca.Function("delay_prediction", [*arguments.values()], [now], [*arguments], ["now"])
+    return named_function("delay_prediction", arguments, {"now": now})
 
 
 @dataclass(frozen=True, kw_only=True)

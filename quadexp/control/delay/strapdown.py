@@ -24,13 +24,14 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move, python
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
 from quadexp.parts.settings import key
-from quadexp.physics.rotation import exponential, product, rotation_matrix
+from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
 
@@ -117,8 +118,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
     Inputs: x (13,), its rate unused; rates (3, K + 1) (rad/s) and forces (3, K + 1) (m/s^2), body, the last ones of
     now; late, at most K periods. Output: now (13,), with the rate of now.
     """
-    x, late = ca.SX.sym("x", N_STATE), ca.SX.sym("late")
-    rates, forces = ca.SX.sym("rates", 3, periods + 1), ca.SX.sym("forces", 3, periods + 1)
+    x, late, rates, forces = symbols(ca.SX, x=N_STATE, late=1, rates=(3, periods + 1), forces=(3, periods + 1))
     p, q, v = x[POSITION], x[ATTITUDE], x[VELOCITY]
     for j in range(periods):
         h = ca.fmax(ca.fmin(late - (periods - 1 - j) * period, period), 0)
@@ -128,8 +128,8 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
             for values in (rates, forces)
         )
         R = rotation_matrix(q)
-        turned = [f[0], *(ca.mtimes(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))), f[i]) for i in (1, 2))]
-        a = [ca.mtimes(R, one) + ca.vertcat(0, 0, -gravity) for one in turned]
+        turned = [f[0], *(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))) @ f[i] for i in (1, 2))]
+        a = [R @ one + along_z(-gravity) for one in turned]
         p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))

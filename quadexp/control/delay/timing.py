@@ -32,6 +32,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function
 from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
 from quadexp.control.delivered import INSTANT, SentCommands, command_weights
 from quadexp.physics.vehicle import Vehicle
@@ -287,14 +288,14 @@ def _evaluate(vehicle: Vehicle, period: float) -> ca.Function:
         columns = ca.diagcat(*weights, ca.DM.eye(N_AIR))
         M = a[name]
         design = ca.vertcat(columns, ca.DM.zeros(1, columns.size2()))
-        products = ca.mtimes(M, design)
-        normal, against = ca.mtimes(design.T, products), products[-1, :].T
+        products = M @ design
+        normal, against = design.T @ products, products[-1, :].T
         scale = ca.sqrt(ca.fmax(ca.diag(normal), 1e-12))
-        normal = normal / ca.mtimes(scale, scale.T) + 1e-9 * ca.DM.eye(normal.size1())
+        normal = normal / (scale @ scale.T) + 1e-9 * ca.DM.eye(normal.size1())
         c = ca.solve(normal, against / scale, "ldl") / scale
-        left = ca.vertcat(-ca.mtimes(columns, c), 1)
-        against_all = M[:, -1] - ca.mtimes(products, c)
+        left = ca.vertcat(-(columns @ c), 1)
+        against_all = M[:, -1] - products @ c
         square = ca.fmax(ca.dot(left, against_all), 0) / a["count"]
         cost += a["count"] * ca.log(ca.sqrt(square) + LEAST_NOISE)
         lefts += [left, against_all]
-    return ca.Function("delay_cost", [*a.values()], [cost, *lefts], [*a], ["cost", *LEFT])
+    return named_function("delay_cost", a, {"cost": cost} | dict(zip(LEFT, lefts, strict=True)))

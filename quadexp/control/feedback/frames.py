@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
 NED_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -39,7 +39,7 @@ def rotation_euler(eta: Expression) -> Expression:
 
 def euler_angles(R: Expression) -> Expression:
     """eta = (phi, theta, psi), (3,) (rad), of R (3, 3), FRD to NED; theta in [-pi/2, pi/2]."""
-    sine = ca.fmin(ca.fmax(-R[2, 0], -1.0), 1.0)
+    sine = limited(-R[2, 0], -1.0, 1.0)
     return ca.vertcat(ca.atan2(R[2, 1], R[2, 2]), ca.asin(sine), ca.atan2(R[1, 0], R[0, 0]))
 
 

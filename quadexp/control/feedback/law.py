@@ -38,13 +38,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import dense_function, symbols
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles, rotation_euler, yaw_ned
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.induced_velocity import balance, safe_newton
-from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -140,15 +141,15 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     rotors at the least speed; limited: number of rotors at the largest thrust; u_T (3,), NED.
     """
     n = vehicle.n_rotors
-    x, reference, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("reference", 3, 3), ca.SX.sym("yaw", 3)
-    theta, velocity_last, rotor_speed_last = ca.SX.sym("theta", 5), ca.SX.sym("v", 3), ca.SX.sym("w", n)
-    eta_d_last, observer_last = ca.SX.sym("eta_d", 3), ca.SX.sym("observer", 3, 2)
+    x, reference, yaw, theta, velocity_last, rotor_speed_last, eta_d_last, observer_last = symbols(
+        ca.SX, x=N_STATE, reference=(3, 3), yaw=3, theta=5, v=3, w=n, eta_d=3, observer=(3, 2)
+    )
 
-    R = ca.mtimes([ca.DM(NED_ENU), rotation_matrix(x[ATTITUDE]), ca.DM(FRD_FLU)])
-    eta, rate = euler_angles(R), ca.mtimes(ca.DM(FRD_FLU), x[RATE])
-    velocity_ned = ca.mtimes(ca.DM(NED_ENU), x[VELOCITY])
-    velocity = ca.mtimes(ca.DM(FRD_FLU), air_velocity(x[ATTITUDE], x[VELOCITY]))
-    target = ca.mtimes(ca.DM(NED_ENU), reference)
+    R = NED_ENU @ rotation_matrix(x[ATTITUDE]) @ FRD_FLU
+    eta, rate = euler_angles(R), FRD_FLU @ x[RATE]
+    velocity_ned = NED_ENU @ x[VELOCITY]
+    velocity = FRD_FLU @ air_velocity(x[ATTITUDE], x[VELOCITY])
+    target = NED_ENU @ reference
     psi_d, psi_d_dot, psi_d_ddot = yaw_ned(yaw[0]), -yaw[1], -yaw[2]
 
     hub, delta_thrust, delta_torque = compensation(vehicle, theta, velocity_last, rotor_speed_last)
@@ -156,7 +157,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     drag = drag_force(vehicle, theta, velocity) * variant.drag
 
     u_xi = position_feedback(
-        ca.mtimes(ca.DM(NED_ENU), x[POSITION]) - target[:, 0],
+        NED_ENU @ x[POSITION] - target[:, 0],
         velocity_ned - target[:, 1],
         ca.DM(settings.position_proportional),
         ca.DM(settings.position_derivative),
@@ -170,7 +171,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
 
     eta_d = ca.vertcat(*desired_tilt(u_T, psi_d), psi_d)
     exact, driven = observer_matrices(settings.observer_bandwidth, settings.control_period)
-    observer = ca.mtimes(ca.DM(exact), observer_last) + ca.mtimes(ca.DM(driven), eta_d[:2].T)
+    observer = exact @ observer_last + ca.DM(driven) @ eta_d[:2].T
     error = attitude_error(eta, eta_d)
     torque = attitude_torque(
         eta,
@@ -186,8 +187,8 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     coefficients = allocation_coefficients(vehicle, variant.allocation, theta)
     squared = allocate(thrust, torque, *coefficients, np.linalg.inv(unit_allocation(vehicle)))
     low, high = settings.rotor_speed_min**2, vehicle.thrust_max / vehicle.static_thrust_coefficient
-    commanded = ca.fmin(ca.fmax(squared, low), high)
-    floored, limited = ca.sum1(squared < low), ca.sum1(squared > high)
+    commanded = limited(squared, low, high)
+    floored, at_limit = ca.sum1(squared < low), ca.sum1(squared > high)
 
     inputs = {
         "x": x,
@@ -208,11 +209,10 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
         "error": error,
         "outside": outside,
         "floored": floored,
-        "limited": limited,
+        "limited": at_limit,
         "u_T": u_T,
     }
-    values = ca.cse([ca.densify(value) for value in outputs.values()])
-    return ca.Function("feedback_law", list(inputs.values()), values, list(inputs), list(outputs))
+    return dense_function("feedback_law", inputs, outputs)
 
 
 class Compensation(NamedTuple):
@@ -232,12 +232,10 @@ def compensation(vehicle: Vehicle, theta: Expression, velocity: Expression, roto
     equation = balance(vehicle.rotor_geometry, theta[C_LA], rotor_speed, in_plane, velocity[2])
     induced = safe_newton(equation, NEWTON_ITERATIONS)
     rotors_only = ca.vertcat(theta[C_D0], theta[C_LA], 0, 0, 0)
-    no_inflow, flu = ca.DM.zeros(vehicle.n_rotors), ca.mtimes(FRD_FLU, velocity)
+    no_inflow, flu = ca.DM.zeros(vehicle.n_rotors), FRD_FLU @ velocity
     force, torque = aerodynamic_wrench(vehicle, rotors_only, flu, rotor_speed, induced)
     motor_force, motor_torque = aerodynamic_wrench(vehicle, rotors_only, ca.DM.zeros(3), rotor_speed, no_inflow)
-    return Compensation(
-        -ca.mtimes(FRD_FLU, force)[:2], force[2] - motor_force[2], ca.mtimes(FRD_FLU, torque - motor_torque)
-    )
+    return Compensation(-(FRD_FLU @ force)[:2], force[2] - motor_force[2], FRD_FLU @ (torque - motor_torque))
 
 
 def drag_force(vehicle: Vehicle, theta: Expression, velocity: Expression) -> Expression:
@@ -273,8 +271,8 @@ def thrust_vector(
 
     acceleration: a_d (3,), NED (m/s^2). R_last: R_d,k-1, (3, 3). lateral: (H + D)_xy, (2,), FRD (N).
     """
-    lateral_force = ca.mtimes(R_last, ca.vertcat(lateral, 0))
-    return -lateral_force - mass * (u_xi - ca.vertcat(0, 0, gravity) + acceleration)
+    lateral_force = R_last @ ca.vertcat(lateral, 0)
+    return -lateral_force - mass * (u_xi - along_z(gravity) + acceleration)
 
 
 def in_cone(u_T: Expression, down_min: float, tilt_max: float) -> tuple[Expression, Expression]:
@@ -293,7 +291,7 @@ def in_cone(u_T: Expression, down_min: float, tilt_max: float) -> tuple[Expressi
 def desired_tilt(u_T: Expression, psi: Expression) -> tuple[Expression, Expression]:
     """phi_d, theta_d (rad): equations (34), (35). u_T (3,) NED (N), psi: desired heading (rad)."""
     sine, cosine = ca.sin(psi), ca.cos(psi)
-    roll = ca.asin(ca.fmin(ca.fmax((u_T[0] * sine - u_T[1] * cosine) / ca.norm_2(u_T), -1.0), 1.0))
+    roll = ca.asin(limited((u_T[0] * sine - u_T[1] * cosine) / ca.norm_2(u_T), -1.0, 1.0))
     return roll, ca.atan((u_T[0] * cosine + u_T[1] * sine) / u_T[2])
 
 
@@ -320,7 +318,7 @@ def rate_matrix(eta: Expression) -> Expression:
 def euler_rates(eta: Expression, rate: Expression) -> Expression:
     """eta_dot = W^-1 Omega, (3,) (rad/s). rate: Omega (3,), FRD (rad/s)."""
     sp, cp, ct = ca.sin(eta[0]), ca.cos(eta[0]), ca.cos(eta[1])
-    ct = ca.if_else(ct < 0, -1, 1) * ca.fmax(ca.fabs(ct), COSINE_MIN)
+    ct = ca.if_else(ct < 0, -1, 1) * ca.fmax(abs(ct), COSINE_MIN)
     heading = (sp * rate[1] + cp * rate[2]) / ct
     return ca.vertcat(rate[0] + ca.sin(eta[1]) * heading, cp * rate[1] - sp * rate[2], heading)
 
@@ -355,13 +353,13 @@ def attitude_torque(
     eta_dot = euler_rates(eta, rate)
     u_eta = -(proportional * error + derivative * (eta_dot - eta_d_dot))
     W_dot = _rate_matrix_derivative()(eta, eta_dot)
-    acceleration = ca.mtimes(rate_matrix(eta), u_eta + eta_d_ddot) + ca.mtimes(W_dot, eta_dot)
-    return ca.mtimes(inertia, acceleration) + ca.cross(rate, ca.mtimes(inertia, rate)) - compensation
+    acceleration = rate_matrix(eta) @ (u_eta + eta_d_ddot) + W_dot @ eta_dot
+    return inertia @ acceleration + ca.cross(rate, inertia @ rate) - compensation
 
 
 def _rate_matrix_derivative() -> ca.Function:
     """(eta, eta_dot) -> W_dot, (3, 3)."""
-    eta, eta_dot = ca.SX.sym("eta", 3), ca.SX.sym("eta_dot", 3)
+    eta, eta_dot = symbols(ca.SX, eta=3, eta_dot=3)
     derivative = ca.jtimes(ca.vec(rate_matrix(eta)), eta, eta_dot)
     return ca.Function("W_dot", [eta, eta_dot], [ca.reshape(derivative, 3, 3)])
 
@@ -392,4 +390,4 @@ def allocate(
     inverse: of `unit_allocation`, (4, 4).
     """
     scaled = ca.vertcat(ca.vertcat(thrust, torque[0], torque[1]) / thrust_coefficient, torque[2] / torque_coefficient)
-    return ca.mtimes(inverse, scaled)
+    return inverse @ scaled

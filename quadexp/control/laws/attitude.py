@@ -33,7 +33,7 @@ def moving_attitude(
     first = ca.jacobian(R, t)
     second = ca.jacobian(first, t)
     R, first, second = (ca.reshape(ca.substitute(ca.densify(e), t, 0), 3, 3) for e in (R, first, second))
-    return R, skew_part(ca.mtimes(R.T, first)), skew_part(ca.mtimes(R.T, second))
+    return R, skew_part(R.T @ first), skew_part(R.T @ second)
 
 
 def heading_of(R: Expression) -> Expression:
@@ -48,12 +48,12 @@ def skew_part(matrix: Expression) -> Expression:
 
 def attitude_error(R: Expression, R_d: Expression) -> Expression:
     """e_R = 1/2 vee(R_d' R - R' R_d), (3,), body; the angle (rad) where it is small."""
-    return skew_part(ca.mtimes(R_d.T, R))
+    return skew_part(R_d.T @ R)
 
 
 def attitude_distance(R: Expression, R_d: Expression) -> Expression:
     """Psi = 1/2 tr(I - R_d' R): 0 .. 2, 1 - cos of the angle between the attitudes."""
-    return (3 - ca.trace(ca.mtimes(R_d.T, R))) / 2
+    return (3 - ca.trace(R_d.T @ R)) / 2
 
 
 def _direction(vector: Expression) -> Expression:

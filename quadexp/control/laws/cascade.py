@@ -19,7 +19,7 @@ Attitude to rate, P on a quaternion: first the shortest rotation of z to z_d, th
     w_c = 2 K_a vec(q^-1 o q_d') + yaw' R^T e_z                                                                     (3)
 
 Rate to torque, PID with a filtered derivative: tau = J (K_r (w_c - w) + I_w - D w'_f), I_w' = i K_i (w_c - w), with
-i = max(0, 1 - ((w_c - w)/400 deg/s)^2), and 0 where an axis is saturated that way. Mixer: desaturation.py.
+i = max(0, 1 - ((w_c - w)/400 deg/s)^2), and 0 where an axis is saturated that way. Mixer: allocation.py.
 
 Not in it: estimators, filters of the gyro, hover thrust estimate, thrust curve, ground handling. Rates of loops: one.
 
@@ -36,6 +36,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import dense_function, named_symbols
 from quadexp.control.allocation import held, prioritised
 from quadexp.control.base import Window
 from quadexp.control.built import built
@@ -44,7 +45,7 @@ from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, Triple, key, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -124,8 +125,9 @@ class CascadeController(ExplicitController):
 def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     """The cascade with the inputs and outputs of explicit.py; memory: see MEMORY."""
     period, g = 1 / keys.rate, vehicle.gravity
-    x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
-    path, yaw, memory = ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3), ca.SX.sym("memory", sum(MEMORY.values()))
+    shapes = {"x": N_STATE, "state": N_STATE, "path": (3, 5), "yaw": 3, "memory": sum(MEMORY.values())}
+    inputs = named_symbols(ca.SX, shapes)
+    x, state, path, yaw, memory = inputs.values()
     integral, v_last, of_velocity, rate_integral, w_last, of_rate = ca.vertsplit(memory, 3)
     R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
     acceleration, of_velocity = filtered(of_velocity, (v - v_last) / period, keys.velocity_cutoff, period)
@@ -145,26 +147,26 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     short = 2 / max(keys.velocity_proportional[0], 1e-6) * (a_c[:2] - produced)
     back = ca.vertcat(error[:2] - short, ca.if_else(stuck, 0, error[2]))
     integral = integral + period * ca.DM(keys.velocity_integral) * back
-    integral = ca.vertcat(integral[:2], ca.fmin(ca.fmax(integral[2], -g), g))
+    integral = ca.vertcat(integral[:2], limited(integral[2], -g, g))
 
-    R_d = attitude_of(f, ca.mtimes(rotation_matrix(state[ATTITUDE]), ca.DM([1, 0, 0])))
+    R_d = attitude_of(f, rotation_matrix(state[ATTITUDE]) @ ca.DM([1, 0, 0]))
     w_c = wanted_rate(R, R_d, keys) + R[2, :].T * yaw[1]
     if keys.rate_feedforward:
         w_c = wanted_rate(R, R_d, keys) + state[RATE]
     limit = ca.DM(keys.rate_limit)
-    w_c = ca.fmin(ca.fmax(w_c, -limit), limit)
+    w_c = limited(w_c, -limit, limit)
     slow = w_c - w
     angular = ca.DM(keys.rate_proportional) * slow + rate_integral - ca.DM(keys.rate_derivative) * turning
-    torque = ca.mtimes(ca.DM(vehicle.inertia_matrix), angular)
+    torque = vehicle.inertia_matrix @ angular
     thrust = vehicle.mass * ca.norm_2(f)
     u = prioritised(vehicle, ca.vertcat(thrust, torque), airmode=keys.airmode, yaw_margin=keys.yaw_margin)
-    lacking = torque - ca.mtimes(ca.DM(vehicle.allocation[1:]), u)
+    lacking = torque - vehicle.allocation[1:] @ u
     scale = SATURATED * vehicle.thrust_max * float(np.abs(vehicle.allocation[1:]).max())
     slow = ca.if_else(lacking > scale, ca.fmin(slow, 0), ca.if_else(lacking < -scale, ca.fmax(slow, 0), slow))
     share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
     bound = ca.DM(keys.rate_integral_limit)
     rate_integral = rate_integral + period * share * ca.DM(keys.rate_integral) * slow
-    rate_integral = ca.fmin(ca.fmax(rate_integral, -bound), bound)
+    rate_integral = limited(rate_integral, -bound, bound)
 
     outputs = {
         "command": u,
@@ -172,10 +174,7 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
         "memory_next": ca.vertcat(integral, v, of_velocity, rate_integral, w, of_rate),
         "log": ca.vertcat(integral, rate_integral),
     }
-    values = ca.cse([ca.densify(value) for value in outputs.values()])
-    return ca.Function(
-        "cascade", [x, state, path, yaw, memory], values, ["x", "state", "path", "yaw", "memory"], [*outputs]
-    )
+    return dense_function("cascade", inputs, outputs)
 
 
 def filtered(memory: Expression, value: Expression, cutoff: float, period: float) -> tuple[Expression, Expression]:
@@ -194,9 +193,9 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
     a, b, c = ca.sumsqr(second), ca.dot(first, second), ca.sumsqr(first) - limit[0] ** 2
     inside = c < 0  # of the way to the reference alone
     share = (-b + ca.sqrt(ca.fmax(b**2 - a * c, 0))) / ca.fmax(a, 1e-12)
-    within = first + ca.fmin(ca.fmax(share, 0), 1) * second
+    within = first + limited(share, 0, 1) * second
     horizontal = ca.if_else(inside, within, first * limit[0] / ca.fmax(ca.norm_2(first), 1e-12))
-    vertical = ca.fmin(ca.fmax(towards[2] + reference[2], -limit[2]), limit[1])
+    vertical = limited(towards[2] + reference[2], -limit[2], limit[1])
     return ca.vertcat(horizontal, vertical)
 
 
@@ -221,10 +220,10 @@ def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[E
 def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression:
     """w_c of (3), (3,), body (rad/s), without feed-forward."""
     weight = keys.yaw_weight
-    z_d = ca.mtimes(R.T, R_d[:, 2])  # in the body; the shortest rotation takes e_z there
+    z_d = R.T @ R_d[:, 2]  # in the body; the shortest rotation takes e_z there
     turn = ca.sqrt(ca.fmax((1 + z_d[2]) / 2, 1e-12))
     reduced = ca.vertcat(turn, -z_d[1] / (2 * turn), z_d[0] / (2 * turn), 0)  # q^-1 o q_red
-    mixed = ca.mtimes(rotation_matrix(reduced).T, ca.mtimes(R.T, R_d))  # about z by the rest of the yaw
+    mixed = rotation_matrix(reduced).T @ (R.T @ R_d)  # about z by the rest of the yaw
     angle = weight * ca.atan2(mixed[1, 0] - mixed[0, 1], mixed[0, 0] + mixed[1, 1])
     c, s = ca.cos(angle / 2), ca.sin(angle / 2)
     error = ca.vertcat(reduced[1] * c + reduced[2] * s, reduced[2] * c - reduced[1] * s, reduced[0] * s)

@@ -33,6 +33,7 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
@@ -41,7 +42,7 @@ from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Setting, Settings, Triple, key, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -98,27 +99,26 @@ def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compil
     compiled: whether the residual's form for compilation is taken.
     """
     n = vehicle.n_rotors
-    x, path, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3)
-    delivered, belief = ca.SX.sym("delivered", n), ca.SX.sym("belief", N_BELIEF)
-    air = ca.SX.sym("air", N_OUTPUTS)
+    x, path, yaw, delivered, belief, air = symbols(
+        ca.SX, x=N_STATE, path=(3, 5), yaw=3, delivered=n, belief=N_BELIEF, air=N_OUTPUTS
+    )
     wrench, angle = _wrench(vehicle, keys, x, path, yaw, delivered, belief, air)
     wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
 
-    given = {"x": (N_STATE, 1), "path": (3, 5), "yaw": (3, 1), "delivered": (n, 1), "belief": (N_BELIEF, 1)}
-    a = {name: ca.MX.sym(name, *shape) for name, shape in given.items()}
-    theta = ca.MX.sym("theta", residual.function.size1_in(1))
-    model = residual.to_compile if compiled and residual.to_compile is not None else residual.function
+    given = {"x": N_STATE, "path": (3, 5), "yaw": 3, "delivered": n, "belief": N_BELIEF}
+    a = named_symbols(ca.MX, given | {"theta": residual.function.size1_in(1)})
+    model = residual.form(compiled)
     of_air = ca.MX(N_OUTPUTS, 1)
     if not residual.is_zero:
         velocity = air_velocity(a["x"][ATTITUDE], a["x"][VELOCITY], a["belief"][6:9])
-        of_air = a["belief"][10] * ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), theta)[0])
-    wrench, angle = wanted(*a.values(), of_air)
+        of_air = a["belief"][10] * ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), a["theta"])[0])
+    wrench, angle = wanted(*(a[name] for name in given), of_air)
     thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench / a["belief"][9])
     margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
     low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
     held = ca.sum1(ca.logic_or(thrust < low, thrust > high))
     outputs = {"command": thrust, "log": angle, "held": held}
-    return ca.Function("dfbc", [*a.values(), theta], [*outputs.values()], [*a, "theta"], [*outputs])
+    return named_function("dfbc", a, outputs)
 
 
 def _wrench(
@@ -138,7 +138,7 @@ def _wrench(
     p_r, v_r, a_r, j_r, s_r = ca.horzsplit(path)
 
     a_d = ca.DM(keys.position_gain) * (p_r - x[POSITION]) + ca.DM(keys.velocity_gain) * (v_r - x[VELOCITY]) + a_r
-    force = m * (a_d + vehicle.gravity * up) - m * ca.mtimes(R, air[:3]) - belief[:3]
+    force = m * (a_d + vehicle.gravity * up) - m * (R @ air[:3]) - belief[:3]
     T_d = ca.norm_2(force)
     z_d = force / ca.fmax(T_d, SMALL)
     y_d = ca.cross(z_d, ca.vertcat(ca.cos(yaw[0]), ca.sin(yaw[0]), 0))
@@ -148,22 +148,22 @@ def _wrench(
         y_d = ca.if_else(ca.logic_and(upside_down, ca.dot(y_d, y_b) < 0), -1, 1) * y_d
 
     T = ca.fmax(ca.sum1(delivered), keys.least_thrust * m * vehicle.gravity)
-    turning = ca.cross(ca.mtimes(R, w), z_b)  # z', world
+    turning = ca.cross(R @ w, z_b)  # z', world
     T_1 = m * ca.dot(j_r, z_b)
     T_2 = m * ca.dot(s_r, z_b) + m * ca.dot(turning, j_r)
     h = (m * j_r - T_1 * z_b) / T
     w_r = ca.vertcat(-ca.dot(h, y_b), ca.dot(h, x_b), yaw[1] * z_b[2])
-    h_a = m * s_r / T - (ca.cross(ca.mtimes(R, w), turning) + 2 * T_1 / T * turning + T_2 / T * z_b)
+    h_a = m * s_r / T - (ca.cross(R @ w, turning) + 2 * T_1 / T * turning + T_2 / T * z_b)
     alpha_r = ca.vertcat(-ca.dot(h_a, y_b), ca.dot(h_a, x_b), yaw[2] * z_b[2])
 
-    error = ca.mtimes(R.T, ca.horzcat(ca.cross(y_d, z_d), y_d, z_d))
+    error = R.T @ ca.horzcat(ca.cross(y_d, z_d), y_d, z_d)
     r = error[:, 2]
     tilt = 2 * ca.vertcat(-r[1], r[0]) / ca.sqrt(2 * ca.fmax(1 + r[2], OPPOSITE))
     turn = ca.atan2(error[1, 0] - error[0, 1], error[0, 0] + error[1, 1])
     alpha = ca.vertcat(keys.tilt_gain * tilt, keys.yaw_gain * 2 * ca.sin(turn / 2))
     alpha += ca.DM(keys.rate_gain) * (w_r - w) + alpha_r
-    torque = ca.mtimes(J, alpha) + ca.cross(w, ca.mtimes(J, w)) - air[3:] - belief[3:6]
-    return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(ca.fmin(ca.fmax(r[2], -1), 1)), turn)
+    torque = J @ alpha + ca.cross(w, J @ w) - air[3:] - belief[3:6]
+    return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(limited(r[2], -1, 1)), turn)
 
 
 class DFBC(BelievingController):

@@ -38,6 +38,7 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import clipped, held, prioritised
 from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
@@ -119,11 +120,11 @@ def geometric_function(
     (11,). log: Psi.
     """
     law, n = _law(vehicle, keys), vehicle.n_rotors
-    sizes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": N_BELIEF, "memory": 6}
-    inputs = {name: ca.MX.sym(name, size) for name, size in sizes.items()} | {"path": ca.MX.sym("path", 3, 5)}
+    shapes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": N_BELIEF, "memory": 6, "path": (3, 5)}
+    inputs = named_symbols(ca.MX, shapes)
     air = [ca.DM.zeros(N_OUTPUTS), ca.DM.zeros(N_OUTPUTS)]
     if residual is not None:
-        model = (residual.to_compile if compiled else None) or residual.function
+        model = residual.form(compiled)
         inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
         features, believed = _features(n), inputs["belief"]
         air = [
@@ -131,35 +132,43 @@ def geometric_function(
             for name in ("x", "state")
         ]
     given = [inputs[name] for name in ("x", "state", "input", "middle", "path", "belief", "memory")]
-    results = law(*given, *map(ca.densify, air))
-    return ca.Function("geometric", [*inputs.values()], results, [*inputs], ["command", "held", "memory_next", "log"])
+    names, results = ("command", "held", "memory_next", "log"), law(*given, *map(ca.densify, air))
+    return named_function("geometric", inputs, dict(zip(names, results, strict=True)))
 
 
 def _features(n: int) -> ca.Function:
     """(x, wind, u) -> z of a residual at the velocity through the air."""
-    x, wind, u = ca.SX.sym("x", N_STATE), ca.SX.sym("wind", 3), ca.SX.sym("u", n)
+    x, wind, u = symbols(ca.SX, x=N_STATE, wind=3, u=n)
     return ca.Function("features", [x, wind, u], [ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY], wind), x[RATE], u)])
 
 
 def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
     """Equations (1) to (3), given the air's acceleration and torque, (6,), at the state and at the reference."""
     n, m, J = vehicle.n_rotors, vehicle.mass, ca.DM(vehicle.inertia_matrix)
-    x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
-    thrust, middle, path = ca.SX.sym("thrust", n), ca.SX.sym("middle", n), ca.SX.sym("path", 3, 5)
-    belief, memory = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("memory", 6)
-    air, air_r = ca.SX.sym("air", N_OUTPUTS), ca.SX.sym("air_r", N_OUTPUTS)
+    x, state, thrust, middle, path, belief, memory, air, air_r = symbols(
+        ca.SX,
+        x=N_STATE,
+        state=N_STATE,
+        thrust=n,
+        middle=n,
+        path=(3, 5),
+        belief=N_BELIEF,
+        memory=6,
+        air=N_OUTPUTS,
+        air_r=N_OUTPUTS,
+    )
     theta_force, theta_torque = memory[:3], memory[3:]
     gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)
     K_x, K_v, K_R, K_w = gains(keys)
 
     R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
     R_r, w_r = rotation_matrix(state[ATTITUDE]), state[RATE]
-    wrench_r = ca.mtimes(G, thrust)
-    w_r_dot = ca.mtimes(ca.inv(J), wrench_r[1:] + air_r[3:] - ca.cross(w_r, ca.mtimes(J, w_r)))
+    wrench_r = G @ thrust
+    w_r_dot = ca.inv(J) @ (wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r))
     e_p, e_v = x[POSITION] - path[:, 0], x[VELOCITY] - path[:, 1]
 
     # Force per mass, and its derivatives along the closed loop.
-    known = ca.mtimes(R, air[:3]) + belief[FORCE] / m
+    known = R @ air[:3] + belief[FORCE] / m
     force = path[:, 2] - gravity - K_x * e_p - K_v * e_v - known - theta_force
     heading = _turning(R_r, w_r, w_r_dot, E_X)
     if keys.rates == "none":
@@ -169,7 +178,7 @@ def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
         forces = (force, ca.SX(3, 1), ca.SX(3, 1))
     else:
         first, second = _reference_derivatives(wrench_r[0] / m, R_r, w_r, w_r_dot, path)
-        z, z_dot = R[:, 2], ca.mtimes(R, ca.cross(w, E_Z))
+        z, z_dot = R[:, 2], R @ ca.cross(w, E_Z)
         e_a = ca.dot(force, z) * z + known + gravity - path[:, 2]
         after = first - K_x * e_v - K_v * e_a
         e_j = (ca.dot(after, z) + ca.dot(force, z_dot)) * z + ca.dot(force, z) * z_dot - first
@@ -177,12 +186,12 @@ def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
     R_d, w_d, w_d_dot = moving_attitude(forces, heading)
     if keys.rates == "reference":
         w_d, w_d_dot = w_r, w_r_dot
-    turn = ca.mtimes(R.T, R_d)
-    e_R, e_w = attitude_error(R, R_d), w - ca.mtimes(turn, w_d)
-    spin = -ca.cross(w, ca.mtimes(turn, w_d)) + ca.mtimes(turn, w_d_dot)
-    torque = ca.mtimes(J, spin - K_R * e_R - K_w * e_w - theta_torque) + ca.cross(w, ca.mtimes(J, w))
+    turn = R.T @ R_d
+    e_R, e_w = attitude_error(R, R_d), w - turn @ w_d
+    spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
+    torque = J @ (spin - K_R * e_R - K_w * e_w - theta_torque) + ca.cross(w, J @ w)
     torque -= air[3:] + belief[TORQUE]
-    wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + ca.mtimes(G, middle - thrust)
+    wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (middle - thrust)
     wrench /= belief[SCALE]
     u = prioritised(vehicle, wrench) if keys.priority == "tilt" else clipped(vehicle, wrench)
 
@@ -208,7 +217,7 @@ def _turning(
 ) -> tuple[Expression, Expression, Expression]:
     """A body axis (3,) in the world with its two derivatives, of an attitude with rate w and w', (3,) each."""
     across = ca.cross(w, axis)
-    return (ca.mtimes(R, axis), ca.mtimes(R, across), ca.mtimes(R, ca.cross(w, across) + ca.cross(w_dot, axis)))
+    return (R @ axis, R @ across, R @ (ca.cross(w, across) + ca.cross(w_dot, axis)))
 
 
 def _reference_derivatives(

@@ -25,6 +25,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import dense_function, named_symbols
 from quadexp.control.allocation import held
 from quadexp.control.base import Window
 from quadexp.control.built import built
@@ -34,7 +35,7 @@ from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, key, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -109,23 +110,23 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float]:
 def raptor_function(vehicle: Vehicle, keys: RaptorKeys, weights: str) -> ca.Function:
     """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,). weights: see
     `policy`."""
-    x, state, memory = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE), ca.SX.sym("memory", HIDDEN + ACTIONS)
+    inputs = named_symbols(ca.SX, {"x": N_STATE, "state": N_STATE, "memory": HIDDEN + ACTIONS})
+    x, state, memory = inputs.values()
     order, turn = layout(vehicle)
     turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
-    level = ca.mtimes(about_z(heading_of(rotation_matrix(state[ATTITUDE]))), turned)  # policy's world to ours
-    R = ca.mtimes([level.T, rotation_matrix(x[ATTITUDE]), turned])
+    level = about_z(heading_of(rotation_matrix(state[ATTITUDE]))) @ turned  # policy's world to ours
+    R = level.T @ rotation_matrix(x[ATTITUDE]) @ turned
     position, velocity = (
-        ca.fmin(ca.fmax(ca.mtimes(level.T, x[part] - state[part]), -limit), limit)
+        limited(level.T @ (x[part] - state[part]), -limit, limit)
         for part, limit in ((POSITION, keys.position_limit), (VELOCITY, keys.velocity_limit))
     )
-    observation = ca.vertcat(position, ca.vec(R.T), velocity, ca.mtimes(turned.T, x[RATE]), memory[HIDDEN:])
+    observation = ca.vertcat(position, ca.vec(R.T), velocity, turned.T @ x[RATE], memory[HIDDEN:])
     action, hidden = evaluated(policy(weights), observation, memory[:HIDDEN])
-    speed = ca.fmin(ca.fmax((action + 1) / 2, 0), 1)
+    speed = limited((action + 1) / 2, 0, 1)
     places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
-    u = ca.fmin(ca.fmax(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min), vehicle.thrust_max)
+    u = limited(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min, vehicle.thrust_max)
     outputs = {"command": u, "held": held(vehicle, u), "memory_next": ca.vertcat(hidden, action)}
-    values = ca.cse([ca.densify(value) for value in outputs.values()])
-    return ca.Function("raptor", [x, state, memory], values, ["x", "state", "memory"], [*outputs])
+    return dense_function("raptor", inputs, outputs)
 
 
 def about_z(angle: Expression) -> Expression:
@@ -137,14 +138,14 @@ def about_z(angle: Expression) -> Expression:
 def evaluated(made: Any, observation: Expression, hidden: Expression) -> tuple[Expression, Expression]:
     """Action (4,) and next hidden state (16,) of the package's policy."""
     first, memory, last = made.layers
-    seen = ca.fmax(ca.mtimes(_matrix(first.weights), observation) + _matrix(first.biases), 0)
-    of_hidden = ca.mtimes(_matrix(memory.weights_hidden), hidden) + _matrix(memory.biases_hidden)
-    of_input = ca.mtimes(_matrix(memory.weights_input), seen) + _matrix(memory.biases_input)
+    seen = ca.fmax(_matrix(first.weights) @ observation + _matrix(first.biases), 0)
+    of_hidden = _matrix(memory.weights_hidden) @ hidden + _matrix(memory.biases_hidden)
+    of_input = _matrix(memory.weights_input) @ seen + _matrix(memory.biases_input)
     gates = 1 / (1 + ca.exp(-(of_hidden + of_input)[: 2 * HIDDEN]))
     reset, keep = gates[:HIDDEN], gates[HIDDEN:]
     new = ca.tanh(reset * of_hidden[2 * HIDDEN :] + of_input[2 * HIDDEN :])
     hidden = keep * hidden + (1 - keep) * new
-    return ca.mtimes(_matrix(last.weights), hidden) + _matrix(last.biases), hidden
+    return _matrix(last.weights) @ hidden + _matrix(last.biases), hidden
 
 
 def _matrix(values: np.ndarray) -> ca.DM:

@@ -27,7 +27,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.physics.state import ATTITUDE
+from quadexp.physics.state import ATTITUDE, norms
 
 TOLERANCE, LOOSE = 1e-10, 1e-7  # N: violation that changes the active set; error with which a result is accepted
 ROUNDS = 10  # of the active set, at most, after DAQP's
@@ -122,7 +122,7 @@ class InterpretedSolver:
             if all(np.isfinite(part).all() for part in (H, g, *used)):
                 d_input, side, error = bounded_minimum(H, g, low, high)
             d_state = (offsets + maps @ d_input).reshape(len(U), self._states)
-        turn = np.linalg.norm(d_state[:, ATTITUDE], axis=1).max()
+        turn = norms(d_state[:, ATTITUDE]).max()
         if "frames" in data:  # from the cost's coordinates, see control.attitude_error: dq = L de
             frames = data["frames"].reshape(-1, 4, 4)
             d_state[:, ATTITUDE] = np.einsum("kcr,kc->kr", frames[1:], d_state[:, ATTITUDE])

@@ -98,7 +98,7 @@ def reference_frames(X_ref: Expression, kind: str) -> list[Expression]:
 def _into(L: Expression, rows: Expression) -> Expression:
     """Rows of a state-sized matrix, from the quaternion's coordinates into the error's."""
     before, attitude, after = ca.vertsplit(rows, [0, ATTITUDE.start, ATTITUDE.stop, rows.size1()])
-    return ca.vertcat(before, ca.mtimes(L.T, attitude), after)
+    return ca.vertcat(before, L.T @ attitude, after)
 
 
 def _out_of(L: Expression, rows: Expression) -> Expression:

@@ -22,6 +22,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_by_commands
@@ -73,8 +74,7 @@ class BelievedWorld:
         model = None
         self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
         if air is not None and targets:
-            air = air.unscaled or air
-            model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
+            model = (air.unscaled or air).form(mpc.backend == "compiled")
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
         pending = None if estimator is None else estimator.delays.pending
         solution = mpc.prediction[0]
@@ -219,22 +219,22 @@ def enter_function(
     squares: the sum of those of x_in, X_in and U_in; memory_next.
     """
     n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, update, delays)
-    shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
-    shapes |= {"period": (1, 1), "memory": (layout.size, 1), "X": (width, nodes + 1), "since": (nodes + 1, 1)}
+    shapes = {"x": N_STATE, "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": rows}
+    shapes |= {"period": 1, "memory": layout.size, "X": (width, nodes + 1), "since": nodes + 1}
     if update is None:
-        shapes |= {"belief": (N_BELIEF, 1)}
+        shapes |= {"belief": N_BELIEF}
     else:
-        shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "seen": (N_STATE, 1), "sent": (n, 1)}
-        shapes |= {"settings": update.size_in("settings"), "delays": (6, 1)}
-    shapes |= {"theta": (parameters, 1)} if update is not None or model is not None else {}
-    a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
+        shapes |= {"reading": 3, "measured": n, "known": 2, "seen": N_STATE, "sent": n}
+        shapes |= {"settings": update.size_in("settings"), "delays": 6}
+    shapes |= {"theta": parameters} if update is not None or model is not None else {}
+    a = named_symbols(ca.MX, shapes)
     kept = {name: a["memory"][place] for name, place in layout.slices.items()}
     left: dict[str, Any] = {}
     found = a.get("belief")
     if update is not None and delays is not None:
         found, left = _estimated(a, kept, update, delays, n)
     force, torque, wind, scale, air_scale = ca.vertsplit(found, [0, 3, 6, 9, 10, 11])
-    spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
+    spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
     disturbance = ca.vertcat(force / vehicle.mass, spin)
     origin = kept["origin"] + a["period"] * kept["wind"]
 
@@ -252,7 +252,7 @@ def enter_function(
         U_in = U_in + ca.horzcat(*(c + d * (i / samples) for c, d in steps for i in range(samples)))
         within = [moved[i // samples] for i in range(rows)]  # between nodes nothing weighs states
         attitude, rate = ca.horzcat(*(m[:4] for m in within)), ca.horzcat(*(m[4:] for m in within))
-    position = X_ref[POSITION, :] - ca.repmat(origin, 1, rows) - ca.mtimes(wind, times.T)
+    position = X_ref[POSITION, :] - ca.repmat(origin, 1, rows) - wind @ times.T
     X_in = ca.vertcat(position, attitude, X_ref[VELOCITY, :] - ca.repmat(wind, 1, rows), rate)
     x, change = a["x"], wind - kept["wind"]
     x_in = ca.vertcat(x[POSITION] - origin, x[ATTITUDE], x[VELOCITY] - wind, x[RATE])
@@ -261,11 +261,11 @@ def enter_function(
     low, high = (1 + ROUNDING) * vehicle.thrust_min, (1 - ROUNDING) * vehicle.thrust_max
     results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
     squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
-    moving = ca.vertcat(ca.mtimes(change, (a["since"] - a["period"]).T), ca.DM.zeros(4, nodes + 1))
+    moving = ca.vertcat(change @ (a["since"] - a["period"]).T, ca.DM.zeros(4, nodes + 1))
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
     results |= {"X_moved": a["X"] - moving, "moved": ca.norm_2(change) > MOVED, "squares": squares}
     results |= {"memory_next": ca.vertcat(*(memory[name] for name in layout.slices))}
-    return ca.Function("believed_world", [*a.values()], [*results.values()], [*a], [*results])
+    return named_function("believed_world", a, results)
 
 
 def _estimated(

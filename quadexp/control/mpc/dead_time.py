@@ -20,6 +20,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, commands_function
 from quadexp.control.instant import Operation, call, copy, run
@@ -27,6 +28,7 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
+from quadexp.physics.expression import limited
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -126,11 +128,10 @@ class MotorLead:
 
 def inversion_function(rotors: int) -> ca.Function:
     """planned, now, low, high (n,) (N); gain -> command (n,) (N)."""
-    planned, now, low, high = (ca.SX.sym(name, rotors) for name in ("planned", "now", "low", "high"))
-    gain = ca.SX.sym("gain")
-    command = ca.fmin(ca.fmax(now + gain * (planned - now), low), high)
-    names = ["planned", "now", "low", "high", "gain"], ["command"]
-    return ca.Function("motor_lead", [planned, now, low, high, gain], [command], *names)
+    given = named_symbols(ca.SX, {"planned": rotors, "now": rotors, "low": rotors, "high": rotors, "gain": 1})
+    planned, now, low, high, gain = given.values()
+    command = limited(now + gain * (planned - now), low, high)
+    return named_function("motor_lead", given, {"command": command})
 
 
 def prediction_function(
@@ -144,13 +145,13 @@ def prediction_function(
     """
     n = vehicle.n_rotors
     node = node_function(vehicle, residual, lag=lag, disturbed=disturbed)
-    arguments = {"x": ca.MX.sym("x", N_STATE + n * lag), "U": ca.MX.sym("U", n, commands)}
-    arguments |= {"dt": ca.MX.sym("dt", commands), "theta": ca.MX.sym("theta", residual.function.size1_in(1))}
-    arguments |= {"tau": ca.MX.sym("tau")} if lag else {}
-    arguments |= {"disturbance": ca.MX.sym("disturbance", N_DISTURBANCE)} if disturbed else {}
+    shapes = {"x": N_STATE + n * lag, "U": (n, commands), "dt": commands, "theta": residual.function.size1_in(1)}
+    shapes |= {"tau": 1} if lag else {}
+    shapes |= {"disturbance": N_DISTURBANCE} if disturbed else {}
+    arguments = named_symbols(ca.MX, shapes)
     x, further = arguments["x"], [arguments[name] for name in ("tau", "disturbance") if name in arguments]
     for u, dt in zip(ca.horzsplit(arguments["U"]), ca.vertsplit(arguments["dt"]), strict=True):
         x = node(x, u, arguments["theta"], dt, *further)
     q = x[ATTITUDE]
     x = ca.vertcat(x[: ATTITUDE.start], q / ca.norm_2(q), x[ATTITUDE.stop :])
-    return ca.Function("mpc_prediction", [*arguments.values()], [x], [*arguments], ["x_next"])
+    return named_function("mpc_prediction", arguments, {"x_next": x})

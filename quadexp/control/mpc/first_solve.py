@@ -20,6 +20,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import held_deviation, node_function
@@ -65,18 +66,12 @@ def rollout_function(
     """
     n = vehicle.n_rotors
     m, samples = N_STATE + n * lag, SAMPLES if deviation else 1
-    names = {"x0": (m, 1), "U": (n, nodes), "X_ref": (m, samples * nodes + 1), "U_ref": (n, samples * nodes)}
-    names |= {
-        "theta": residual.function.size_in(1),
-        "Q": (m, nodes),
-        "Q_end": (m, 1),
-        "R": (n, nodes),
-        "dt": (nodes, 1),
-    }
-    names |= {"tau": (1, 1)} if lag else {}
-    names |= {"first_share": (1, 1), "u_min": (n, 1), "u_max": (n, 1)} if deviation else {}
-    names |= {"disturbance": (N_DISTURBANCE, 1)} if disturbed else {}
-    a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
+    names = {"x0": m, "U": (n, nodes), "X_ref": (m, samples * nodes + 1), "U_ref": (n, samples * nodes)}
+    names |= {"theta": residual.function.size_in(1), "Q": (m, nodes), "Q_end": m, "R": (n, nodes), "dt": nodes}
+    names |= {"tau": 1} if lag else {}
+    names |= {"first_share": 1, "u_min": n, "u_max": n} if deviation else {}
+    names |= {"disturbance": N_DISTURBANCE} if disturbed else {}
+    a = named_symbols(ca.MX, names)
     node = node_function(vehicle, residual, lag=lag, added=deviation, disturbed=disturbed)
     constant, pushed = [a["tau"]] if lag else [], [a["disturbance"]] if disturbed else []
     X_ref, U_ref = a["X_ref"][:, ::samples], a["U_ref"]
@@ -94,7 +89,7 @@ def rollout_function(
     weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
     cost = sum((ca.dot(w * d, d) for w, d in zip(weights, errors, strict=True)), ca.MX(0))
     cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - U_ref) ** 2))
-    return ca.Function("mpc_rollout", [*a.values()], [X, cost / 2], [*names], ["X", "cost"])
+    return named_function("mpc_rollout", a, {"X": X, "cost": cost / 2})
 
 
 class FirstSolve:

@@ -18,7 +18,7 @@ from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import changed
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.state import ATTITUDE, N_STATE, norms
 from quadexp.physics.vehicle import Vehicle
 
 MAX_TURN = 0.25  # largest change of a quaternion (length of the difference) in one iteration
@@ -119,7 +119,7 @@ class ModelPredictiveController:
             self._weigh(settings)
             if not self._cold:
                 self._step.arguments["shift"][...] = self._shift
-        self._X[:, ATTITUDE] /= np.maximum(np.linalg.norm(self._X[:, ATTITUDE], axis=1), 1e-12)[:, None]
+        self._X[:, ATTITUDE] /= np.maximum(norms(self._X[:, ATTITUDE]), 1e-12)[:, None]
 
     @property
     def parameters(self) -> np.ndarray:

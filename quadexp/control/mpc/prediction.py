@@ -19,9 +19,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.integrator import rk4_step, rk4_step_with_input
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import N_DISTURBANCE, corrected_function, disturbed_derivative
@@ -40,9 +41,16 @@ def node_function(
     see physics.rigid_body.
     """
     n, dynamics = vehicle.n_rotors, corrected_function(vehicle, residual)
-    x, u, dt = ca.MX.sym("x", N_STATE + n * lag), ca.MX.sym("u", n), ca.MX.sym("dt")
-    theta, tau = ca.MX.sym("theta", residual.function.size1_in(1)), ca.MX.sym("tau")
-    plus, disturbance = ca.MX.sym("added", n, 3), ca.MX.sym("disturbance", N_DISTURBANCE)
+    x, u, dt, theta, tau, plus, disturbance = symbols(
+        ca.MX,
+        x=N_STATE + n * lag,
+        u=n,
+        dt=1,
+        theta=residual.function.size1_in(1),
+        tau=1,
+        added=(n, 3),
+        disturbance=N_DISTURBANCE,
+    )
     arguments = [x, u, theta, dt] + [tau] * lag + [plus] * added + [disturbance] * disturbed
 
     def derivative(s: ca.MX, thrust: ca.MX) -> ca.MX:
@@ -80,17 +88,13 @@ def held_deviation(
     first_share: part of the first node for which its command is held. tau: motor time constant (s). The thrust at the
     end of the last node is extrapolated; without a terminal weight nothing depends on it.
     """
-
-    def limited(thrust: Expression) -> Expression:
-        return ca.fmin(ca.fmax(thrust, u_min), u_max)
-
-    samples = [limited(thrust) for thrust in ca.horzsplit(thrusts)]
+    samples = [limited(thrust, u_min, u_max) for thrust in ca.horzsplit(thrusts)]
     samples.append(2 * samples[-1] - samples[-2])
     commands, added = [], []
     for k, dt_k in enumerate(ca.vertsplit(dt)):
         node = [*samples[SAMPLES * k : SAMPLES * k + 3], dt_k, first_share if k == 0 else ca.MX(1)]
         command, beyond = as_scalars(_node)(*node, *([] if tau is None else [tau]))
-        commands.append(limited(command))
+        commands.append(limited(command, u_min, u_max))
         added.append(beyond)
     return HeldDeviation(ca.horzcat(*commands), added)
 

@@ -22,6 +22,7 @@ from pathlib import Path
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import symbols
 from quadexp.physics.expression import Expression
 
 N_PLACE = 3  # first states, the position: the dynamics do not depend on it, so A's first columns are [I; 0]
@@ -92,7 +93,7 @@ Passes = MatrixPasses | CompiledPasses
 
 def solve_function(n_inputs: int, states: int) -> ca.Function:
     """(H, G, h) -> K = H^-1 G, k = H^-1 h, factor by an unrolled LDL' factorisation; H's upper triangle is read."""
-    H, G, h = ca.SX.sym("H", n_inputs, n_inputs), ca.SX.sym("G", n_inputs, states), ca.SX.sym("h", n_inputs)
+    H, G, h = symbols(ca.SX, H=(n_inputs, n_inputs), G=(n_inputs, states), h=n_inputs)
     D, LT, order = ca.ldl(ca.triu2symm(ca.triu(H)), False)
     gains = ca.ldl_solve(ca.horzcat(G, h), D, LT, order)
     factor = ca.densify(LT.T + ca.diag(1 / D))
@@ -100,30 +101,30 @@ def solve_function(n_inputs: int, states: int) -> ca.Function:
 
 
 def _node_symbols(n: int, m: int) -> list[ca.MX]:
-    shapes = {"P": (m, m), "p": (m, 1), "A": (m, m), "B": (m, n)}
-    shapes |= {"b": (m, 1), "q": (m, 1), "r": (n, 1), "Q": (m, 1), "R": (n, 1)}
-    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
+    shapes = {"P": (m, m), "p": m, "A": (m, m), "B": (m, n)}
+    shapes |= {"b": m, "q": m, "r": n, "Q": m, "R": n}
+    return symbols(ca.MX, **shapes)
 
 
 def _backward_function(n: int, m: int) -> ca.Function:
     """For n inputs and m states: (P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k, factor; Q and R as diagonals."""
-    P, p, A, B, b, q, r, Q, R = symbols = _node_symbols(n, m)
-    products = ca.mtimes(P, ca.horzcat(A, B, b))
+    P, p, A, B, b, q, r, Q, R = given = _node_symbols(n, m)
+    products = P @ ca.horzcat(A, B, b)
     PA, PB, Pb = ca.horzsplit(products, [0, m, m + n, m + n + 1])
-    H, G, h = ca.mtimes(PB.T, B) + ca.diag(R), ca.mtimes(PB.T, A), r + ca.mtimes(B.T, Pb + p)
+    H, G, h = PB.T @ B + ca.diag(R), PB.T @ A, r + B.T @ (Pb + p)
     K, k, factor = solve_function(n, m)(H, G, h)
-    P_next = ca.mtimes(A.T, PA) - ca.mtimes(G.T, K) + ca.diag(Q)
-    p_next = q + ca.mtimes(A.T, Pb + p) - ca.mtimes(G.T, k)
-    return _function("backward", symbols, [P_next, p_next, K, k, factor])
+    P_next = A.T @ PA - G.T @ K + ca.diag(Q)
+    p_next = q + A.T @ (Pb + p) - G.T @ k
+    return _function("backward", given, [P_next, p_next, K, k, factor])
 
 
 def _first_node_function(n: int, m: int) -> ca.Function:
     """(P, p, A, B, b, q, r, Q, R) of node 0 -> k, factor."""
-    P, p, _, B, b, _, r, _, R = symbols = _node_symbols(n, m)
-    H = ca.mtimes(B.T, ca.mtimes(P, B)) + ca.diag(R)
-    h = r + ca.mtimes(B.T, ca.mtimes(P, b) + p)
+    P, p, _, B, b, _, r, _, R = given = _node_symbols(n, m)
+    H = B.T @ (P @ B) + ca.diag(R)
+    h = r + B.T @ (P @ b + p)
     _, k, factor = solve_function(n, m)(H, ca.MX(n, m), h)
-    return _function("first_node", symbols, [k, factor])
+    return _function("first_node", given, [k, factor])
 
 
 def _vector_passes(kind: type[Expression], a: ca.Sparsity, b: ca.Sparsity) -> tuple[ca.Function, ca.Function]:
@@ -132,11 +133,10 @@ def _vector_passes(kind: type[Expression], a: ca.Sparsity, b: ca.Sparsity) -> tu
     adjoint: (lambda of the next node, A, B, q, r) -> lambda = q + A'lambda, gradient by u = r + B'lambda.
     """
     m, n = b.shape
-    x, A, B, gap = kind.sym("x", m), kind.sym("A", a), kind.sym("B", b), kind.sym("b", m)
-    K, k, q, r = kind.sym("K", n, m), kind.sym("k", n), kind.sym("q", m), kind.sym("r", n)
-    du = -k - ca.mtimes(K, x)
-    forward = _function("forward", [x, A, B, gap, K, k], [du, ca.mtimes(A, x) + ca.mtimes(B, du) + gap])
-    return forward, _function("adjoint", [x, A, B, q, r], [q + ca.mtimes(A.T, x), r + ca.mtimes(B.T, x)])
+    x, A, B, gap, K, k, q, r = symbols(kind, x=m, A=a, B=b, b=m, K=(n, m), k=n, q=m, r=n)
+    du = -k - K @ x
+    forward = _function("forward", [x, A, B, gap, K, k], [du, A @ x + B @ du + gap])
+    return forward, _function("adjoint", [x, A, B, q, r], [q + A.T @ x, r + B.T @ x])
 
 
 def _function(name: str, arguments: list[Expression], results: list[Expression]) -> ca.Function:
@@ -151,14 +151,14 @@ def line_length(n: int, states: int) -> int:
 def _rows_function(a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
     """(A, B, b) -> the kernel's rows, one in each column."""
     m, n = b.shape
-    A, B, gap = ca.SX.sym("A", a), ca.SX.sym("B", b), ca.SX.sym("b", m)
+    A, B, gap = symbols(ca.SX, A=a, B=b, b=m)
     padding = ca.SX(line_length(n, m) - (m - N_PLACE + n + 1), m)
     return _function("riccati_rows", [A, B, gap], [ca.vertcat(A[:, N_PLACE:].T, B.T, gap.T, padding)])
 
 
 def _terminal_function(n: int, m: int) -> ca.Function:
     """(Q_end, p) -> the kernel's cost at the last node."""
-    Q_end, p = ca.SX.sym("Q_end", m), ca.SX.sym("p", m)
+    Q_end, p = symbols(ca.SX, Q_end=m, p=m)
     rows, affine = ca.SX(line_length(n, m), m), m - N_PLACE + n
     rows[: m - N_PLACE, N_PLACE:] = ca.diag(Q_end[N_PLACE:])
     rows[affine, :] = p.T

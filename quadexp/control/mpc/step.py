@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from quadexp.compile.backend import BufferedFunction, array_for
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.mpc.attitude_error import AttitudeError, attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes
@@ -31,7 +32,8 @@ from quadexp.control.mpc.subproblem import (
     subproblem_sparsity,
 )
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import Expression
+from quadexp.names import without
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.sensitivity import rk4_sensitivity_function
 from quadexp.physics.state import ATTITUDE, N_STATE
@@ -89,13 +91,13 @@ class _Step:
         self.node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, **form)
         self._kind = CompiledPasses if scalar else MatrixPasses
         self._passes: Passes | None = None
-        shapes = {"X": (m, nodes + 1), "U": (n, nodes), "x0": (m, 1), "X_ref": (m, samples * nodes + 1)}
-        shapes |= {"U_ref": (n, samples * nodes), "theta": (residual.function.size1_in(1), 1), "Q": (m, nodes)}
-        shapes |= {"Q_end": (m, 1), "R": (n, nodes), "u_min": (n, 1), "u_max": (n, 1)}
-        shapes |= {"dt": (nodes, 1), "shift": (nodes, 1)} | ({"tau": (1, 1)} if lag else {})
-        shapes |= {"first_share": (1, 1)} if deviation else {}
-        shapes |= {"disturbance": (N_DISTURBANCE, 1)} if disturbed else {}
-        self.given = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
+        shapes = {"X": (m, nodes + 1), "U": (n, nodes), "x0": m, "X_ref": (m, samples * nodes + 1)}
+        shapes |= {"U_ref": (n, samples * nodes), "theta": residual.function.size1_in(1), "Q": (m, nodes)}
+        shapes |= {"Q_end": m, "R": (n, nodes), "u_min": n, "u_max": n}
+        shapes |= {"dt": nodes, "shift": nodes} | ({"tau": 1} if lag else {})
+        shapes |= {"first_share": 1} if deviation else {}
+        shapes |= {"disturbance": N_DISTURBANCE} if disturbed else {}
+        self.given = named_symbols(ca.MX, shapes)
         self.disturbance = [self.given["disturbance"]] if disturbed else []
         self.time_constant = [self.given["tau"]] if lag else []
         self.X_ref = self.given["X_ref"][:, ::samples]
@@ -172,7 +174,7 @@ class _Step:
     def _projected(self, u: list[Expression], gradient: list[Expression]) -> Expression:
         """The largest component of the projected gradient step."""
         low, high = self.given["u_min"], self.given["u_max"]
-        steps = [u_k - ca.fmin(ca.fmax(u_k - g, low), high) for u_k, g in zip(u, gradient, strict=True)]
+        steps = [u_k - limited(u_k - g, low, high) for u_k, g in zip(u, gradient, strict=True)]
         return ca.norm_inf(ca.vertcat(*steps))
 
 
@@ -218,7 +220,7 @@ def step_functions(
     left |= {f"cost_{i}": part for i, part in enumerate(p.cost)} | {"multiplier": p.multiplier, "kkt": p.kkt}
     left |= {name: getattr(p, name)[0] for name in ("added", "frames") if getattr(p, name)}
     given = {name: value for name, value in step.given.items() if name != "x0"}
-    prepare = ca.Function("mpc_prepare", [*given.values()], [*left.values()], [*given], [*left])
+    prepare = named_function("mpc_prepare", given, left)
 
     known = {name: ca.MX.sym(name, value.sparsity()) for name, value in left.items()}
     width = {name: left[name].size2() // len(parts) for name, parts in (("A", p.A), ("B", p.B), ("K", p.K))}
@@ -236,10 +238,10 @@ def step_functions(
     )
     answer = step.feedback(prepared) | {"X_lin": step.given["x0"]}
     unused = ("X", "U", "U_ref", "Q_end", "shift", "first_share")
-    given = {name: value for name, value in step.given.items() if name not in unused}
+    given = without(step.given, unused)
     # An input has another name than an output that goes to the same array.
     inputs = given | {f"{name}_prepared": value for name, value in known.items()}
-    feedback = ca.Function("mpc_feedback", [*inputs.values()], [*answer.values()], [*inputs], [*answer])
+    feedback = named_function("mpc_feedback", inputs, answer)
     return [prepare, feedback, bounded_function(prepare, feedback, nodes)] if scalar else [prepare, feedback]
 
 
@@ -251,7 +253,7 @@ def _attitude_guard(m: int) -> ca.Function:
     """
     x = ca.SX.sym("x", m)
     length = ca.norm_2(x[ATTITUDE])
-    scale = ca.fmin(ca.fmax(length, LENGTH_MIN), LENGTH_MAX) / length
+    scale = limited(length, LENGTH_MIN, LENGTH_MAX) / length
     return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])
 
 

@@ -13,9 +13,10 @@ from pathlib import Path
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.mpc.attitude_error import attitude_error_in
 from quadexp.control.mpc.riccati import Passes, line_length
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.state import ATTITUDE
 
 KERNEL = Path(__file__).with_name("active_set.c")
@@ -57,7 +58,7 @@ def forward_pass(
 ) -> tuple[list[Expression], list[Expression]]:
     """Deviations dX_1 .. dX_N and dU_0 .. dU_{N-1} from the gains, dX_0 = 0; the sequences begin with node 1."""
     dU = [-k_0]
-    dX = [ca.mtimes(B_0, dU[0]) + b_0]
+    dX = [B_0 @ dU[0] + b_0]
     for node in zip(A, B, b, K, k, strict=True):
         du, dx = passes.forward(dX[-1], *node)
         dU.append(du)
@@ -96,7 +97,7 @@ def bounded_function(prepare: ca.Function, feedback: ca.Function, nodes: int) ->
     checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the estimated error of the inputs
     (N), the largest change of a quaternion (length).
     """
-    given = {name: ca.MX.sym(name, sparsity) for name, sparsity in subproblem_sparsity(prepare, feedback).items()}
+    given = named_symbols(ca.MX, subproblem_sparsity(prepare, feedback))
     given |= {name: ca.MX.sym(name, *prepare.size_in(name)) for name in ("Q", "Q_end", "R", "u_min", "u_max")}
     n, m = prepare.size1_in("R"), prepare.size1_in("Q")
     given |= {name: ca.MX.sym(name, n, nodes) for name in ("U_free", "guess")}
@@ -112,10 +113,10 @@ def bounded_function(prepare: ca.Function, feedback: ca.Function, nodes: int) ->
     error = attitude_error_in(given.get("frames"))
     x = ca.horzsplit(given["X_lin"])
     X_new = ca.horzcat(x[0], *(x[k + 1] + error.change(k + 1, d) for k, d in enumerate(ca.horzsplit(dX))))
-    U_new = ca.fmin(ca.fmax(U + dU, low), high)  # rounding only
+    U_new = limited(U + dU, low, high)  # rounding only
     turn = ca.sqrt(ca.mmax(ca.sum1(dX[ATTITUDE, :] ** 2)))
     results = {"X_new": X_new, "U_new": U_new, "side": side, "checks": ca.vertcat(checks, turn)}
-    return ca.Function("mpc_bounded", [*given.values()], [*results.values()], [*given], [*results])
+    return named_function("mpc_bounded", given, results)
 
 
 def kernel_function(n: int, m: int, nodes: int) -> ca.Function:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -63,19 +63,19 @@ def held_targets(
         towards = towards / ca.sqrt(ca.sumsqr(towards) + SMALL**2)
         turn = ca.vertcat(1 + ca.dot(axis, towards), ca.cross(axis, towards))
         turn = turn / ca.norm_2(turn)
-        torque = ca.mtimes(inertia, disturbance[3:]) + air[3:]
-        change = ca.mtimes(allocate, ca.vertcat(vehicle.mass * size - thrust, -torque))
+        torque = inertia @ disturbance[3:] + air[3:]
+        change = allocate @ ca.vertcat(vehicle.mass * size - thrust, -torque)
         return [product(turn, x[ATTITUDE]), 2 * turn[1:], change]
 
     def features(x: Expression, q: Expression, u: Expression, wind: Expression) -> list[Expression]:
-        still = ca.vertcat(ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY]), x[RATE])
-        blown = ca.vertcat(ca.mtimes(rotation_matrix(q).T, x[VELOCITY] - wind), x[RATE], u)
+        still = ca.vertcat(rotation_matrix(x[ATTITUDE]).T @ x[VELOCITY], x[RATE])
+        blown = ca.vertcat(rotation_matrix(q).T @ (x[VELOCITY] - wind), x[RATE], u)
         return [still, blown]
 
     def difference(x: Expression, q: Expression, y0: Expression, y1: Expression, scale: Expression) -> Expression:
         y1 = scale * y1
-        force = ca.mtimes(rotation_matrix(q), y1[:3]) - ca.mtimes(rotation_matrix(x[ATTITUDE]), y0[:3])
-        return ca.fmin(ca.fmax(ca.vertcat(force, y1[3:] - y0[3:]), -most), most)
+        force = rotation_matrix(q) @ y1[:3] - rotation_matrix(x[ATTITUDE]) @ y0[:3]
+        return limited(ca.vertcat(force, y1[3:] - y0[3:]), -most, most)
 
     last = len(states) - 1
     if model is not None:
@@ -94,8 +94,8 @@ def held_targets(
     found = [as_scalars(turned)(x, u, d, disturbance) for x, u, d in zip(states, inputs, air, strict=True)]
     moved, limit = [], TURNING * vehicle.rate_max
     for x, (q, _, _), slope in zip(states, found, _slopes([turn for _, turn, _ in found], times), strict=True):
-        turning = ca.mtimes(rotation_matrix(q).T, slope)
-        moved.append(ca.vertcat(q, x[RATE] + ca.fmin(ca.fmax(turning, -limit), limit)))
+        turning = rotation_matrix(q).T @ slope
+        moved.append(ca.vertcat(q, x[RATE] + limited(turning, -limit, limit)))
     return moved, [change for _, _, change in found], air
 
 

@@ -24,6 +24,7 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.filters import (
     APART,
@@ -35,7 +36,7 @@ from quadexp.control.observers.filters import (
     torque_settings,
     torque_update,
 )
-from quadexp.control.observers.observer import Observer, ObserverPart, Update, air_of, arguments, believer, callable_air
+from quadexp.control.observers.observer import Observer, ObserverPart, Update, air_of, arguments, believer
 from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
@@ -43,7 +44,7 @@ from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import key
 from quadexp.physics.rigid_body import body_features
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -69,7 +70,7 @@ def disturbance_function(
 ) -> ca.Function:
     """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
     scales, see control.observers.filters, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
-    model = callable_air(residual.unscaled or residual, backend)
+    model = (residual.unscaled or residual).form(backend == "compiled")
     first = N_SCALED_STATE if scaled else N_FORCE_STATE
     a = arguments(vehicle, first + N_TORQUE_STATE, len(residual.theta), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
@@ -78,24 +79,24 @@ def disturbance_function(
     y = ca.densify(y)
     force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
     q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
-    known: Any = ca.vertcat(0, 0, thrust) + y[:3]
+    known: Any = along_z(thrust) + y[:3]
     if scaled:
-        by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
-        unexplained, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
-        drag, walks = ca.mtimes(R, y[:3]), ca.vertcat(q, scale_walk, air_walk)
+        by_scale = along_z(thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
+        unexplained, turned = R @ (a["reading"] - known), R @ by_scale
+        drag, walks = R @ y[:3], ca.vertcat(q, scale_walk, air_walk)
         scaled_state, P, rest = scaled_force_update(
             s[:first], unexplained, turned, drag, walks, r, for_rest, doubt, a["read"]
         )
         force, scale, air = scaled_state[:3] + rest, 1 + scaled_state[3], 1 + scaled_state[4]
     elif velocity:
-        mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
-        predicted = estimate + period * (ca.mtimes(R, mean) + ca.vertcat(0, 0, -vehicle.gravity) + force)
+        mean = along_z(ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
+        predicted = estimate + period * (R @ mean + along_z(-vehicle.gravity) + force)
         error = x[VELOCITY] - predicted
         force, estimate = force + for_a * error, predicted + for_v * error
     else:
         P = P + q
         gain = a["read"] * P / (P + r)
-        force, P = force + gain * (ca.mtimes(R, a["reading"] - known) - force), (1 - gain) * P
+        force, P = force + gain * (R @ (a["reading"] - known) - force), (1 - gain) * P
     size = ca.sqrt(ca.sumsqr(force) + 1e-30)
     force = force * ca.fmin(1, limit / size)
     rates, torque = torque_update(
@@ -103,8 +104,7 @@ def disturbance_function(
     )
     belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), scale, air)
     state = ca.vertcat(scaled_state, P, rest) if scaled else ca.vertcat(force, estimate, P)
-    results = [ca.vertcat(state, rates), belief]
-    return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])
+    return named_function("disturbance_observer", a, {"s_next": ca.vertcat(state, rates), "belief": belief})
 
 
 @dataclass(frozen=True, kw_only=True)

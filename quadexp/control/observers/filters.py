@@ -36,7 +36,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, limited
 from quadexp.physics.vehicle import Vehicle
 
 N_TORQUE_STATE = 6  # w^, a^
@@ -64,11 +64,11 @@ def torque_update(
     model, (3,) (N m). settings: of torque_settings.
     """
     inertia = ca.DM(vehicle.inertia_matrix)
-    known = ca.mtimes(ca.DM(vehicle.allocation[1:]), mean) + air_torque - ca.cross(w, ca.mtimes(inertia, w))
-    predicted = s[:3] + period * (ca.mtimes(ca.inv(inertia), known) + s[3:])
+    known = vehicle.allocation[1:] @ mean + air_torque - ca.cross(w, inertia @ w)
+    predicted = s[:3] + period * (ca.inv(inertia) @ known + s[3:])
     error, limit = w - predicted, settings[2]
-    spin = ca.fmin(ca.fmax(s[3:] + settings[1] * error, -limit), limit)
-    return ca.vertcat(predicted + settings[0] * error, spin), ca.mtimes(inertia, spin)
+    spin = limited(s[3:] + settings[1] * error, -limit, limit)
+    return ca.vertcat(predicted + settings[0] * error, spin), inertia @ spin
 
 
 N_SCALED = 5  # a, k, c
@@ -101,18 +101,18 @@ def scaled_force_update(
     P = ca.reshape(P, N_SCALED, N_SCALED)
     P = P + ca.diag(ca.vertcat(walks[0], walks[0], walks))
     H = ca.horzcat(ca.DM.eye(3), h, g)
-    S = ca.mtimes([H, P, H.T]) + noise * ca.DM.eye(3)
-    inverted, error = inverse(S), y - ca.mtimes(H, estimate)
-    surprise = ca.mtimes([error.T, inverted, error])
+    S = H @ P @ H.T + noise * ca.DM.eye(3)
+    inverted, error = inverse(S), y - H @ estimate
+    surprise = error.T @ inverted @ error
     trust = ca.fmin(1, SURPRISE / ca.sqrt(surprise + 1e-12))
-    K = read * ca.mtimes([ca.diag(ca.vertcat(1, 1, 1, trust, trust)), P, H.T, inverted])
+    K = read * (ca.diag(ca.vertcat(1, 1, 1, trust, trust)) @ P @ H.T @ inverted)
     sure = ca.fmin(1, ca.fmax(0, 1 - estimate[3] / STATED))
-    mended = read * sure * doubt * (1 + estimate[3]) * ca.mtimes([h.T, inverted, h]) * P[:, 3]
-    estimate = estimate + ca.mtimes(K, error) + ca.vertcat(1, 1, 1, trust, trust) * mended
-    reduction = ca.DM.eye(N_SCALED) - ca.mtimes(K, H)
-    P = ca.mtimes([reduction, P, reduction.T]) + noise * ca.mtimes(K, K.T)  # Joseph's form
-    scales = [ca.fmin(ca.fmax(estimate[3 + i], low), high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
-    fast = fast + read * gain * (y - ca.mtimes(H, estimate) - fast)
+    mended = read * sure * doubt * (1 + estimate[3]) * (h.T @ inverted @ h) * P[:, 3]
+    estimate = estimate + K @ error + ca.vertcat(1, 1, 1, trust, trust) * mended
+    reduction = ca.DM.eye(N_SCALED) - K @ H
+    P = reduction @ P @ reduction.T + noise * (K @ K.T)  # Joseph's form
+    scales = [limited(estimate[3 + i], low, high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
+    fast = fast + read * gain * (y - H @ estimate - fast)
     return ca.vertcat(estimate[:3], *scales), ca.vec(P), fast
 
 

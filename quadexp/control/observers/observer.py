@@ -18,6 +18,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_symbols
 from quadexp.control.base import Belief, Controller, Window, belief_of, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
 from quadexp.control.instant import YES, Instant, Told, believing, call, copy, instant_of, move
@@ -193,15 +194,9 @@ def parameters_of(controller: Any) -> np.ndarray:
     return np.ascontiguousarray(air_of(controller).theta, float)
 
 
-def callable_air(residual: Residual, backend: str) -> ca.Function:
-    """The model's function in the form for a back end."""
-    compiled = backend == "compiled" and residual.to_compile is not None
-    return residual.to_compile if compiled else residual.function
-
-
 def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:
     """Symbols of an update's arguments, in their order."""
     n = vehicle.n_rotors
     sizes = {"s": states, "x": 13, "reading": 3, "read": 1, "thrust": n, "mean": n}
     sizes |= {"theta": parameters, "settings": settings}
-    return {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    return named_symbols(ca.MX, sizes)

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.compile.symbols import named_function
 from quadexp.control.observers.filters import N_TORQUE_SETTINGS, N_TORQUE_STATE, inverse, torque_settings, torque_update
 from quadexp.control.observers.observer import (
     Observer,
@@ -32,14 +33,14 @@ from quadexp.control.observers.observer import (
     air_of,
     arguments,
     believer,
-    callable_air,
     parameters_of,
 )
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Triple, key
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.expression import limited
+from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -76,7 +77,7 @@ def wind_bandwidth(
 
 def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: str) -> ca.Function:
     """The update of control.observers.observer; s = [wind (3,), k, P (4, 4), F / m (3,), w^ (3,), J^-1 tau^ (3,)]."""
-    model = callable_air(residual, backend)
+    model = residual.form(backend == "compiled")
     first = N_AIR + N_AIR**2 + N_FORCE
     a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), N_WIND_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
@@ -85,32 +86,31 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     wind_walk, scale_walk, *noise, largest, limit, gain = ca.vertsplit(settings[:N_WIND_SETTINGS])
 
     scale = 1 + air[3]
-    z = ca.vertcat(ca.mtimes(R.T, x[VELOCITY] - air[:3]), x[RATE], scale * a["thrust"])
+    z = ca.vertcat(R.T @ (x[VELOCITY] - air[:3]), x[RATE], scale * a["thrust"])
     y, slope = model(z, a["theta"])
     y = ca.densify(y)
     slope = ca.densify(slope)
-    by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(slope[:3, 6:], a["thrust"])
-    H = ca.horzcat(-ca.mtimes(slope[:3, :3], R.T), by_scale)
+    by_scale = along_z(thrust) + slope[:3, 6:] @ a["thrust"]
+    H = ca.horzcat(-(slope[:3, :3] @ R.T), by_scale)
     P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
-    error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
-    S = ca.mtimes([H, P, H.T]) + ca.diag(ca.vertcat(*noise))
-    K = a["read"] * ca.mtimes([P, H.T, inverse(S)])
-    change = ca.mtimes(K, error)
+    error = a["reading"] - y[:3] - along_z(scale * thrust)
+    S = H @ P @ H.T + ca.diag(ca.vertcat(*noise))
+    K = a["read"] * (P @ H.T @ inverse(S))
+    change = K @ error
     air = air + change
-    force = force + a["read"] * gain * (ca.mtimes(R, error - ca.mtimes(H, change)) - force)
-    reduction = ca.DM.eye(N_AIR) - ca.mtimes(K, H)
-    P = ca.mtimes([reduction, P, reduction.T]) + ca.mtimes([K, ca.diag(ca.vertcat(*noise)), K.T])  # Joseph's form
+    force = force + a["read"] * gain * (R @ (error - H @ change) - force)
+    reduction = ca.DM.eye(N_AIR) - K @ H
+    P = reduction @ P @ reduction.T + K @ ca.diag(ca.vertcat(*noise)) @ K.T  # Joseph's form
     shrink = ca.fmin(1, ca.sqrt(3 * largest / ca.trace(P[:3, :3])))
     by = ca.diag(ca.vertcat(shrink, shrink, shrink, 1))
-    P = ca.mtimes([by, P, by])
+    P = by @ P @ by
     size = ca.sqrt(ca.sumsqr(air[:3]) + 1e-30)
-    air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), ca.fmin(ca.fmax(air[3], -0.5), 1.0))
+    air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), limited(air[3], -0.5, 1.0))
 
     mean, of_torque = (1 + air[3]) * a["mean"], settings[N_WIND_SETTINGS:]
     rates, torque = torque_update(s[first:], x[RATE], mean, y[3:], of_torque, vehicle, period)
     belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3], 1)
-    results = [ca.vertcat(air, ca.vec(P), force, rates), belief]
-    return ca.Function("wind_observer", [*a.values()], results, [*a], ["s_next", "belief"])
+    return named_function("wind_observer", a, {"s_next": ca.vertcat(air, ca.vec(P), force, rates), "belief": belief})
 
 
 @dataclass(frozen=True, kw_only=True)

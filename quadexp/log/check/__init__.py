@@ -17,7 +17,7 @@ from quadexp.log.check.duplicates import check_duplicates
 from quadexp.log.check.finding import Finding, worst_first
 from quadexp.log.check.rotors import check_commands, check_flown, check_voltage
 from quadexp.log.schema import Flight
-from quadexp.log.signal import Stream, increasing
+from quadexp.log.signal import Stream, finite_rows, increasing
 from quadexp.log.signal.offset import find_offsets, turning_offset
 from quadexp.log.signal.windows import Windows, cut, streams_of
 from quadexp.physics.vehicle import Vehicle
@@ -78,7 +78,7 @@ def inspect_flight(
     if len(t) < 3:
         text = f"{len(t)} samples"
         return [Finding("no_flight", "blocking", "all samples", text, f"{SHORT:g} s of flight")], bad_rows, None
-    streams = {name: x for name, x in streams_of(flight).items() if np.isfinite(x).all(axis=1).any()}
+    streams = {name: x for name, x in streams_of(flight).items() if finite_rows(x).any()}
     findings = samples.check_clock(t, streams, flight.columns.get("segment"))
     findings += samples.check_finite(flight.columns, t)
     repeated, first = samples.check_repeats(flight.columns, t)
@@ -151,7 +151,7 @@ def _stray_rows(t: np.ndarray, when: np.ndarray, spikes: np.ndarray) -> np.ndarr
 
 def _finite(streams: Mapping[str, np.ndarray]) -> np.ndarray:
     """Samples at which every stream has numbers, (k,)."""
-    return np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in streams.values()])
+    return np.logical_and.reduce([finite_rows(values) for values in streams.values()])
 
 
 def _spiky(streams: Mapping[str, np.ndarray], length: int) -> np.ndarray:

@@ -23,6 +23,7 @@ from quadexp.log.signal import Stream
 from quadexp.log.signal.windows import RELATIONS, STREAMS, UP, Pair, Windows, pairs
 from quadexp.log.units import UNITS, axes_matrix, axes_words
 from quadexp.messages import yaml
+from quadexp.physics.state import norms
 
 COLUMNS = {"p": "p_*", "v": "v_*", "w": "w_*", "f": "acc_*", "q": "q_*", "t": "t"}
 KEYS = {"p": "position", "v": "velocity", "w": "rate", "f": "acceleration", "q": "attitude"}
@@ -241,7 +242,7 @@ def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | 
         floor = RELATIONS[name].floor
         if name == "rate" and np.sqrt(np.mean(np.sum(expected**2, axis=1))) < LEAST_MOTION * floor:
             return None
-        size = np.linalg.norm(expected - _kabsch(expected, measured).apply(measured), axis=1)
+        size = norms(expected - _kabsch(expected, measured).apply(measured))
         near = size <= np.quantile(size, KEPT_WINDOWS)
         stretch = np.arange(len(measured)) % windows * STRETCHES // windows
         parts.append((expected[near] / floor, measured[near] / floor, stretch[near]))
@@ -255,8 +256,8 @@ def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | 
     about_z = abs(np.degrees(turn.as_rotvec()[2]))
     if alone and (about_z < CERTAIN_ALONE * error[2] or error[2] > LEAST_TURN):
         turn = _shortest(turn)
-    size = float(np.linalg.norm(error[:2] if alone else error))
-    return (turn, error) if max(LEAST_TURN, CERTAIN * size) <= np.degrees(turn.magnitude()) < LARGEST_TURN else None
+    spread = np.linalg.norm(error[:2] if alone else error)
+    return (turn, error) if max(LEAST_TURN, CERTAIN * spread) <= np.degrees(turn.magnitude()) < LARGEST_TURN else None
 
 
 def _kabsch(x: np.ndarray, y: np.ndarray) -> Rotation:

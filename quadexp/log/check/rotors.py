@@ -19,7 +19,9 @@ import numpy as np
 
 from quadexp.log.check.finding import Finding, longest, of_rows
 from quadexp.log.schema import Flight
-from quadexp.log.signal import runs
+from quadexp.log.signal import finite_rows, period_of, runs
+from quadexp.names import distinct
+from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 # Of commands and battery:
@@ -123,7 +125,7 @@ def check_flown(flight: Flight, streams: dict[str, np.ndarray], vehicle: Vehicle
         spread = float(np.nanmax(np.ptp(np.nanquantile(streams["p"], [0.01, 0.99], axis=0), axis=0)))
         reasons.append(f"position within {spread:.2g} m")
     if "v" in streams:
-        fastest = float(np.nanquantile(np.linalg.norm(streams["v"], axis=1), 0.99))
+        fastest = float(np.nanquantile(norms(streams["v"]), 0.99))
         reasons.append(f"speed to {fastest:.2g} m/s")
     if spread >= 0.1 or fastest >= 0.15 or not reasons:
         return []
@@ -187,7 +189,7 @@ def motion_of(
     t = np.asarray(flight.t, float)
     w = flight.stack(["w_x", "w_y", "w_z"]).astype(float) if w is None else w
     u = flight.stack(names).astype(float)
-    good = np.isfinite(t) & np.isfinite(w).all(axis=1) & np.isfinite(u).all(axis=1)
+    good = np.isfinite(t) & finite_rows(w) & finite_rows(u)
     good &= True if bad is None else ~bad
     u = np.clip(u, 0.0, np.quantile(u[good], 0.999) if good.any() else 0.0) ** (1 if kind == "u" else 2)
     segment = np.asarray(flight.columns.get("segment", np.zeros(len(t))))
@@ -212,9 +214,9 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
     """
     from scipy.ndimage import gaussian_filter1d
 
-    if len(t) < 20 or t[-1] - t[0] < 1 / SLOWEST or np.median(np.diff(t)) > 0.03:
+    if len(t) < 20 or t[-1] - t[0] < 1 / SLOWEST or period_of(t) > 0.03:
         return None
-    fine = max(RATE, min(1 / np.median(np.diff(t)), 500.0))
+    fine = max(RATE, min(1 / period_of(t), 500.0))
     grid = np.arange(t[0], t[-1], 1 / fine)
     scale = np.sqrt(np.log(2)) / (2 * np.pi) * fine
 
@@ -239,7 +241,7 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
 def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     """The order and spin that fit flights of one vehicle best; None where they tell too little."""
     # a thrust has another scale in every flight (battery), the same for all rotors
-    scales = [1 / max(float(np.sqrt(np.mean(motion.thrust[0] ** 2))), 1e-12) for motion in motions]
+    scales = [1 / max(root_mean_square(motion.thrust[0]), 1e-12) for motion in motions]
     torque = np.concatenate([motion.torque for motion in motions])
     thrust = np.concatenate([s * motion.thrust for s, motion in zip(scales, motions, strict=True)], axis=1)
     seconds = len(torque) / RATE
@@ -304,7 +306,7 @@ def _matched(fit: Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
     for yaw in (1.0, -1.0, 0.0):
         likeness = (wanted * np.array([[1.0], [1.0], [yaw]])).T @ fitted
         orders.append(tuple(int(i) for i in linear_sum_assignment(-likeness)[1]))
-    return list(dict.fromkeys(orders))
+    return distinct(orders)
 
 
 def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list[Finding]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from quadexp.log.check.candidates import COLUMNS, KEYS
 from quadexp.log.check.finding import Finding, longest, of_rows
-from quadexp.log.signal import runs
+from quadexp.log.signal import period_of, runs
 from quadexp.log.signal.windows import STREAMS, attitude_rate
+from quadexp.physics.state import norms
 
 NORM, NORM_BLOCKS = 0.01, 0.1  # of a quaternion: what rounding to two digits leaves
 FROZEN = 0.2  # s
@@ -51,7 +52,7 @@ def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]
 
 def check_quaternion(q: np.ndarray, t: np.ndarray) -> list[Finding]:
     """Norm of quaternions (k, 4)."""
-    off = np.abs(np.nan_to_num(np.linalg.norm(q, axis=1), nan=1.0, posinf=1.0) - 1)
+    off = np.abs(np.nan_to_num(norms(q), nan=1.0, posinf=1.0) - 1)
     if off.max(initial=0) <= NORM:
         return []
     text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the samples by more than allowed"
@@ -93,7 +94,7 @@ def row_numbers(columns: list[np.ndarray]) -> np.ndarray:
 def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
     """Sensors that repeat one value while the vehicle moves; and the mask of those samples, (k,)."""
     found, frozen = [], np.zeros(len(t), bool)
-    step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
+    step = period_of(t) if len(t) > 2 else 0.0
     least = max(LEAST_ROWS, int(np.ceil(FROZEN / step))) if step > 0 else len(t) + 1
     moving = _moving(streams, t)
     for name, values in streams.items():
@@ -139,10 +140,10 @@ def _moving(streams: dict[str, np.ndarray], t: np.ndarray) -> dict[str, np.ndarr
 
     def change(x: np.ndarray, sign: float = 1.0) -> np.ndarray:
         """Length of x_k+1 - sign x_k over the step."""
-        length = np.linalg.norm(x[1:] - sign * x[:-1], axis=1) / np.maximum(np.diff(t), 1e-9)
+        length = norms(x[1:] - sign * x[:-1]) / np.maximum(np.diff(t), 1e-9)
         return np.nan_to_num(np.append(length, 0.0))
 
-    motion = {name: np.nan_to_num(np.linalg.norm(streams[name], axis=1)) for name in "vw" if name in streams}
+    motion = {name: np.nan_to_num(norms(streams[name])) for name in "vw" if name in streams}
     if "p" in streams:
         motion["p"] = change(streams["p"])
     if "q" in streams:  # twice the chord of half the angle
@@ -165,7 +166,7 @@ def check_spikes(
         if name == "q" or len(t) < 9:
             continue
         finite = np.where(np.isfinite(values), values, 0)
-        size = np.linalg.norm(finite, axis=1)
+        size = norms(finite)
         beyond = size > limit.get(name, np.inf)
         apart = np.abs(finite - np.stack([median_filter(column, 7, mode="nearest") for column in finite.T], axis=1))
         threshold = np.maximum(SPIKE * 1.4826 * np.median(apart, axis=0), SPIKE_FLOOR[name])
@@ -197,7 +198,7 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
     Noise, or flying, bends every signal within 50 ms. A smooth start or end is no loss: there must be a kink.
     """
     dead = np.zeros(len(t), bool)
-    step = float(np.median(np.diff(t)))
+    step = period_of(t)
     m = max(1, round(BEND_STEP / step)) if step > 0 else 0
     names = [name for name in "pv" if name in streams]
     if not m or len(t) < 20 * m or not names:

@@ -29,6 +29,7 @@ from quadexp.log.check.candidates import (
 )
 from quadexp.log.check.finding import LEAVE_OUT, Finding
 from quadexp.log.signal.windows import Pair, Relation, Windows, pairs
+from quadexp.physics.state import norms
 
 INDEPENDENT = 60
 LEAST_WINDOWS = 10
@@ -349,7 +350,7 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
         pair = next((every[relation] for relation in relations if relation in every), None)
         if pair is None:
             continue
-        size = np.linalg.norm(pair.measured - pair.expected, axis=1)
+        size = norms(pair.measured - pair.expected)
         limit = max(STRAY * 1.4826 * float(np.median(size)), STRAY_FLOOR[name])
         bad = size > limit
         if bad.mean() < 0.005 or bad.mean() > 0.4:  # a knock, or something else than a stretch

@@ -21,7 +21,7 @@ from quadexp.log.importers.readers import reader_of, readers
 from quadexp.log.importers.readers.csv import ready_mappings
 from quadexp.log.importers.table import open_table
 from quadexp.log.schema import Flight
-from quadexp.log.signal import GAP_PERIODS, Stream, derivative, runs
+from quadexp.log.signal import GAP_PERIODS, Stream, derivative, period_of, runs
 from quadexp.log.signal.offset import find_offsets
 from quadexp.log.signal.resample import interpolate
 from quadexp.log.units import mounting_matrix
@@ -209,7 +209,7 @@ def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Fligh
     columns["t"] = columns["t"] - columns["t"][0]
     shorter = Flight(columns, flight.metadata)
     if derived:
-        window = max(0.1, 5 * float(np.median(np.diff(shorter.t))))
+        window = max(0.1, 5 * period_of(shorter.t))
         velocity = derivative(
             shorter.t, shorter.stack(["p_x", "p_y", "p_z"]), segment=shorter["segment"], window=window
         ).values

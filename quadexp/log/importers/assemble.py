@@ -14,6 +14,7 @@ from quadexp.log.importers.mapping import PLACES, ROTORS, Crop, columns_of
 from quadexp.log.importers.raw import RawLog
 from quadexp.log.signal import GAP_PERIODS, Stream, continuous, derivative, runs
 from quadexp.log.signal.resample import resample
+from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 
 HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
@@ -160,7 +161,7 @@ def _one_clock(
             del streams[name]
     for name in QUATERNIONS:
         if name in streams:
-            norm = np.linalg.norm(streams[name].values, axis=1)
+            norm = norms(streams[name].values)
             if not (np.abs(norm - 1) < 0.1).all():
                 row = int(np.argmax(np.abs(norm - 1)))
                 raise DataError(f"{path}: {name}: quaternion norm {norm[row]:.4g} at row {row}, 1 is needed")
@@ -228,7 +229,7 @@ def _without_rest(t: np.ndarray, position: np.ndarray, notes: list[str]) -> np.n
     height = position[:, 2]
     rests = []
     for end in (position[0], position[-1]):
-        still = np.linalg.norm(position - end, axis=1) < REST_DISTANCE
+        still = norms(position - end) < REST_DISTANCE
         rests.append((height < height.min() + REST_HEIGHT) & still)
     kept = np.ones(len(t), bool)
     if rests[0].all() or rests[1].all():

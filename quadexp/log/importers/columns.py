@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.log.signal import increasing
+from quadexp.log.signal import increasing, period_of
 from quadexp.log.signal.windows import Windows, changes, means, pairs, window_samples
+from quadexp.physics.state import norms
 from quadexp.physics.vehicle import GRAVITY
 
 MOTION = 0.85  # correlation from which a velocity is taken for the derivative of a position
@@ -172,7 +173,7 @@ class Table:
         """The middle of a log of columns (k, N) at times t (k,); empty cells are bridged."""
         later = increasing(t)
         t, data = t[later], data[later]
-        period = max(float(np.median(np.diff(t))), 1 / GRID)
+        period = max(period_of(t), 1 / GRID)
         length = min(t[-1] - t[0], MOST * period)
         self.t = 0.5 * (t[0] + t[-1] - length) + np.arange(int(length / period) + 1) * period
         self.x = np.full((len(self.t), data.shape[1]), np.nan)
@@ -192,7 +193,7 @@ class Table:
 
     def _is_unit(self, columns: list[int]) -> bool:
         x = self.x[:, columns]
-        norm = np.linalg.norm(x, axis=1)
+        norm = norms(x)
         off = float(np.quantile(np.abs(norm - 1), 0.9))
         return bool(off < 0.02 and norm.min() > 1e-3 and np.ptp(x, axis=0).max() > 1e-3)
 
@@ -210,19 +211,19 @@ class Table:
     def rate(self, q: np.ndarray) -> Match | None:
         """The gyro's columns, by how fast an attitude (n, l, 4) turns, in whatever order it is."""
         (pair,) = pairs(Windows(self.times, {"q": q, "w": np.zeros((*q.shape[:2], 3))}))
-        return self._best("rate", [np.linalg.norm(pair.expected, axis=1)])
+        return self._best("rate", [norms(pair.expected)])
 
     def acceleration(self, motion: np.ndarray | None) -> Match | None:
         """The accelerometer's columns. motion: acceleration in the log's world, (2n, 3); None: unknown."""
         still = np.zeros((len(self.means), 3)) if motion is None else motion
         ups = (sign * axis for axis in np.eye(3) for sign in (1.0, -1.0))
-        return self._best("acceleration", [np.linalg.norm(still + GRAVITY * up, axis=1) for up in ups])
+        return self._best("acceleration", [norms(still + GRAVITY * up) for up in ups])
 
     def _best(self, quantity: str, expected: list[np.ndarray]) -> Match | None:
         """The columns named so whose size correlates best with one of the expected sizes, (2n,)."""
         matches = []
         for rank, columns in enumerate(self.named.get(quantity, [])):
-            x = np.linalg.norm(self.means[:, columns], axis=1)
+            x = norms(self.means[:, columns])
             if np.ptp(self.x[:, columns], axis=0).min() == 0:
                 continue
             for y in expected:

@@ -28,6 +28,7 @@ from quadexp.log.signal import continuous
 from quadexp.log.signal.windows import RELATIONS, Windows, changes, pairs
 from quadexp.log.units import UNITS
 from quadexp.messages import printable
+from quadexp.physics.state import norms
 
 SECONDS = {unit: UNITS["time"][unit] for unit in ("s", "ms", "us", "ns")}
 RATES = (4.0, 8200.0)  # Hz, of loggers
@@ -250,7 +251,7 @@ class _Proposals:
 
     def _force(self, force: Match) -> None:
         """Unit of an accelerometer from its mean size, which in flight is about that of gravity."""
-        size = float(np.linalg.norm(self.table.means[:, force.columns], axis=1).mean())
+        size = float(norms(self.table.means[:, force.columns]).mean())
         written = self.written(force.columns, "acceleration")
         sizes: dict[Any, float] = {unit: 9.81 / factor for unit, factor in UNITS["acceleration"].items()}
         sizes |= {count: count for count in COUNTS_PER_G}

@@ -19,8 +19,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from quadexp.errors import DataError
 from quadexp.log.importers.mapping import IN_BODY, Crop, Entry, Mapping
 from quadexp.log.importers.table import Table
-from quadexp.log.signal import Stream, increasing
+from quadexp.log.signal import Stream, finite_rows, increasing
 from quadexp.log.signal.windows import multiply
+from quadexp.physics.state import norms
 from quadexp.physics.vehicle import GRAVITY
 
 MOST_LATE = 0.01  # share of the rows that may lie out of order
@@ -48,7 +49,7 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     Raises DataError where no number is left, or the clock runs backwards.
     """
     count, values = len(t), values.reshape(len(t), -1)
-    good = np.isfinite(t) & np.isfinite(values).all(axis=1)
+    good = np.isfinite(t) & finite_rows(values)
     if not good.any():
         raise DataError(f"{path}: {name}: not one row of {count} is a number throughout")
     if not good.all():
@@ -176,7 +177,7 @@ def with_attitude(streams: dict[str, Stream], name: str) -> tuple[Stream, Rotati
     if "attitude" not in streams:
         raise DataError(f"{name} has to be turned between world and body, but the log has no attitude")
     q = streams["attitude"]
-    norm = np.linalg.norm(q.values, axis=1)
+    norm = norms(q.values)
     if not (norm > 1e-6).all():
         raise DataError(f"attitude: a quaternion of length zero at row {int(np.argmin(norm))}")
     R = Rotation.from_quat(q.values, scalar_first=True)

@@ -20,6 +20,7 @@ import numpy as np
 from quadexp.errors import DataError, missing_package
 from quadexp.log.integrity import allowed_bytes
 from quadexp.log.store import as_numpy, first_line
+from quadexp.names import distinct
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
 LONGEST_LINE = 1 << 16
@@ -55,7 +56,7 @@ class Table:
         if missing:
             close = ", ".join(self.columns[:16]) + (", ..." if len(self.columns) > 16 else "")
             raise DataError(f"{self.path}: no column {missing[0]!r} (it has {close})")
-        wanted = list(dict.fromkeys(names))
+        wanted = distinct(names)
         return _read_hdf5(self, wanted, rows) if self.hdf5 else _read_text(self, wanted, notes, rows)
 
 

@@ -30,7 +30,7 @@ def as_stream(stream: Stream | tuple[np.ndarray, np.ndarray], name: str = "strea
     """
     t, values = np.asarray(stream[0], float), np.asarray(stream[1], float)
     values = values[:, None] if values.ndim == 1 else values
-    finite = np.isfinite(t) & np.isfinite(values).all(axis=1)
+    finite = np.isfinite(t) & finite_rows(values)
     if not finite.all():
         t, values = t[finite], values[finite]
     if len(t) < 2:
@@ -52,9 +52,14 @@ def increasing(t: np.ndarray) -> np.ndarray:
     return filled > before
 
 
-def period(t: np.ndarray) -> float:
+def period_of(t: np.ndarray) -> float:
     """The stream's own period: the median step of its clock (s)."""
     return float(np.median(np.diff(t)))
+
+
+def finite_rows(values: np.ndarray) -> np.ndarray:
+    """Mask of the rows, (k,), whose values (k, m) are all finite."""
+    return np.isfinite(values).all(axis=1)
 
 
 def stretches(t: np.ndarray, gap: float) -> list[slice]:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.signal import Stream, as_stream, period
+from quadexp.log.signal import Stream, as_stream, period_of
 from quadexp.log.signal.resample import resample
 from quadexp.log.signal.windows import attitude_rate
 from quadexp.physics.vehicle import GRAVITY
@@ -56,7 +56,7 @@ def estimate_offset(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.nd
     Raises DataError where there is too little common data or nothing moves.
     """
     a, b = as_stream(a, "first stream"), as_stream(b, "second stream")
-    rate = min(1 / period(a.t), 1 / period(b.t), 100.0)  # Hz, of the common clock
+    rate = min(1 / period_of(a.t), 1 / period_of(b.t), 100.0)  # Hz, of the common clock
     common = resample({"a": a, "b": b}, rate, quaternions=(), least=2 * LARGEST)
     reach = int(np.ceil(LARGEST * rate)) + 1
     pieces = [
@@ -193,7 +193,7 @@ def _slopes(stream: Stream) -> Stream:
 
 
 def _between(t: np.ndarray, values: np.ndarray) -> Stream:
-    near = np.diff(t) < 3.5 * np.median(np.diff(t))
+    near = np.diff(t) < 3.5 * period_of(t)
     return Stream(((t[1:] + t[:-1]) / 2)[near], values[near])
 
 

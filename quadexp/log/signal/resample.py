@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.signal import GAP_PERIODS, Stream, as_stream, continuous, period, stretches
+from quadexp.log.signal import GAP_PERIODS, Stream, as_stream, continuous, period_of, stretches
+from quadexp.physics.state import norms
 
 STOPBAND = 60.0  # dB
 PASSBAND = 0.4  # of the new rate
@@ -52,7 +53,7 @@ def resample(
     Raises DataError where a stream is unusable or where they have no time in common.
     """
     clean = {name: as_stream(stream, name) for name, stream in streams.items()}
-    limit = {name: GAP_PERIODS * max(period(s.t), 1 / rate) for name, s in clean.items()} | dict(gaps or {})
+    limit = {name: GAP_PERIODS * max(period_of(s.t), 1 / rate) for name, s in clean.items()} | dict(gaps or {})
     start = max(s.t[0] for s in clean.values())
     end = min(s.t[-1] for s in clean.values())
     slack = ON_CLOCK / rate
@@ -106,9 +107,9 @@ def _stretch(
 ) -> np.ndarray:
     """Values, (k, d), at the times `at`, (k,), of one piece without gaps: taken over, low-passed or interpolated."""
     near = np.clip(np.searchsorted(times, at + slack, side="right") - 1, 0, len(times) - 1)
-    if np.abs(times[near] - at).max() <= slack and 1 / period(times) < SAME_RATE * rate:
+    if np.abs(times[near] - at).max() <= slack and 1 / period_of(times) < SAME_RATE * rate:
         return data[near]
-    factor = int(np.ceil(1 / (period(times) * rate) / SAME_RATE))
+    factor = int(np.ceil(1 / (period_of(times) * rate) / SAME_RATE))
     if factor < 2:
         return interpolate(times, data, at, sphere=sphere, held=held)
     half = len(low_pass(factor)) // 2
@@ -152,7 +153,7 @@ def interpolate(
     if held:
         return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
     if sphere:
-        whole = np.linalg.norm(values, axis=1) > 0  # NaN is not; what is left out here is refused elsewhere
+        whole = norms(values) > 0  # NaN is not; what is left out here is refused elsewhere
         if whole.sum() < 2:
             return np.full((len(at), values.shape[1]), np.nan)
         t, values = t[whole], values[whole]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from quadexp.names import distinct
 from quadexp.report.page.source import Comparison
 from quadexp.report.pairing import World, grouped
 from quadexp.report.tables import TITLES
@@ -189,7 +190,7 @@ def _note(comparison: Comparison) -> str:
         parts.append(f"Not compared, because they completed too few flights: {listed(alone)}.")
     bad = [row["outcome"].replace("_", " ") for row in comparison.rows if row["outcome"] != "ok"]
     if bad:
-        kinds = listed(list(dict.fromkeys(bad)))
+        kinds = listed(distinct(bad))
         parts.append(f"{len(bad)} of {len(comparison.rows)} flights were not completed ({kinds}).")
     return " ".join(parts)
 

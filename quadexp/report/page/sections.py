@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.outcome import RULE
+from quadexp.names import distinct
 from quadexp.parts.cells import Grid
 from quadexp.parts.override import quoted
 from quadexp.parts.settings import flat
@@ -209,14 +210,14 @@ def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, 
 def margins(flights: Iterable[Record]) -> list[str]:
     """Controller and margins of its loop; several lines for one whose settings vary."""
     lines = ((f.get("controller", ""), margin_line(f.get("margins"))) for f in flights)
-    return list(dict.fromkeys(f"{name}: {line}" for name, line in lines if line))
+    return distinct(f"{name}: {line}" for name, line in lines if line)
 
 
 def settings(flights: Sequence[Record]) -> list[list[str]]:
     """A line a setting with its values in order of appearance; those that differ between flights first."""
     stated = (pair for flight in flights for pair in flat(flight.get("config", {})).items())
     values = grouped((key, value if isinstance(value, str) else json.dumps(value)) for key, value in stated)
-    different = {key: list(dict.fromkeys(texts)) for key, texts in values.items() if set(texts) != {"null"}}
+    different = {key: distinct(texts) for key, texts in values.items() if set(texts) != {"null"}}
     lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
     return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
 

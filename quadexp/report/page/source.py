@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import math
 import os
 import shlex
@@ -20,6 +19,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_record
+from quadexp.names import distinct, sha256_of
 from quadexp.parts.cells import Combinations, Grid
 from quadexp.parts.override import in_grammar
 from quadexp.parts.reads import is_read
@@ -76,7 +76,7 @@ class Comparison:
 
     @cached_property
     def labels(self) -> dict[Contestant, str]:
-        return contestant_labels(list(dict.fromkeys(map(contestant_of, self.rows))))
+        return contestant_labels(distinct(map(contestant_of, self.rows)))
 
     @cached_property
     def contestants(self) -> dict[str, Contestant]:
@@ -87,7 +87,7 @@ class Comparison:
 
     @cached_property
     def conditions(self) -> list[Condition]:
-        return list(dict.fromkeys(map(condition_of, self.rows)))
+        return distinct(map(condition_of, self.rows))
 
     @cached_property
     def courses(self) -> dict[tuple[str, str], str]:
@@ -101,7 +101,7 @@ class Comparison:
 
     @cached_property
     def worlds(self) -> list[World]:
-        return list(dict.fromkeys((row["plant"], row["vehicle"]) for row in self.rows))
+        return distinct((row["plant"], row["vehicle"]) for row in self.rows)
 
     @cached_property
     def world(self) -> World:
@@ -316,7 +316,7 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
     chosen: str = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
-    digest = hashlib.sha256((root / RESULTS if Path(path).is_dir() else Path(path)).read_bytes()).hexdigest()
+    digest = sha256_of((root / RESULTS if Path(path).is_dir() else Path(path)).read_bytes())
     return Comparison(
         root=root,
         rows=rows,

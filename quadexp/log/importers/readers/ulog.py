@@ -15,7 +15,7 @@ import numpy as np
 
 from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.importers.raw import RawLog, sorted_stream, turn_attitude, with_attitude
-from quadexp.log.signal import Stream
+from quadexp.log.signal import Stream, finite_rows
 from quadexp.log.store import first_line
 from quadexp.log.units import UNITS, axes_matrix
 
@@ -269,7 +269,7 @@ def _times(topic: Topic) -> np.ndarray:
 def _stream(path: Path, name: str, topic: Topic, fields: Sequence[str], notes: list[str]) -> Stream | None:
     """The fields of a topic as one stream at the times of the samples (s); None where they hold no number."""
     t, values = _times(topic), np.stack([np.asarray(topic[f], float) for f in fields], 1)
-    if not np.isfinite(values).all(axis=1).any():
+    if not finite_rows(values).any():
         return None
     order = np.argsort(t, kind="stable")  # the sample's times of one topic may lie a little out of order
     if (np.diff(order) < 0).sum() > 0.01 * len(order):
