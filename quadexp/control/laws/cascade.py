@@ -31,38 +31,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import dense_function, named_symbols
-from quadexp.control.allocation import held, prioritised
-from quadexp.control.base import Window
-from quadexp.control.built import built
+from quadexp.control.allocation import prioritised
 from quadexp.control.laws.attitude import attitude_of
-from quadexp.control.laws.explicit import ExplicitController, Rate
-from quadexp.control.part import ControllerPart
-from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Settings, Triple, key, part
+from quadexp.control.laws.explicit import Rate
+from quadexp.control.laws.law import Inputs, Law
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
-from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer integrates
 SATURATED = 1e-9  # share of a wanted torque that the mixer leaves out, from which on an axis counts as saturated
-MEMORY = {"velocity_integral": 3, "velocity": 3, "velocity_filter": 3, "rate_integral": 3, "rate": 3, "rate_filter": 3}
-LOGGED = tuple(f"{name}_{axis}" for name in ("velocity_integral", "rate_integral") for axis in "xyz")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CascadeKeys(Settings):
-    """Gains and limits of a flight stack's cascade, PX4's defaults where they have a physical unit; see
-    quadexp/control/laws/cascade.py."""
+class Cascade(Law):
+    """The cascade of P and PID loops of a flight stack, fed with position, velocity, acceleration and yaw; PX4's
+    defaults where they have a physical unit."""
 
-    prefix: ClassVar[str] = "controller."
+    former_kind = "cascade"
+    memory = dict.fromkeys(
+        ("velocity_integral", "velocity", "velocity_filter", "rate_integral", "rate", "rate_filter"), 3
+    )
+    logged = ("velocity_integral", "rate_integral")
 
     rate: Rate = 200.0
     position_proportional: Triple = key(
@@ -107,74 +105,57 @@ class CascadeKeys(Settings):
         False, "add the reference's body rates to the wanted ones; flight stacks take none but the yaw rate"
     )
 
+    def start(self, vehicle: Vehicle, x: np.ndarray) -> dict[str, np.ndarray]:
+        """See Law: integrals and derivatives are zero."""
+        return {"velocity": x[VELOCITY], "rate": x[RATE]}
 
-class CascadeController(ExplicitController):
-    """A Controller (see control.base). backend: see compile/backend.py."""
+    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """See Law; (1) to (3)."""
+        period, g = given.period, vehicle.gravity
+        x, state, path, yaw = given.state, given.reference, given.path, given.heading
+        R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
+        change, turn = (v - memory.velocity) / period, (w - memory.rate) / period
+        acceleration, of_velocity = filtered(memory.velocity_filter, change, self.velocity_cutoff, period)
+        turning, of_rate = filtered(memory.rate_filter, turn, self.rate_cutoff, period)
 
-    def __init__(self, vehicle: Vehicle, keys: CascadeKeys, *, backend: str = "auto") -> None:
-        function = built(backend, cascade_function, vehicle, keys)
-        super().__init__(vehicle, function, keys.rate, logged=LOGGED, backend=backend)
-        self.keys = keys
+        v_c = wanted_velocity(
+            ca.DM(self.position_proportional) * (path[:, 0] - x[POSITION]), path[:, 1], self.velocity_limit
+        )
+        error = v_c - v
+        a_c = path[:, 2] + ca.DM(self.velocity_proportional) * error + memory.velocity_integral
+        a_c -= ca.DM(self.velocity_derivative) * acceleration
+        f, uncut, produced = wanted_thrust(a_c, vehicle, self)
+        top = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+        stuck = ca.logic_or(
+            ca.logic_and(uncut[2] <= self.thrust_least * g, error[2] <= 0), ca.logic_and(uncut[2] >= top, error[2] >= 0)
+        )
+        short = 2 / max(self.velocity_proportional[0], 1e-6) * (a_c[:2] - produced)
+        back = ca.vertcat(error[:2] - short, ca.if_else(stuck, 0, error[2]))
+        integral = memory.velocity_integral + period * ca.DM(self.velocity_integral) * back
+        integral = ca.vertcat(integral[:2], limited(integral[2], -g, g))
 
-    def initial(self, x: np.ndarray, window: Window) -> np.ndarray:
-        """Integrals and derivatives are zero; see MEMORY."""
-        zero = np.zeros(3)
-        return np.concatenate([zero, x[VELOCITY], zero, zero, x[RATE], zero])
+        R_d = attitude_of(f, rotation_matrix(state[ATTITUDE]) @ ca.DM([1, 0, 0]))
+        w_c = wanted_rate(R, R_d, self) + R[2, :].T * yaw[1]
+        if self.rate_feedforward:
+            w_c = wanted_rate(R, R_d, self) + state[RATE]
+        limit = ca.DM(self.rate_limit)
+        w_c = limited(w_c, -limit, limit)
+        slow = w_c - w
+        angular = ca.DM(self.rate_proportional) * slow + memory.rate_integral - ca.DM(self.rate_derivative) * turning
+        torque = vehicle.inertia_matrix @ angular
+        thrust = vehicle.mass * ca.norm_2(f)
+        u = prioritised(vehicle, ca.vertcat(thrust, torque), airmode=self.airmode, yaw_margin=self.yaw_margin)
+        lacking = torque - vehicle.allocation[1:] @ u
+        scale = SATURATED * vehicle.thrust_max * float(np.abs(vehicle.allocation[1:]).max())
+        slow = ca.if_else(lacking > scale, ca.fmin(slow, 0), ca.if_else(lacking < -scale, ca.fmax(slow, 0), slow))
+        share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
+        bound = ca.DM(self.rate_integral_limit)
+        rate_integral = memory.rate_integral + period * share * ca.DM(self.rate_integral) * slow
+        rate_integral = limited(rate_integral, -bound, bound)
 
-
-def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
-    """The cascade with the inputs and outputs of explicit.py; memory: see MEMORY."""
-    period, g = 1 / keys.rate, vehicle.gravity
-    shapes = {"x": N_STATE, "state": N_STATE, "path": (3, 5), "yaw": 3, "memory": sum(MEMORY.values())}
-    inputs = named_symbols(ca.SX, shapes)
-    x, state, path, yaw, memory = inputs.values()
-    integral, v_last, of_velocity, rate_integral, w_last, of_rate = ca.vertsplit(memory, 3)
-    R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
-    acceleration, of_velocity = filtered(of_velocity, (v - v_last) / period, keys.velocity_cutoff, period)
-    turning, of_rate = filtered(of_rate, (w - w_last) / period, keys.rate_cutoff, period)
-
-    v_c = wanted_velocity(
-        ca.DM(keys.position_proportional) * (path[:, 0] - x[POSITION]), path[:, 1], keys.velocity_limit
-    )
-    error = v_c - v
-    a_c = path[:, 2] + ca.DM(keys.velocity_proportional) * error + integral
-    a_c -= ca.DM(keys.velocity_derivative) * acceleration
-    f, uncut, produced = wanted_thrust(a_c, vehicle, keys)
-    top = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
-    stuck = ca.logic_or(
-        ca.logic_and(uncut[2] <= keys.thrust_least * g, error[2] <= 0), ca.logic_and(uncut[2] >= top, error[2] >= 0)
-    )
-    short = 2 / max(keys.velocity_proportional[0], 1e-6) * (a_c[:2] - produced)
-    back = ca.vertcat(error[:2] - short, ca.if_else(stuck, 0, error[2]))
-    integral = integral + period * ca.DM(keys.velocity_integral) * back
-    integral = ca.vertcat(integral[:2], limited(integral[2], -g, g))
-
-    R_d = attitude_of(f, rotation_matrix(state[ATTITUDE]) @ ca.DM([1, 0, 0]))
-    w_c = wanted_rate(R, R_d, keys) + R[2, :].T * yaw[1]
-    if keys.rate_feedforward:
-        w_c = wanted_rate(R, R_d, keys) + state[RATE]
-    limit = ca.DM(keys.rate_limit)
-    w_c = limited(w_c, -limit, limit)
-    slow = w_c - w
-    angular = ca.DM(keys.rate_proportional) * slow + rate_integral - ca.DM(keys.rate_derivative) * turning
-    torque = vehicle.inertia_matrix @ angular
-    thrust = vehicle.mass * ca.norm_2(f)
-    u = prioritised(vehicle, ca.vertcat(thrust, torque), airmode=keys.airmode, yaw_margin=keys.yaw_margin)
-    lacking = torque - vehicle.allocation[1:] @ u
-    scale = SATURATED * vehicle.thrust_max * float(np.abs(vehicle.allocation[1:]).max())
-    slow = ca.if_else(lacking > scale, ca.fmin(slow, 0), ca.if_else(lacking < -scale, ca.fmax(slow, 0), slow))
-    share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
-    bound = ca.DM(keys.rate_integral_limit)
-    rate_integral = rate_integral + period * share * ca.DM(keys.rate_integral) * slow
-    rate_integral = limited(rate_integral, -bound, bound)
-
-    outputs = {
-        "command": u,
-        "held": held(vehicle, u),
-        "memory_next": ca.vertcat(integral, v, of_velocity, rate_integral, w, of_rate),
-        "log": ca.vertcat(integral, rate_integral),
-    }
-    return dense_function("cascade", inputs, outputs)
+        remembered = {"velocity_integral": integral, "velocity": v, "velocity_filter": of_velocity}
+        remembered |= {"rate_integral": rate_integral, "rate": w, "rate_filter": of_rate}
+        return {"command": u, **remembered}
 
 
 def filtered(memory: Expression, value: Expression, cutoff: float, period: float) -> tuple[Expression, Expression]:
@@ -199,7 +180,7 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
     return ca.vertcat(horizontal, vertical)
 
 
-def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[Expression, Expression, Expression]:
+def wanted_thrust(a: Expression, vehicle: Vehicle, keys: Cascade) -> tuple[Expression, Expression, Expression]:
     """f of (2) within the thrust that there is, and before that, (3,) each, world, per mass (m/s^2); and what the
     limits of tilt and thrust leave of the wanted horizontal acceleration, (2,) (m/s^2)."""
     g, top = vehicle.gravity, vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
@@ -217,7 +198,7 @@ def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[E
     return ca.vertcat(share * f[:2], up), f, share * level
 
 
-def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression:
+def wanted_rate(R: Expression, R_d: Expression, keys: Cascade) -> Expression:
     """w_c of (3), (3,), body (rad/s), without feed-forward."""
     weight = keys.yaw_weight
     z_d = R.T @ R_d[:, 2]  # in the body; the shortest rotation takes e_z there
@@ -230,15 +211,3 @@ def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression
     sign = ca.if_else(reduced[0] * c < 0, -1, 1)
     proportional = np.array(keys.attitude_proportional) / [1, 1, weight if weight > 1e-4 else 1]
     return 2 * sign * ca.DM(proportional) * error
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cascade(CascadeKeys, ControllerPart):
-    """The cascade of P and PID loops of a flight stack, fed with position, velocity, acceleration and yaw."""
-
-    former_kind = "cascade"
-    backend: Backend = "auto"
-
-    def build(self, given: Given) -> Any:
-        """See ControllerPart."""
-        return CascadeController(given.vehicle, part(CascadeKeys, self), backend=self.backend)

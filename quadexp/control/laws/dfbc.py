@@ -27,23 +27,18 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
-import numpy as np
-
-from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
+from quadexp.compile.symbols import symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
-from quadexp.control.built import built
-from quadexp.control.laws.explicit import BelievingController
-from quadexp.control.part import RESIDUAL, ControllerPart
-from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Setting, Settings, Triple, key, part
+from quadexp.control.laws.law import Inputs, Law
+from quadexp.control.part import RESIDUAL
+from quadexp.models.residual import N_OUTPUTS
+from quadexp.parts.settings import Setting, Triple, key
 from quadexp.physics.expression import Expression, limited
-from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -58,16 +53,21 @@ TILT_FIRST: Wrench = (0.001, 10.0, 10.0, 0.1)  # of Sun et al. 2022
 
 AT_LIMIT = 1e-9  # of the thrust range
 OPPOSITE = 1e-6  # least 1 + r_z: a tilt error of 180 degrees has no axis
-LOGGED = ("error_tilt", "error_yaw")
 SMALL = 1e-9  # of a length, below which a direction is not determined
 
 
 @dataclass(frozen=True, kw_only=True)
-class DFBCKeys(Settings):
-    """Gains with the values of Sun et al. 2022, Table I; see quadexp/control/laws/dfbc.py."""
+class FlatnessBased(Law):
+    """Flatness-based control (Sun et al. 2022), its gains of Table I; it needs position and heading of the reference.
+    residual: its model of the air."""
 
-    prefix: ClassVar[str] = "controller."
+    former_kind = "dfbc"
+    logged = ("error_tilt", "error_yaw")
+    nodes = (0.0, 1.0)  # of which the thrust now is read when a flight begins
+    symbols = ca.MX
+    air_thrusts = "delivered"
 
+    residual: str = key("none", RESIDUAL)
     rate: float = key(300.0, "control rate", "[1, 2000]", "Hz")
     position_gain: Triple = key(
         (10.0, 10.0, 10.0), "acceleration per position error, world axes", "[0, 1e4]", "1/s^2", tuned="1..50:log"
@@ -92,38 +92,25 @@ class DFBCKeys(Settings):
         0.07, "thrust, as a share of the weight, below which body rates are fed forward as at this one", "(0, 1]"
     )
 
-
-def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compiled: bool) -> ca.Function:
-    """The law with the inputs and outputs of explicit.py; log, (2,): errors of tilt and yaw (rad).
-
-    compiled: whether the residual's form for compilation is taken.
-    """
-    n = vehicle.n_rotors
-    x, path, yaw, delivered, belief, air = symbols(
-        ca.SX, x=N_STATE, path=(3, 5), yaw=3, delivered=n, belief=N_BELIEF, air=N_OUTPUTS
-    )
-    wrench, angle = _wrench(vehicle, keys, x, path, yaw, delivered, belief, air)
-    wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
-
-    given = {"x": N_STATE, "path": (3, 5), "yaw": 3, "delivered": n, "belief": N_BELIEF}
-    a = named_symbols(ca.MX, given | {"theta": residual.function.size1_in(1)})
-    model = residual.form(compiled)
-    of_air = ca.MX(N_OUTPUTS, 1)
-    if not residual.is_zero:
-        velocity = air_velocity(a["x"][ATTITUDE], a["x"][VELOCITY], a["belief"][6:9])
-        of_air = a["belief"][10] * ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), a["theta"])[0])
-    wrench, angle = wanted(*(a[name] for name in given), of_air)
-    thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench / a["belief"][9])
-    margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
-    low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
-    held = ca.sum1(ca.logic_or(thrust < low, thrust > high))
-    outputs = {"command": thrust, "log": angle, "held": held}
-    return named_function("dfbc", a, outputs)
+    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """See Law; (13) to (31); errors of tilt and yaw (rad)."""
+        x, path, yaw, delivered, belief, air = symbols(
+            ca.SX, x=N_STATE, path=(3, 5), yaw=3, delivered=vehicle.n_rotors, belief=N_BELIEF, air=N_OUTPUTS
+        )
+        wrench, angle = _wrench(vehicle, self, x, path, yaw, delivered, belief, air)
+        wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
+        of_belief = given.symbol("belief")
+        wrench, angle = wanted(given.state, given.path, given.heading, given.delivered, of_belief, given.air)
+        thrust = allocation(vehicle, self.allocation, self.wrench_weight)(wrench / given.belief.thrust_scale)
+        margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
+        low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
+        held = ca.sum1(ca.logic_or(thrust < low, thrust > high))
+        return {"command": thrust, "held": held, "error_tilt": angle[0], "error_yaw": angle[1]}
 
 
 def _wrench(
     vehicle: Vehicle,
-    keys: DFBCKeys,
+    keys: FlatnessBased,
     x: Expression,
     path: Expression,
     yaw: Expression,
@@ -164,28 +151,3 @@ def _wrench(
     alpha += ca.DM(keys.rate_gain) * (w_r - w) + alpha_r
     torque = J @ alpha + ca.cross(w, J @ w) - air[3:] - belief[3:6]
     return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(limited(r[2], -1, 1)), turn)
-
-
-class DFBC(BelievingController):
-    """Tracks position and heading of the reference; see Controller. air: its model of the air."""
-
-    def __init__(self, vehicle: Vehicle, keys: DFBCKeys, model: Residual, *, backend: str = "auto") -> None:
-        compiled = resolve(backend) == "compiled"
-        law = built(backend, law_function, vehicle, keys, model, compiled=compiled)
-        super().__init__(vehicle, law, keys.rate, residual=model, logged=LOGGED, backend=backend)
-        self.settings = keys
-        self.node_times = np.array([0.0, self.control_period])  # of which the thrust now is read when a flight begins
-        self.residual = None  # the law needs no attitude, rates or thrusts of a reference
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlatnessBased(DFBCKeys, ControllerPart):
-    """Flatness-based control (Sun et al. 2022). residual: its model of the air."""
-
-    former_kind = "dfbc"
-    backend: Backend = "auto"
-    residual: str = key("none", RESIDUAL)
-
-    def build(self, given: Given) -> Any:
-        """See ControllerPart."""
-        return DFBC(given.vehicle, part(DFBCKeys, self), given.residual(*self.kinds), backend=self.backend)

@@ -1,14 +1,8 @@
-"""A control law in closed form as a Controller: one compiled function a step.
-
-The function names what it reads: x (13,), state and input (thrusts) of the reference now (13,), (n,), its thrusts in
-the middle of the control period, path (3, 5), yaw (3,), delivered thrusts (n,), belief (11,), theta, memory; and what
-it gives: command (n,), memory_next, held (rotors at a limit), log. Only what it names is filled.
-"""
+"""A control law in closed form (law.py) as a Controller: one compiled function a step."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -23,41 +17,37 @@ from quadexp.parts.settings import Setting
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from quadexp.control.laws.law import Law
+
 Rate = Annotated[float, Setting("control rate", "[1, 1000]", "Hz")]
 
+OF_REFERENCE = {"reference", "thrusts", "thrusts_middle", "air_reference"}  # what a reference is made by flatness for
 NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale, air scale
 
 
 class ExplicitController(InOperations):
     """A Controller (see control.base) whose step is a CasADi function.
 
-    function: see the module. rate: of control (Hz). residual: what it knows of the air, for its references too; None
-    for nothing. logged: names of the entries of the function's output log. backend: as resolved.
+    law: its settings. function: of law.law_function, on a back end. residual: what it knows of the air; None for
+    nothing.
     """
 
     reference_period = 0.0
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        function: ca.Function,
-        rate: float,
-        *,
-        residual: Residual | None = None,
-        logged: Sequence[str] = (),
-        backend: str = "auto",
-    ) -> None:
-        self.vehicle, self.control_period = vehicle, 1.0 / rate
-        self.residual = self.air = residual
-        self.backend = resolve(backend)
-        self.node_times = np.array([0.0, 0.5, 1.0]) * self.control_period
+    def __init__(self, vehicle: Vehicle, law: Law, function: ca.Function, residual: Residual | None) -> None:
+        self.vehicle, self.law, self.control_period = vehicle, law, 1.0 / law.rate
+        self.backend = resolve(law.backend)
+        self.node_times = np.array(law.nodes) * self.control_period
         self.name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
-        self._logged, self._law = tuple(logged), BufferedFunction(function)
+        self._law = BufferedFunction(function)
         arguments = self._law.arguments
+        self.air, self.residual = residual, residual if OF_REFERENCE & arguments.keys() else None
+        self._logged = {name: self._law.results[f"log_{name}"] for name in law.logged}
         self._delivered: DeliveredThrust | None = None
         if "delivered" in arguments:
             self._delivered = DeliveredThrust(vehicle, self.control_period, backend=self.backend)
-        if residual is not None:
+        if residual is not None and "theta" in arguments:
             arguments["theta"].ravel()[:] = residual.theta
         if "belief" in arguments:
             arguments["belief"][:] = NO_BELIEF
@@ -66,10 +56,6 @@ class ExplicitController(InOperations):
 
     def forget(self) -> None:
         """See Controller.forget; nothing is learned that outlives a flight."""
-
-    def initial(self, x: np.ndarray, window: Window) -> Any:
-        """Memory at the start of a flight in the state x, (13,)."""
-        return 0.0
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -81,32 +67,42 @@ class ExplicitController(InOperations):
         if self._delivered is not None:
             self._delivered.reset(thrust_at_start(window, self.vehicle))
         if "memory" in arguments:
-            arguments["memory"][:] = self.initial(x, window)
+            arguments["memory"][:] = self.law.initial(self.vehicle, x)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         arguments, results, n = self._law.arguments, self._law.results, self.vehicle.n_rotors
         states, thrusts = np.empty((len(self.node_times), N_STATE)), np.empty((len(self.node_times) - 1, n))
-        delivered, places = self._delivered, {"x": state, "path": told.path, "yaw": told.yaw[:3]}
-        ahead = {"state": states[0], "input": thrusts[0], "middle": thrusts[-1]}
+        delivered, places = self._delivered, {"state": state, "path": told.path, "heading": told.yaw[:3]}
+        places |= {"specific_force": told.force, "rotor_speed": told.speed}
+        ahead = {"reference": states[0], "thrusts": thrusts[0], "thrusts_middle": thrusts[-1]}
         operations = [Operation("window", states, self.rows, thrusts)] if ahead.keys() & arguments.keys() else []
         if delivered is not None:
             operations += delivered.before(told)
             places["delivered"] = delivered.thrust
         operations += [copy(arguments[name], place) for name, place in (ahead | places).items() if name in arguments]
+        if "fresh" in arguments:
+            fresh = arguments["fresh"]
+            operations += [copy(fresh[:1], told.read), copy(fresh[1:], told.turning)]
         if "memory" in arguments:
             operations.append(move(arguments["memory"], results["memory_next"], self._begun))
             operations.append(move(results["memory_next"], results["memory_next"]))  # the call may be taken back
             operations.append(move(self._begun, YES))
         operations += [call(self._law), Operation("finite", source=results["command"])]
         operations += [] if delivered is None else delivered.after(results["command"])
-        logged = (results["log"],) if self._logged else ()
         record = law_record(self._law)
+        logged = tuple(self._logged.values())
         return Instant(operations, results["command"], record, held=results["held"], logged=logged)
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
-        return dict(zip(self._logged, self._law.results["log"].tolist(), strict=True)) if self._logged else {}
+        columns: dict[str, float] = {}
+        for name, values in self._logged.items():
+            ends = (
+                [""] if values.size == 1 else [f"_{end}" for end in ("xyz" if values.size == 3 else range(values.size))]
+            )
+            columns |= {f"{name}{end}": value for end, value in zip(ends, values.ravel().tolist(), strict=True)}
+        return columns
 
 
 class BelievingController(ExplicitController):

@@ -32,39 +32,33 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
-from quadexp.control.allocation import clipped, held, prioritised
-from quadexp.control.base import N_BELIEF
-from quadexp.control.built import built
+from quadexp.control.allocation import clipped, prioritised
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
-from quadexp.control.laws.explicit import BelievingController, Rate
-from quadexp.control.part import RESIDUAL, ControllerPart
-from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Settings, Triple, key, part
+from quadexp.control.laws.law import Inputs, Law
+from quadexp.control.part import RESIDUAL
+from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import air_velocity, rotation_matrix
-from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])
-FORCE, TORQUE, WIND, SCALE, AIR = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10  # of a belief, (11,)
-LOGGED = ("psi",)
 
 
 @dataclass(frozen=True, kw_only=True)
-class GeometricKeys(Settings):
-    """Gains and options of geometric tracking; see quadexp/control/laws/geometric.py."""
+class Geometric(Law):
+    """Geometric tracking on SE(3) (Lee, Leok, McClamroch 2010). residual: its model of the air."""
 
-    prefix: ClassVar[str] = "controller."
+    former_kind = "geometric"
+    memory = {"theta_force": 3, "theta_torque": 3}  # m/s^2, rad/s^2
+    logged = ("psi",)
 
-    rate: Rate = 100.0
+    residual: str = key("none", RESIDUAL)
     position_bandwidth: Triple = key(
         (4.0, 4.0, 4.0), "w: k_x = m w^2, k_v = 2 m damping w", "[0, 100]", "rad/s", tuned="1..20:log"
     )
@@ -97,115 +91,57 @@ class GeometricKeys(Settings):
         50.0, "largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2", when="torque_adaptation"
     )
 
+    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """See Law; (1) to (3)."""
+        m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
+        x, state, thrust, path, belief = given.state, given.reference, given.thrusts, given.path, given.belief
+        air, air_r = given.air, given.air_reference
+        gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)
+        K_x, K_v, K_R, K_w = gains(self)
 
-class GeometricController(BelievingController):
-    """A Controller (see control.base). residual: its model of the air, None for none."""
+        R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
+        R_r, w_r = rotation_matrix(state[ATTITUDE]), state[RATE]
+        wrench_r = G @ thrust
+        w_r_dot = ca.inv(J) @ (wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r))
+        e_p, e_v = x[POSITION] - path[:, 0], x[VELOCITY] - path[:, 1]
 
-    def __init__(
-        self, vehicle: Vehicle, keys: GeometricKeys, residual: Residual | None = None, *, backend: str = "auto"
-    ) -> None:
-        known = None if residual is None or residual.is_zero else residual
-        compiled = resolve(backend) == "compiled"
-        function = built(backend, geometric_function, vehicle, keys, known, compiled=compiled)
-        super().__init__(vehicle, function, keys.rate, residual=known, logged=LOGGED, backend=backend)
-        self.keys = keys
+        # Force per mass, and its derivatives along the closed loop.
+        known = R @ air[:3] + belief.force / m
+        force = path[:, 2] - gravity - K_x * e_p - K_v * e_v - known - memory.theta_force
+        heading = _turning(R_r, w_r, w_r_dot, E_X)
+        if self.rates == "none":
+            still = ca.SX(3, 1)
+            forces, heading = (force, still, still), (heading[0], still, still)
+        elif self.rates == "reference":
+            forces = (force, ca.SX(3, 1), ca.SX(3, 1))
+        else:
+            first, second = _reference_derivatives(wrench_r[0] / m, R_r, w_r, w_r_dot, path)
+            z, z_dot = R[:, 2], R @ ca.cross(w, E_Z)
+            e_a = ca.dot(force, z) * z + known + gravity - path[:, 2]
+            after = first - K_x * e_v - K_v * e_a
+            e_j = (ca.dot(after, z) + ca.dot(force, z_dot)) * z + ca.dot(force, z) * z_dot - first
+            forces = (force, after, second - K_x * e_a - K_v * e_j)
+        R_d, w_d, w_d_dot = moving_attitude(forces, heading)
+        if self.rates == "reference":
+            w_d, w_d_dot = w_r, w_r_dot
+        turn = R.T @ R_d
+        e_R, e_w = attitude_error(R, R_d), w - turn @ w_d
+        spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
+        torque = J @ (spin - K_R * e_R - K_w * e_w - memory.theta_torque) + ca.cross(w, J @ w)
+        torque -= air[3:] + belief.torque
+        wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (given.thrusts_middle - thrust)
+        wrench /= belief.thrust_scale
+        u = prioritised(vehicle, wrench) if self.priority == "tilt" else clipped(vehicle, wrench)
 
-
-def geometric_function(
-    vehicle: Vehicle, keys: GeometricKeys, residual: Residual | None = None, *, compiled: bool = False
-) -> ca.Function:
-    """The law with the inputs and outputs of explicit.py.
-
-    memory: theta_F (m/s^2), theta_tau (rad/s^2), (6,). belief: force, torque, wind, thrust and air scale,
-    (11,). log: Psi.
-    """
-    law, n = _law(vehicle, keys), vehicle.n_rotors
-    shapes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": N_BELIEF, "memory": 6, "path": (3, 5)}
-    inputs = named_symbols(ca.MX, shapes)
-    air = [ca.DM.zeros(N_OUTPUTS), ca.DM.zeros(N_OUTPUTS)]
-    if residual is not None:
-        model = residual.form(compiled)
-        inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
-        features, believed = _features(n), inputs["belief"]
-        air = [
-            believed[AIR] * model(features(inputs[name], believed[WIND], inputs["input"]), inputs["theta"])[0]
-            for name in ("x", "state")
-        ]
-    given = [inputs[name] for name in ("x", "state", "input", "middle", "path", "belief", "memory")]
-    names, results = ("command", "held", "memory_next", "log"), law(*given, *map(ca.densify, air))
-    return named_function("geometric", inputs, dict(zip(names, results, strict=True)))
-
-
-def _features(n: int) -> ca.Function:
-    """(x, wind, u) -> z of a residual at the velocity through the air."""
-    x, wind, u = symbols(ca.SX, x=N_STATE, wind=3, u=n)
-    return ca.Function("features", [x, wind, u], [ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY], wind), x[RATE], u)])
-
-
-def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
-    """Equations (1) to (3), given the air's acceleration and torque, (6,), at the state and at the reference."""
-    n, m, J = vehicle.n_rotors, vehicle.mass, ca.DM(vehicle.inertia_matrix)
-    x, state, thrust, middle, path, belief, memory, air, air_r = symbols(
-        ca.SX,
-        x=N_STATE,
-        state=N_STATE,
-        thrust=n,
-        middle=n,
-        path=(3, 5),
-        belief=N_BELIEF,
-        memory=6,
-        air=N_OUTPUTS,
-        air_r=N_OUTPUTS,
-    )
-    theta_force, theta_torque = memory[:3], memory[3:]
-    gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)
-    K_x, K_v, K_R, K_w = gains(keys)
-
-    R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
-    R_r, w_r = rotation_matrix(state[ATTITUDE]), state[RATE]
-    wrench_r = G @ thrust
-    w_r_dot = ca.inv(J) @ (wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r))
-    e_p, e_v = x[POSITION] - path[:, 0], x[VELOCITY] - path[:, 1]
-
-    # Force per mass, and its derivatives along the closed loop.
-    known = R @ air[:3] + belief[FORCE] / m
-    force = path[:, 2] - gravity - K_x * e_p - K_v * e_v - known - theta_force
-    heading = _turning(R_r, w_r, w_r_dot, E_X)
-    if keys.rates == "none":
-        still = ca.SX(3, 1)
-        forces, heading = (force, still, still), (heading[0], still, still)
-    elif keys.rates == "reference":
-        forces = (force, ca.SX(3, 1), ca.SX(3, 1))
-    else:
-        first, second = _reference_derivatives(wrench_r[0] / m, R_r, w_r, w_r_dot, path)
-        z, z_dot = R[:, 2], R @ ca.cross(w, E_Z)
-        e_a = ca.dot(force, z) * z + known + gravity - path[:, 2]
-        after = first - K_x * e_v - K_v * e_a
-        e_j = (ca.dot(after, z) + ca.dot(force, z_dot)) * z + ca.dot(force, z) * z_dot - first
-        forces = (force, after, second - K_x * e_a - K_v * e_j)
-    R_d, w_d, w_d_dot = moving_attitude(forces, heading)
-    if keys.rates == "reference":
-        w_d, w_d_dot = w_r, w_r_dot
-    turn = R.T @ R_d
-    e_R, e_w = attitude_error(R, R_d), w - turn @ w_d
-    spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
-    torque = J @ (spin - K_R * e_R - K_w * e_w - theta_torque) + ca.cross(w, J @ w)
-    torque -= air[3:] + belief[TORQUE]
-    wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (middle - thrust)
-    wrench /= belief[SCALE]
-    u = prioritised(vehicle, wrench) if keys.priority == "tilt" else clipped(vehicle, wrench)
-
-    period = 1 / keys.rate
-    force_rate = keys.force_adaptation * (e_v + keys.position_share * e_p)
-    torque_rate = keys.torque_adaptation * (e_w + keys.attitude_share * e_R)
-    theta_force = _in_ball(theta_force + period * force_rate, keys.force_limit)
-    theta_torque = _in_ball(theta_torque + period * torque_rate, keys.torque_limit)
-    outputs = [u, held(vehicle, u), ca.vertcat(theta_force, theta_torque), attitude_distance(R, R_d)]
-    inputs = [x, state, thrust, middle, path, belief, memory, air, air_r]
-    return ca.Function("geometric_law", inputs, ca.cse([ca.densify(value) for value in outputs]))
+        force_rate = self.force_adaptation * (e_v + self.position_share * e_p)
+        torque_rate = self.torque_adaptation * (e_w + self.attitude_share * e_R)
+        theta_force = _in_ball(memory.theta_force + given.period * force_rate, self.force_limit)
+        theta_torque = _in_ball(memory.theta_torque + given.period * torque_rate, self.torque_limit)
+        psi = attitude_distance(R, R_d)
+        return {"command": u, "theta_force": theta_force, "theta_torque": theta_torque, "psi": psi}
 
 
-def gains(keys: GeometricKeys) -> tuple[ca.DM, ca.DM, ca.DM, ca.DM]:
+def gains(keys: Geometric) -> tuple[ca.DM, ca.DM, ca.DM, ca.DM]:
     """K_x (1/s^2), K_v (1/s), K_R (1/s^2), K_w (1/s), diagonals (3,)."""
     position, attitude = np.array(keys.position_bandwidth), np.array(keys.attitude_bandwidth)
     values = (position**2, 2 * keys.position_damping * position, attitude**2, 2 * keys.attitude_damping * attitude)
@@ -234,18 +170,3 @@ def _reference_derivatives(
 def _in_ball(vector: Expression, radius: float) -> Expression:
     """The vector (3,), shortened to the radius where it is longer."""
     return vector * radius / ca.fmax(ca.norm_2(vector), max(radius, 1e-12))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Geometric(GeometricKeys, ControllerPart):
-    """Geometric tracking on SE(3) (Lee, Leok, McClamroch 2010). residual: its model of the air."""
-
-    former_kind = "geometric"
-    residual: str = key("none", RESIDUAL)
-    backend: Backend = "auto"
-
-    def build(self, given: Given) -> Any:
-        """See ControllerPart."""
-        return GeometricController(
-            given.vehicle, part(GeometricKeys, self), given.residual(*self.kinds), backend=self.backend
-        )

@@ -20,24 +20,18 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import dense_function, named_symbols
-from quadexp.control.allocation import held
-from quadexp.control.base import Window
-from quadexp.control.built import built
 from quadexp.control.laws.attitude import heading_of
-from quadexp.control.laws.explicit import ExplicitController
-from quadexp.control.part import ControllerPart
+from quadexp.control.laws.law import Inputs, Law
 from quadexp.errors import UsageError
-from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Settings, key, part
+from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import rotation_matrix
-from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import package_identity
 
@@ -48,27 +42,40 @@ NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
 
 
 @dataclass(frozen=True, kw_only=True)
-class RaptorKeys(Settings):
-    """What the policy is shown; see quadexp/control/laws/raptor.py."""
+class Raptor(Law):
+    """RAPTOR, a learned policy for all quadrotors (Eschmann et al. 2025), of the package foundation-policy.
 
-    prefix: ClassVar[str] = "controller."
+    Raises UsageError where the package is missing, or for a layout that is no X."""
 
+    former_kind = "raptor"
+    memory = {"hidden": HIDDEN, "action": ACTIONS}
+
+    allow_unstable: bool = key(True, "fly although the loop is not stable at hover, where the policy trembles")
     rate: float = key(100.0, "control rate; the policy was trained at 100 Hz", "[1, 1000]", "Hz")
     position_limit: float = key(0.5, "largest position error that the policy is shown, each axis", "(0, 100]", "m")
     velocity_limit: float = key(1.0, "largest velocity error that the policy is shown, each axis", "(0, 100]", "m/s")
 
+    def start(self, vehicle: Vehicle, x: np.ndarray) -> dict[str, np.ndarray]:
+        """See Law: the policy's first hidden state, and no action."""
+        return {"hidden": policy(package_identity("foundation_policy")).layers[1].initial_hidden_state.ravel()}
 
-class RaptorController(ExplicitController):
-    """A Controller (see control.base); raises UsageError where the package is missing, or for a layout that is no X."""
-
-    def __init__(self, vehicle: Vehicle, keys: RaptorKeys, *, backend: str = "auto") -> None:
-        weights = package_identity("foundation_policy")
-        super().__init__(vehicle, built(backend, raptor_function, vehicle, keys, weights), keys.rate, backend=backend)
-        self._hidden = policy(weights).layers[1].initial_hidden_state.ravel()
-
-    def initial(self, x: np.ndarray, window: Window) -> np.ndarray:
-        """The policy's first hidden state, and no action."""
-        return np.concatenate([self._hidden, np.zeros(ACTIONS)])
+    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """See Law; (1)."""
+        x, state, weights = given.state, given.reference, package_identity("foundation_policy")
+        order, turn = layout(vehicle)
+        turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
+        level = about_z(heading_of(rotation_matrix(state[ATTITUDE]))) @ turned  # policy's world to ours
+        R = level.T @ rotation_matrix(x[ATTITUDE]) @ turned
+        position, velocity = (
+            limited(level.T @ (x[part] - state[part]), -limit, limit)
+            for part, limit in ((POSITION, self.position_limit), (VELOCITY, self.velocity_limit))
+        )
+        observation = ca.vertcat(position, ca.vec(R.T), velocity, turned.T @ x[RATE], memory.action)
+        action, hidden = evaluated(policy(weights), observation, memory.hidden)
+        speed = limited((action + 1) / 2, 0, 1)
+        places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
+        u = limited(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min, vehicle.thrust_max)
+        return {"command": u, "hidden": hidden, "action": action}
 
 
 @lru_cache(maxsize=1)
@@ -107,28 +114,6 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float]:
     )
 
 
-def raptor_function(vehicle: Vehicle, keys: RaptorKeys, weights: str) -> ca.Function:
-    """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,). weights: see
-    `policy`."""
-    inputs = named_symbols(ca.SX, {"x": N_STATE, "state": N_STATE, "memory": HIDDEN + ACTIONS})
-    x, state, memory = inputs.values()
-    order, turn = layout(vehicle)
-    turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
-    level = about_z(heading_of(rotation_matrix(state[ATTITUDE]))) @ turned  # policy's world to ours
-    R = level.T @ rotation_matrix(x[ATTITUDE]) @ turned
-    position, velocity = (
-        limited(level.T @ (x[part] - state[part]), -limit, limit)
-        for part, limit in ((POSITION, keys.position_limit), (VELOCITY, keys.velocity_limit))
-    )
-    observation = ca.vertcat(position, ca.vec(R.T), velocity, turned.T @ x[RATE], memory[HIDDEN:])
-    action, hidden = evaluated(policy(weights), observation, memory[:HIDDEN])
-    speed = limited((action + 1) / 2, 0, 1)
-    places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
-    u = limited(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min, vehicle.thrust_max)
-    outputs = {"command": u, "held": held(vehicle, u), "memory_next": ca.vertcat(hidden, action)}
-    return dense_function("raptor", inputs, outputs)
-
-
 def about_z(angle: Expression) -> Expression:
     """The rotation, (3, 3), by an angle (rad) about z."""
     c, s = ca.cos(angle), ca.sin(angle)
@@ -151,16 +136,3 @@ def evaluated(made: Any, observation: Expression, hidden: Expression) -> tuple[E
 def _matrix(values: np.ndarray) -> ca.DM:
     values = np.asarray(values, float)
     return ca.DM(values.ravel() if 1 in values.shape else values)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Raptor(RaptorKeys, ControllerPart):
-    """RAPTOR, a learned policy for all quadrotors (Eschmann et al. 2025), of the package foundation-policy."""
-
-    former_kind = "raptor"
-    allow_unstable: bool = key(True, "fly although the loop is not stable at hover, where the policy trembles")
-    backend: Backend = "auto"
-
-    def build(self, given: Given) -> Any:
-        """See ControllerPart."""
-        return RaptorController(given.vehicle, part(RaptorKeys, self), backend=self.backend)
