@@ -14,6 +14,7 @@ import numpy.typing as npt
 from quadexp.api import Given, overrides
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.compiled_loop import CompiledReference, UserLoop, goes_in_c
+from quadexp.control.instant import stepped
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.readings import ReadingGate
@@ -178,7 +179,7 @@ class ControlLoop:
             self._renewal.renew(k, self._reference, self.controller.residual)
         prepared, self._prepared = self._prepared, None
         window = prepared[1] if prepared and prepared[0] == k else self._reference.window(k)
-        thrusts, record = self.controller.step(measured, reference or window)
+        thrusts, record = stepped(self.controller, measured, reference or window)
         self._record, self.failed = record, record.status == Status.FAILED
         running = getattr(self.controller, "_running", None)
         if self._asked is not running:

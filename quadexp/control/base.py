@@ -100,7 +100,7 @@ class Controller(Protocol):
         """Begin a flight in the state x, (13,); nothing of an earlier flight is left."""
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """Rotor thrusts, (n,) (N), and how the step went."""
+        """Rotor thrusts, (n,) (N), and how the step went; one whose step is Python may give the thrusts alone."""
 
     def log(self) -> dict[str, float]:
         """Further columns of the last step, the same names at every step."""

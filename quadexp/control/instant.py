@@ -227,6 +227,17 @@ def instant_of(controller: Any, told: Told, state: np.ndarray) -> Instant:
     return made
 
 
+def stepped(controller: Controller, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+    """The step of a controller. One in Python may give its thrusts alone: FAILED where they are not finite."""
+    began, made = time.perf_counter(), controller.step(measurement, window)
+    if isinstance(made, tuple):
+        return made
+    u, vehicle = np.asarray(made, float), controller.vehicle
+    limited = int(((u <= vehicle.thrust_min) | (u >= vehicle.thrust_max)).sum())
+    status = Status.RICCATI if np.isfinite(u).all() else Status.FAILED
+    return u, StepRecord(time.perf_counter() - began, status, 0, limited, 0.0)
+
+
 def _stepped(controller: Controller, told: Told, state: np.ndarray) -> Instant:
     """A controller whose step is Python, as one operation."""
     command, records = np.zeros(controller.vehicle.n_rotors), list[StepRecord]()
@@ -234,7 +245,7 @@ def _stepped(controller: Controller, told: Told, state: np.ndarray) -> Instant:
     def step() -> None:
         force = told.force.copy() if told.read[0] else None
         speed = told.speed.copy() if told.turning[0] else None
-        command[...], record = controller.step(Measurement(told.t, state.copy(), force, speed), told.window)
+        command[...], record = stepped(controller, Measurement(told.t, state.copy(), force, speed), told.window)
         records[:] = [record]
 
     return Instant([python(step)], command, lambda took: records[0])

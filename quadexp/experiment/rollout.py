@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.instant import stepped
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import as_controller
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
@@ -212,7 +213,7 @@ def fly(
                 outcome, cause = "solver_failed", str(error)
                 break
             began = time.perf_counter()
-            u, record = controller.step(*asked)
+            u, record = stepped(controller, *asked)
             took = time.perf_counter() - began
             row = (x, u, state_reference, input_reference, reading, inner.values(), told)
             log.add(*row, record, took, controller.log())

@@ -7,11 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Belief, Measurement, Window
-from quadexp.control.laws.dfbc import DFBC, DFBCKeys
-from quadexp.control.laws.geometric import GeometricController, GeometricKeys
+from quadexp.control.laws.dfbc import FlatnessBased
+from quadexp.control.laws.geometric import Geometric
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import linear_drag_residual
-from quadexp.models.residual import no_residual
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from quadexp.reference.ellipse import Ellipse
 from quadexp.reference.flatness import flat_reference
@@ -22,7 +21,7 @@ from quadexp.world.world import World
 
 
 def controller(vehicle, residual=None, **keys):
-    return DFBC(vehicle, DFBCKeys(**keys), residual or no_residual(vehicle), backend="interpreted")
+    return FlatnessBased(**keys, backend="interpreted").controller(vehicle, residual)
 
 
 def commanded(dfbc, x, path, yaw, thrust):
@@ -87,7 +86,7 @@ def test_what_is_believed_is_taken_away(vehicle):
     assert np.abs(blown - plain).max() > 1e-2
 
 
-@pytest.mark.parametrize("law", [controller, lambda vehicle, air: GeometricController(vehicle, GeometricKeys(), air)])
+@pytest.mark.parametrize("law", [controller, lambda vehicle, air: Geometric().controller(vehicle, air)])
 def test_a_believed_scale_of_the_air_is_a_model_with_so_much_more_drag(vehicle, law):
     """DFBC and geometric control, turned and fast, in a believed wind."""
     drag, still, wind = np.array([0.4, 0.3, 0.1]), np.zeros(3), np.array([1.0, -2.0, 0.5])
@@ -118,7 +117,7 @@ def test_the_printed_side_of_y_flips_upside_down(vehicle):
 
 def test_the_error_of_attitude_by_quaternions(vehicle):
     """(25)-(28) as printed, with e = q^-1 o q_d counted double, for random attitudes at rest."""
-    rng, keys = np.random.default_rng(2), DFBCKeys()
+    rng, keys = np.random.default_rng(2), FlatnessBased()
     big = (1.0, 1.0, 1.0, 1.0)
     hover, path = np.full(4, vehicle.hover_thrust), np.zeros((5, 3))
     for _ in range(20):

@@ -7,7 +7,7 @@ import pytest
 
 from quadexp.control.base import Measurement
 from quadexp.control.l1 import LOGGED, L1Controller, L1Keys
-from quadexp.control.laws.geometric import GeometricController, GeometricKeys
+from quadexp.control.laws.geometric import Geometric
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle
 from quadexp.experiment.evaluate import fly_one
@@ -20,7 +20,7 @@ INTERPRETED = {"backend": "interpreted"}
 
 
 def geometric(vehicle, rate=100.0, **keys):
-    inner = GeometricController(vehicle, GeometricKeys(rate=rate), **INTERPRETED)
+    inner = Geometric(rate=rate, **INTERPRETED).controller(vehicle)
     return L1Controller(inner, L1Keys(**keys), keys.get("motor_lag") or 0.0, keys.get("dead_time") or 0.0)
 
 
@@ -230,6 +230,6 @@ def test_what_it_cannot_be_put_around_is_said():
     with pytest.raises(UsageError, match="explains the same error by what it learns in flight"):
         fly_one(compose(["controller=rls_mpc", "adaptive=l1", "vehicle=lei_li", "plant=blade_element"]))
     vehicle = vehicle_of("torrente")
-    inner = WrappedController(GeometricController(vehicle, GeometricKeys(), **INTERPRETED))
+    inner = WrappedController(Geometric(**INTERPRETED).controller(vehicle))
     with pytest.raises(UsageError, match="an observer estimates the same disturbance"):
         compose(["adaptive=l1"]).adaptive.around(inner)

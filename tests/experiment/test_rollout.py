@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import quadexp as qx
-from quadexp.control.laws.dfbc import DFBC, DFBCKeys
+from quadexp.control.laws.dfbc import FlatnessBased
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.evaluate import fly_one
@@ -131,7 +131,7 @@ def test_a_flight_ends_where_what_is_measured_is_refused(vehicle, broken, ends):
             self.rotor_speed = np.full(4, np.nan if failed and broken == "rotor_speed" else 400.0)
             return x, reading + (np.nan if failed and broken == "reading" else 0.0)
 
-    dfbc = DFBC(vehicle, DFBCKeys(), no_residual(vehicle), backend="interpreted")
+    dfbc = FlatnessBased(backend="interpreted").controller(vehicle)
     plant = Failing(vehicle, PlantEffects.none(), step=0.01, backend="interpreted")
     flight = fly(plant, dfbc, SampledReference(Hover(position=(0, 0, 1), duration=1.0), dfbc), np.random.default_rng(0))
     assert flight.t[-1] == pytest.approx(ends, abs=0.01)

@@ -37,9 +37,9 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import prioritised
+from quadexp.control.law import Inputs, Law
 from quadexp.control.laws.attitude import attitude_of
 from quadexp.control.laws.explicit import Rate
-from quadexp.control.laws.law import Inputs, Law
 from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.low_pass import low_pass

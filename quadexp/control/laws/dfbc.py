@@ -33,7 +33,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
-from quadexp.control.laws.law import Inputs, Law
+from quadexp.control.law import Inputs, Law
 from quadexp.control.part import RESIDUAL
 from quadexp.models.residual import N_OUTPUTS
 from quadexp.parts.settings import Setting, Triple, key

@@ -1,4 +1,4 @@
-"""A control law in closed form (law.py) as a Controller: one compiled function a step."""
+"""A control law in closed form (control/law.py) as a Controller: one compiled function a step."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from quadexp.control.laws.law import Law
+    from quadexp.control.law import Law
 
 Rate = Annotated[float, Setting("control rate", "[1, 1000]", "Hz")]
 

@@ -38,8 +38,8 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import clipped, prioritised
+from quadexp.control.law import Inputs, Law
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
-from quadexp.control.laws.law import Inputs, Law
 from quadexp.control.part import RESIDUAL
 from quadexp.parts.settings import Triple, key
 from quadexp.physics.expression import Expression

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.control.law import Inputs, Law
 from quadexp.control.laws.attitude import heading_of
-from quadexp.control.laws.law import Inputs, Law
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key
 from quadexp.physics.expression import Expression, limited

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.laws.cascade import CascadeController, CascadeKeys, wanted_rate, wanted_thrust, wanted_velocity
+from quadexp.control.laws.cascade import Cascade, wanted_rate, wanted_thrust, wanted_velocity
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
@@ -15,12 +15,12 @@ FORCE, TORQUE = np.array([1.5, -1.0, 0.8]), np.array([0.05, -0.03, 0.01])
 
 
 def cascade(vehicle, **changes):
-    return CascadeController(vehicle, CascadeKeys(**changes), backend="interpreted")
+    return Cascade(**changes, backend="interpreted").controller(vehicle)
 
 
 def test_the_rate_is_that_of_the_printed_quaternion_law():
     """PX4's AttitudeControl with quaternions of SciPy."""
-    rng, keys = np.random.default_rng(1), CascadeKeys()
+    rng, keys = np.random.default_rng(1), Cascade()
     R, R_d = ca.SX.sym("R", 3, 3), ca.SX.sym("R_d", 3, 3)
     function = ca.Function("f", [R, R_d], [wanted_rate(R, R_d, keys)])
     for _ in range(50):
@@ -69,7 +69,7 @@ def tilt_of(a, decoupled):
 
 @pytest.mark.parametrize("decoupled", [True, False])
 def test_the_thrust_is_tilted_within_its_limit_and_no_larger_than_there_is(decoupled):
-    vehicle, keys = vehicle_of("torrente"), CascadeKeys(tilt_limit=0.8, decoupled=decoupled)
+    vehicle, keys = vehicle_of("torrente"), Cascade(tilt_limit=0.8, decoupled=decoupled)
     a = ca.SX.sym("a", 3)
     function = ca.Function("f", [a], list(wanted_thrust(a, vehicle, keys)))
     rng, top = np.random.default_rng(3), 80.0
@@ -202,8 +202,8 @@ def circling(vehicle, radius, frequency):
 )
 def test_a_small_circle_is_followed_as_its_transfer_function_says(name, frequency, changes):
     """Gains, units, filters, integrals and both feed-forwards; 3 % for a continuous in place of a sampled law."""
-    vehicle, keys, radius = vehicle_of(name), CascadeKeys(**changes), 0.02
-    controller = CascadeController(vehicle, keys, backend="interpreted")
+    vehicle, keys, radius = vehicle_of(name), Cascade(**changes, backend="interpreted"), 0.02
+    controller = keys.controller(vehicle)
     states, _ = fly(Body(vehicle), controller, at_rest((radius, 0, 0)), 30.0, circling(vehicle, radius, frequency))
     t = np.arange(len(states)) / keys.rate
     found = ((states[:, 0] + 1j * states[:, 1]) * np.exp(-1j * frequency * t) / radius)[-1000:]

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Measurement
-from quadexp.control.laws.raptor import RaptorKeys
 from quadexp.control.laws.rotorpy_se3 import RotorPySE3Keys
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
@@ -30,7 +29,7 @@ def test_the_policy_gives_the_actions_of_its_own_package(raptor):
     from foundation_policy import Raptor
 
     vehicle, rng = vehicle_of("crazyflie"), np.random.default_rng(4)
-    controller = raptor.RaptorController(vehicle, RaptorKeys(), backend="interpreted")
+    controller = raptor.Raptor(backend="interpreted").controller(vehicle)
     own, action, window = Raptor(), np.zeros(4), hovering(vehicle, (1.0, -2.0, 3.0))
     own.reset()
     controller.reset(at_rest(), window)
@@ -66,7 +65,7 @@ def test_rotors_that_turn_the_other_way_are_a_vehicle_turned_by_a_right_angle(ra
         # `other` sees the world turned too, so that its own heading of 0 is the policy's
         start = at_rest(view.apply([0.2, -0.3, 0.1]), view * attitude * view.inv())
         start[VELOCITY], start[RATE] = view.apply(velocity), view.apply(rate)
-        controller = raptor.RaptorController(body, RaptorKeys(), backend="interpreted")
+        controller = raptor.Raptor(backend="interpreted").controller(body)
         states, _ = fly(Body(body), controller, start, 1.0, lambda t, body=body: hovering(body))
         flown.append(view.inv().apply(states[:, POSITION]))
     assert flown[1] == pytest.approx(flown[0], abs=1e-9)
@@ -77,7 +76,7 @@ def test_the_heading_is_that_of_the_reference(raptor):
     vehicle, flown = vehicle_of("crazyflie"), []
     for yaw in (0.0, 2.0):
         turn = Rotation.from_rotvec([0, 0, yaw])
-        controller = raptor.RaptorController(vehicle, RaptorKeys(), backend="interpreted")
+        controller = raptor.Raptor(backend="interpreted").controller(vehicle)
         start = at_rest(turn.apply([0.2, 0.1, -0.2]), turn * Rotation.from_rotvec([0.2, 0.1, 0.3]))
         states, _ = fly(Body(vehicle), controller, start, 1.0, lambda t, yaw=yaw: hovering(vehicle, yaw=yaw))
         flown.append(turn.inv().apply(states[:, POSITION]))

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Belief, Measurement
-from quadexp.control.laws.geometric import GeometricController, GeometricKeys
+from quadexp.control.laws.geometric import Geometric
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
@@ -32,8 +32,8 @@ def wanted_attitude(x, reference, keys, vehicle):
 def test_the_error_of_the_rate_obeys_its_equation_with_position_errors_too(name):
     """e_w' = -W^2 e_R - 2 zeta W e_w: only with the exact rate, and its derivative, of the wanted attitude."""
     vehicle = vehicle_of(name, thrust_max=500.0)
-    keys = GeometricKeys(rate=1000.0, attitude_bandwidth=(8.0, 7.0, 1.5), rates="exact")
-    controller = GeometricController(vehicle, keys, **INTERPRETED)
+    keys = Geometric(**INTERPRETED, rate=1000.0, attitude_bandwidth=(8.0, 7.0, 1.5), rates="exact")
+    controller = keys.controller(vehicle)
     start = at_rest((0.3, -0.2, 0.1), Rotation.from_rotvec([0.15, -0.2, 0.1]))
     start[VELOCITY], start[RATE] = (0.5, 0.4, -0.6), (0.4, -0.3, 0.1)
     window = hovering(vehicle)
@@ -56,8 +56,8 @@ def test_the_error_of_the_rate_obeys_its_equation_with_position_errors_too(name)
 @pytest.mark.parametrize("angle", [0.5, 1.5, 2.5, 3.0])
 def test_psi_decays_exponentially_from_any_angle_below_pi(angle):
     vehicle = vehicle_of("torrente", thrust_max=500.0, torque_coefficient=0.3)
-    keys = GeometricKeys(rate=500.0, position_bandwidth=(0.0,) * 3, attitude_bandwidth=(5.0,) * 3)
-    controller = GeometricController(vehicle, keys, **INTERPRETED)
+    keys = Geometric(**INTERPRETED, rate=500.0, position_bandwidth=(0.0,) * 3, attitude_bandwidth=(5.0,) * 3)
+    controller = keys.controller(vehicle)
     axis = np.array([0.5, 0.7, -0.4])
     start = at_rest(attitude=Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)))
     window = hovering(vehicle)
@@ -115,7 +115,8 @@ def lee():
     object.__setattr__(vehicle, "thrust_min", -900.0)
     bandwidth = tuple(np.sqrt(8.81 / J))
     damping = float(np.mean(2.54 / J / 2 / bandwidth))
-    keys = GeometricKeys(
+    keys = Geometric(
+        **INTERPRETED,
         rate=500.0,
         position_bandwidth=(4.0,) * 3,
         position_damping=0.7,
@@ -131,7 +132,7 @@ def test_lee_s_recovery_from_upside_down():
     vehicle, keys = lee()
     start = at_rest(attitude=Rotation.from_matrix([[1, 0, 0], [0, -0.9995, -0.0314], [0, 0.0314, -0.9995]]))
     window = hovering(vehicle)
-    states, _ = fly(Body(vehicle), GeometricController(vehicle, keys, **INTERPRETED), start, 8.0, lambda t: window)
+    states, _ = fly(Body(vehicle), keys.controller(vehicle), start, 8.0, lambda t: window)
     psi = 1 - np.cos(rotation(states).magnitude())
     tilt = 1 - rotation(states).as_matrix()[:, 2, 2]
     distance = np.linalg.norm(states[:, POSITION], axis=1)
@@ -165,7 +166,7 @@ def test_lee_s_helix():
         states, inputs = reference.state[k : k + 3], reference.input[k : k + 2]
         return hovering(vehicle)._replace(state=states, input=inputs, position=path(t), yaw=np.array([pi * t, pi, 0.0]))
 
-    states, _ = fly(Body(vehicle), GeometricController(vehicle, keys, **INTERPRETED), at_rest(), 9.0, window)
+    states, _ = fly(Body(vehicle), keys.controller(vehicle), at_rest(), 9.0, window)
     distance = np.array([np.linalg.norm(x[POSITION] - path(0.002 * k)[0]) for k, x in enumerate(states)])
     assert distance[0] == pytest.approx(0.6) and distance[2500:].max() < 1e-3 and distance.max() < 1.0
 
@@ -175,7 +176,7 @@ def test_every_vehicle_recovers_from_upside_down_within_its_limits(name):
     vehicle = vehicle_of(name)
     start = at_rest(attitude=Rotation.from_euler("xz", [3.1, 0.4]))
     window = hovering(vehicle)
-    controller = GeometricController(vehicle, GeometricKeys(), **INTERPRETED)
+    controller = Geometric(**INTERPRETED).controller(vehicle)
     states, commands = fly(Body(vehicle), controller, start, 8.0, lambda t: window)
     assert commands.min() >= vehicle.thrust_min and commands.max() <= vehicle.thrust_max
     tilt = np.arccos(rotation(states[-1]).as_matrix()[2, 2])
@@ -186,10 +187,10 @@ FORCE, TORQUE = np.array([1.5, -1.0, 0.8]), np.array([0.05, -0.03, 0.01])
 
 
 def test_an_unknown_force_leaves_the_offset_of_a_spring_and_a_believed_one_none():
-    vehicle, keys = vehicle_of("torrente"), GeometricKeys()
+    vehicle, keys = vehicle_of("torrente"), Geometric(**INTERPRETED)
     body, window = Body(vehicle, lambda t: FORCE), hovering(vehicle)
     offset = FORCE / vehicle.mass / 16.0
-    controller = GeometricController(vehicle, keys, **INTERPRETED)
+    controller = keys.controller(vehicle)
     states, _ = fly(body, controller, at_rest(), 6.0, lambda t: window)
     assert states[-1, POSITION] == pytest.approx(offset, abs=1e-3)  # nearly: the tilted thrust along z is projected
     body = Body(vehicle, lambda t: FORCE, lambda t: TORQUE)
@@ -200,7 +201,7 @@ def test_an_unknown_force_leaves_the_offset_of_a_spring_and_a_believed_one_none(
 
 def test_a_believed_thrust_scale_is_divided_out():
     vehicle, window = vehicle_of("torrente"), hovering(vehicle_of("torrente"))
-    controller = GeometricController(vehicle, GeometricKeys(), **INTERPRETED)
+    controller = Geometric(**INTERPRETED).controller(vehicle)
     controller.reset(at_rest(), window)
     controller.believe(Belief(np.zeros(3), np.zeros(3), np.zeros(3), 0.8))
     u, _ = controller.step(Measurement(0.0, at_rest(), None, None), window)
@@ -210,8 +211,8 @@ def test_a_believed_thrust_scale_is_divided_out():
 def test_the_adaptive_variant_learns_a_constant_force_and_torque():
     """Goodarzi et al. 2015: no error is left, and the estimates are the disturbance."""
     vehicle, window = vehicle_of("torrente"), hovering(vehicle_of("torrente"))
-    keys = GeometricKeys(force_adaptation=8.0, torque_adaptation=60.0)
-    controller = GeometricController(vehicle, keys, **INTERPRETED)
+    keys = Geometric(**INTERPRETED, force_adaptation=8.0, torque_adaptation=60.0)
+    controller = keys.controller(vehicle)
     states, _ = fly(Body(vehicle, lambda t: FORCE, lambda t: TORQUE), controller, at_rest(), 15.0, lambda t: window)
     assert np.abs(states[-1, POSITION]).max() < 1e-4
     learned = controller._law.results["memory_next"]
@@ -223,8 +224,8 @@ def test_the_adaptive_variant_learns_a_constant_force_and_torque():
 
 def test_what_is_adapted_stays_in_its_ball():
     vehicle, window = vehicle_of("torrente"), hovering(vehicle_of("torrente"))
-    keys = GeometricKeys(force_adaptation=50.0, force_limit=0.5)
-    controller = GeometricController(vehicle, keys, **INTERPRETED)
+    keys = Geometric(**INTERPRETED, force_adaptation=50.0, force_limit=0.5)
+    controller = keys.controller(vehicle)
     fly(Body(vehicle, lambda t: FORCE), controller, at_rest(), 3.0, lambda t: window)
     assert np.linalg.norm(controller._law.results["memory_next"][:3]) == pytest.approx(0.5)
 
@@ -233,7 +234,7 @@ def test_compiled_and_interpreted_give_the_same_commands():
     vehicle, x = vehicle_of("lei_li"), at_rest((0.2, 0.1, -0.3), Rotation.from_rotvec([0.4, 0.3, -0.2]))
     commands = []
     for backend in ("compiled", "interpreted"):
-        controller = GeometricController(vehicle, GeometricKeys(), backend=backend)
+        controller = Geometric(backend=backend).controller(vehicle)
         controller.reset(x, hovering(vehicle))
         commands.append(controller.step(Measurement(0.0, x, None, None), hovering(vehicle))[0])
     assert commands[0] == pytest.approx(commands[1], rel=1e-12)
@@ -244,8 +245,8 @@ def test_the_air_is_that_of_the_state_and_of_the_believed_wind():
     from quadexp.models.linear_drag import linear_drag_residual
 
     vehicle, window, drag = vehicle_of("torrente"), hovering(vehicle_of("torrente")), np.array([0.5, 0.3, 0.1])
-    knowing = GeometricController(vehicle, GeometricKeys(), linear_drag_residual(vehicle, drag), **INTERPRETED)
-    told = GeometricController(vehicle, GeometricKeys(), **INTERPRETED)
+    knowing = Geometric(**INTERPRETED).controller(vehicle, linear_drag_residual(vehicle, drag))
+    told = Geometric(**INTERPRETED).controller(vehicle)
     x = at_rest((0.1, -0.2, 0.3), Rotation.from_rotvec([0.3, -0.2, 0.5]))
     x[VELOCITY], wind = (2.0, -1.0, 0.5), np.array([1.5, 3.0, 0.0])
     commands = []
