@@ -90,6 +90,8 @@ def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, *
         panel.set_xlabel(view.x.label)
     for panel in grid.flat[len(panels) :]:
         panel.set_axis_off()
+    for panel in grid.flat[max(len(panels) - across, 0) : (down - 1) * across]:
+        panel.tick_params(labelbottom=True)  # there is none below that would have the values
     figure.suptitle("\n".join(above), fontsize=8)
     return figure, grid
 
