@@ -138,13 +138,15 @@ def law_function(law: Law, vehicle: Vehicle, residual: Residual | None, *, compi
 
     residual: its model of the air, None for none. compiled: whether it is taken in its form for compilation."""
     model = None if residual is None else residual.form(compiled)
+    inputs = Inputs(vehicle, 1 / law.rate, law.symbols)
+    outputs = _outputs(law, vehicle, inputs)
     given = Inputs(vehicle, 1 / law.rate, ca.MX, _air(law, vehicle, model))
+    for name in (name for name in inputs.read if name not in AIR):  # the air's, which reads the belief if the law does, come behind
+        given.symbol(name, inputs.read[name].shape)
     if law.symbols is ca.MX:
         return named_function("law", given.read, _outputs(law, vehicle, given))
-    inputs = Inputs(vehicle, 1 / law.rate, ca.SX)
-    outputs = _outputs(law, vehicle, inputs)
     inner = ca.Function("law", [*inputs.read.values()], ca.cse([*outputs.values()]))
-    results = inner.call([given.symbol(name, symbol.shape) for name, symbol in inputs.read.items()])
+    results = inner.call([given.symbol(name) for name in inputs.read])
     return named_function("law", given.read, dict(zip(outputs, results, strict=True)))
 
 
