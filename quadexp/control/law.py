@@ -141,8 +141,9 @@ def law_function(law: Law, vehicle: Vehicle, residual: Residual | None, *, compi
     inputs = Inputs(vehicle, 1 / law.rate, law.symbols)
     outputs = _outputs(law, vehicle, inputs)
     given = Inputs(vehicle, 1 / law.rate, ca.MX, _air(law, vehicle, model))
-    for name in (name for name in inputs.read if name not in AIR):  # the air's, which reads the belief if the law does, come behind
-        given.symbol(name, inputs.read[name].shape)
+    for name, symbol in inputs.read.items():
+        if name not in AIR:  # which come behind: they read the belief if the law does
+            given.symbol(name, symbol.shape)
     if law.symbols is ca.MX:
         return named_function("law", given.read, _outputs(law, vehicle, given))
     inner = ca.Function("law", [*inputs.read.values()], ca.cse([*outputs.values()]))
