@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from quadexp.parts.settings import Setting
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from quadexp.control.law import Law
-
 Rate = Annotated[float, Setting("control rate", "[1, 1000]", "Hz")]
 
 OF_REFERENCE = {"reference", "thrusts", "thrusts_middle", "air_reference"}  # what a reference is made by flatness for
@@ -29,13 +26,13 @@ NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale, air 
 class ExplicitController(InOperations):
     """A Controller (see control.base) whose step is a CasADi function.
 
-    law: its settings. function: of law.law_function, on a back end. residual: what it knows of the air; None for
+    law: the control.law.Law. function: of its law_function, on a back end. residual: what it knows of the air; None for
     nothing.
     """
 
     reference_period = 0.0
 
-    def __init__(self, vehicle: Vehicle, law: Law, function: ca.Function, residual: Residual | None) -> None:
+    def __init__(self, vehicle: Vehicle, law: Any, function: ca.Function, residual: Residual | None) -> None:
         self.vehicle, self.law, self.control_period = vehicle, law, 1.0 / law.rate
         self.backend = resolve(law.backend)
         self.node_times = np.array(law.nodes) * self.control_period
