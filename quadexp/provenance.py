@@ -117,19 +117,27 @@ def _absolute(name: str, package: str) -> str:
     return ".".join([*parts[: len(parts) + 1 - dots], *filter(None, [rest])])
 
 
-def named_files(path: Path) -> dict[str, Path]:
-    """Files, by their names, that strings in a Python file name, beside it or where this process stands; and folders of
-    data beside it: those without modules and options."""
-    named = {}
-    for text in {text.decode(errors="replace") for text in _TEXT.findall(path.read_bytes())}:
-        beside = os.path.join(path.parent, text)
-        for name, place in ((text, beside), (f"./{text}", text)):
-            if os.path.isfile(place) and not place.endswith(".py"):
-                named[name] = Path(place)
-        if os.path.isdir(beside) and path.parent in Path(os.path.normpath(beside)).parents:
-            suffixes = {file.suffix for file in folder_files(Path(beside))}
-            named |= {} if suffixes & {".py", ".yaml"} else {text: Path(beside)}
+def named_files(path: Path, folders: Iterable[Path]) -> dict[str, Path]:
+    """Files, by their names, that strings in a Python file name, in some folders, in folders there that strings name
+    too, or where this process stands; and folders of data there: those without modules and options."""
+    texts = {text.decode(errors="replace") for text in _TEXT.findall(path.read_bytes())}
+    named = {f"./{text}": Path(text) for text in texts if _is_data_file(text)}
+    for level, folder in enumerate(folders):
+        places = [(folder, "../" * level)]
+        for place, prefix in places:
+            for text, found in ((text, place / text) for text in texts):
+                if _is_data_file(found):
+                    named.setdefault(prefix + text, found)
+                elif place == folder in Path(os.path.normpath(found)).parents and found.is_dir():
+                    if {file.suffix for file in folder_files(found)} & {".py", ".yaml"}:
+                        places.append((found, f"{prefix}{text}/"))
+                    else:
+                        named.setdefault(prefix + text, found)
     return named
+
+
+def _is_data_file(path: str | Path) -> bool:
+    return os.path.isfile(path) and not os.fspath(path).endswith(".py")
 
 
 def follow(names: Iterable[str], locate: Callable[[str], Path | None]) -> tuple[dict[str, Path], set[str]]:

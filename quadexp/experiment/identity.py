@@ -29,7 +29,7 @@ from quadexp.models.base import model_class
 from quadexp.parts.part import TARGET, Part, imported
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
-from quadexp.parts.user_modules import OWN, modules_of
+from quadexp.parts.user_modules import OWN, data_folders, modules_of
 from quadexp.physics.vehicle import FORMER_NAMES
 from quadexp.provenance import (
     FLYING,
@@ -198,13 +198,14 @@ def decides(group: str, part: Part) -> Decides:
     behind = {kind.__module__: kind for kind in type(part).__mro__} | {target.rpartition(".")[0]: type(part)}
     code, elsewhere, modules = modules_of(behind)
     texts = {f"{group} class": target} | {f"{group} module {name}": content for name, content in code.items()}
-    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {OWN}
+    own = {name.partition(".")[0] for name in modules}
+    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - own - {OWN}
     outside = {name for name in behind if name in elsewhere and name.partition(".")[0] in tops}
     texts |= {f"{group} module {name}": _outside(behind[name]) for name in outside}
     settings = {key: value for key, value in part.recorded().items() if key != "name"}
     named = {text: Path(text) for text in _texts(settings) if _is_data(text)}
-    for path in modules.values():
-        named |= named_files(path)
+    for name, path in modules.items():
+        named |= named_files(path, data_folders(name, path))
     files = {f"{group} module {name}": path for name, path in modules.items()}
     files |= {f"{group} file {text}": place for text, place in named.items()}
     shipped = frozenset(name for name in elsewhere if name.startswith(f"{OWN}."))

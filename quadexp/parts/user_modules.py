@@ -101,16 +101,29 @@ def _entry_points() -> EntryPoints:
 
 
 def locate(name: str) -> Path | None:
-    """The file of a user's module, the folder of a package without one; None for what is no user's."""
+    """The file of a user's module, the folder of a package without one; None for what is no user's.
+
+    Raises UsageError where two --conf folders have other modules of that name."""
     top = name.partition(".")[0]
     plugin = _plugin_places().get(top)
+    found = []
     for folder in [plugin] if plugin else _folders:
         base = folder.joinpath(*name.split("."))
         files = [base / "__init__.py", *(base.with_name(base.name + suffix) for suffix in (".py", *EXTENSION_SUFFIXES))]
-        path = next(filter(Path.is_file, files), base)
-        if path.exists():
-            return None if plugin is None and _taken(top) else path
-    return None
+        found.append(next(filter(Path.is_file, files), base))
+    found = sorted(filter(Path.exists, found), key=Path.is_dir)
+    if not found or (plugin is None and _taken(top)):
+        return None
+    first, *others = (path for path in found if path.is_file() == found[0].is_file())
+    if first.is_file() and (other := next((o for o in others if content_hash(o) != content_hash(first)), None)):
+        raise UsageError(f"the name {name} stands for {first} and for {other}: give one of these modules another one")
+    return first
+
+
+def data_folders(name: str, path: Path) -> list[Path]:
+    """Where a user's module finds its data: beside it, and above it as far as its --conf folder, or its package."""
+    levels = name.count(".") + (path.stem == "__init__") - (name.partition(".")[0] in _plugin_places())
+    return [*path.parents[: levels + 1], path.resolve().parent]
 
 
 def lies_outside(module: str) -> str:

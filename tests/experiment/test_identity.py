@@ -57,7 +57,10 @@ FILES = {
     "called.py": "LENGTH = 1.0\n",
     "package/__init__.py": "",
     "package/inner.py": "from . import (\n    shift,  # beside\n)\nfrom space.deep import DEEP\nSHIFT = shift.SHIFT\n",
-    "package/shift.py": "SHIFT = 0.0\n",
+    "package/shift.py": "FOLDER, FILE = 'tables', 'above.yaml'  # of the folder above\nSHIFT = 0.0\n",
+    "package/unused.py": "X = 1.0\n",
+    "tables/above.yaml": "x: 1.0\n",
+    "tables/unused.yaml": "x: 1.0\n",
     "space/deep.py": "DEEP = 0.0\n",  # a package without __init__.py
     "gains.csv": "1.0\n",
     "table.csv": "2.0\n",
@@ -73,7 +76,8 @@ GRID = [f"trajectory={','.join(TRAJECTORIES)}", f"plant={','.join(PLANTS)}", f"c
 # What is edited -> what a flight has in common whose key changes.
 OF_MINE = (
     *("mine.py", "base.py", "helper.py", "late.py", "called.py", "package/__init__.py", "package/inner.py"),
-    *("package/shift.py", "space/deep.py", "gains.csv", "table.csv", "trajectory/mine.yaml", "site/fake_package.py"),
+    *("package/shift.py", "space/deep.py", "tables/above.yaml", "gains.csv", "table.csv", "trajectory/mine.yaml"),
+    "site/fake_package.py",
 )
 DECIDED = {name: {"trajectory=mine"} for name in OF_MINE} | {
     "other.py": {"trajectory=other"},
@@ -82,6 +86,8 @@ DECIDED = {name: {"trajectory=mine"} for name in OF_MINE} | {
     "plant/heavy.yaml": {"plant=heavy"},
     "drag/model.json": {"controller=linear_drag_mpc"},
     "unused.py": set(),
+    "package/unused.py": set(),
+    "tables/unused.yaml": set(),
 }
 
 
