@@ -212,6 +212,28 @@ class TestOneProcess:
         assert flown_height(folder) == swept_height(folder, tmp_path / "r", "hover,mine") == expected
         assert sys.modules["same_name"] is module, "which can be reloaded by who has imported it"
 
+    def test_data_that_a_module_reads_when_it_is_imported(self, tmp_path):
+        """A worker read them anew, this process did not."""
+        folder = place(tmp_path / "mine", 1.0)
+        read = "from pathlib import Path\nHEIGHT = float((Path(__file__).parent / 'data' / 'height.txt').read_text())\n"
+        (folder / "same_helper.py").write_text(read)
+        (folder / "data").mkdir()
+        for i, height in enumerate((1.0, 2.0, 3.0)):
+            (folder / "data" / "height.txt").write_text(str(height))
+            assert flown_height(folder) == height
+            if i == 1:  # a folder of data, and one with an option in it
+                assert swept_height(folder, tmp_path / "r") == height
+                (folder / "data" / "about.yaml").touch()
+
+    def test_results_beside_a_module_decide_nothing(self, tmp_path):
+        """Its flights failed: what decides them had changed since the run began."""
+        folder = place(tmp_path / "mine", 1.0)
+        (folder / "same_helper.py").write_text("HEIGHT = 1.0\nOUT = 'results'\n")
+        (folder / "results").mkdir()
+        for _ in range(2):
+            assert swept_height(folder, folder / "results") == 1.0
+        assert len([*(folder / "results" / "cells").glob("*/*.parquet")]) == 1
+
     def test_a_mistake_while_editing_is_mended(self, tmp_path):
         folder = place(tmp_path / "mine", 1.0)
         assert flown_height(folder) == 1.0
