@@ -97,7 +97,7 @@ class Flight(Frame):
 
     def _digest(self) -> str:
         rows = pd.util.hash_pandas_object(self, index=False)
-        return hashlib.sha256(rows.to_numpy().tobytes()).hexdigest()
+        return hashlib.sha256(str([*self]).encode() + rows.to_numpy().tobytes()).hexdigest()
 
     @property
     def record(self) -> dict[str, Any]:
