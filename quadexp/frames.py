@@ -97,7 +97,7 @@ class Flight(Frame):
 
     def _digest(self) -> str:
         rows = pd.util.hash_pandas_object(self, index=False)
-        return sha256_of(rows.to_numpy().tobytes())
+        return sha256_of(str([*self]).encode() + rows.to_numpy().tobytes())
 
     @property
     def record(self) -> dict[str, Any]:

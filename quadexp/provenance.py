@@ -37,6 +37,7 @@ FLYING = "quadexp.experiment.evaluate"  # flies a cell and makes its row
 ROOMS = ("control", "models", "physics", "reference", "world")  # what configurations and checkpoints name is in these
 SHORT = 12  # hex digits of a hash that people read
 SETTLED = 2_000_000_000  # ns after a change within which another one may leave the same times: the coarsest disks
+RESULTS = ("asked.json", "results.parquet")  # files in folders that a sweep writes
 LARGEST = 32_000_000  # bytes of a package whose content is compared; of a larger one the version is
 _IMPORT = re.compile(rb"""import(?:\b[ \t]*(\([^)]*\)|[^\n;]*)|(?:_module|__)\(\s*["']([.\w]+)["'])""")
 _TEXT = re.compile(rb"[\"']([^\"'\n]{1,255})[\"']")
@@ -73,6 +74,11 @@ def files_hash(files: Iterable[Path], root: Path) -> str:
     """Hash of the names, below `root`, and the contents of some files."""
     lines = sorted(f"{file.relative_to(root).as_posix()} {content_hash(file)}" for file in files)
     return sha256_of("\n".join(lines))
+
+
+def place_hash(path: Path) -> str:
+    """Hash of a file, or of all in a folder."""
+    return files_hash(folder_files(path), path) if path.is_dir() else content_hash(path)
 
 
 def folder_files(folder: Path) -> Iterator[Path]:
@@ -117,19 +123,34 @@ def _absolute(name: str, package: str) -> str:
     return ".".join([*parts[: len(parts) + 1 - dots], *filter(None, [rest])])
 
 
-def named_files(path: Path) -> dict[str, Path]:
-    """Files, by their names, that strings in a Python file name, beside it or where this process stands; and folders of
-    data beside it: those without modules and options."""
-    named = {}
-    for text in {text.decode(errors="replace") for text in _TEXT.findall(path.read_bytes())}:
-        beside = os.path.join(path.parent, text)
-        for name, place in ((text, beside), (f"./{text}", text)):
-            if os.path.isfile(place) and not place.endswith(".py"):
-                named[name] = Path(place)
-        if os.path.isdir(beside) and path.parent in Path(os.path.normpath(beside)).parents:
-            suffixes = {file.suffix for file in folder_files(Path(beside))}
-            named |= {} if suffixes & {".py", ".yaml"} else {text: Path(beside)}
+def named_files(path: Path, folders: Iterable[Path]) -> dict[str, Path]:
+    """Files, by their names, that strings in a Python file name, in some folders, in folders there that strings name
+    too, or where this process stands; and folders of data there: those without modules, options and results."""
+    texts = _named(path, content_hash(path))
+    named = {f"./{text}": Path(text) for text in texts if _is_data_file(text)}
+    for level, folder in enumerate(folders):
+        places = [(folder, "../" * level)]
+        for place, prefix in places:
+            for text, found in ((text, place / text) for text in texts):
+                if _is_data_file(found):
+                    named.setdefault(prefix + text, found)
+                elif place == folder in Path(os.path.normpath(found)).parents and found.is_dir():
+                    files = [*folder_files(found)]
+                    if any(file.suffix in (".py", ".yaml") or file.name in RESULTS for file in files):
+                        places.append((found, f"{prefix}{text}/"))
+                    elif files:
+                        named.setdefault(prefix + text, found)
     return named
+
+
+@lru_cache(4096)
+def _named(path: Path, content: str) -> frozenset[str]:
+    """Strings in a file. content: its hash."""
+    return frozenset(text.decode(errors="replace") for text in _TEXT.findall(path.read_bytes()))
+
+
+def _is_data_file(path: str | Path) -> bool:
+    return os.path.isfile(path) and not os.fspath(path).endswith(".py")
 
 
 def follow(names: Iterable[str], locate: Callable[[str], Path | None]) -> tuple[dict[str, Path], set[str]]:

@@ -381,7 +381,7 @@ def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
             from quadexp.log.store import read_metadata
             from quadexp.parts.recorded import recorded_words
 
-            record = read_metadata(words[0], "flight").get("config") or {}
-            words = recorded_words(composer, record, words[1:])
+            about = read_metadata(words[0], "flight")
+            words = recorded_words(composer, about.get("config") or {}, words[1:], about.get("classes") or {})
         config = composer.compose(words)
     return path_margins(config, find_model(config))

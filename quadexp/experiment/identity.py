@@ -29,18 +29,16 @@ from quadexp.names import sha256_of
 from quadexp.parts.part import Part
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
-from quadexp.parts.user_modules import OWN, modules_of
+from quadexp.parts.user_modules import OWN, data_of, modules_of
 from quadexp.physics.vehicle import FORMER_NAMES
 from quadexp.provenance import (
     FLYING,
     content_hash,
-    files_hash,
-    folder_files,
     model_modules,
-    named_files,
     numeric_versions,
     package_folder,
     package_identity,
+    place_hash,
     program_of,
     sources,
 )
@@ -181,7 +179,7 @@ class Decides(NamedTuple):
 
     def inputs(self) -> dict[str, str]:
         """Hashes by name."""
-        return {name: _content(path) for name, path in self.files.items()} | self.texts
+        return {name: place_hash(path) for name, path in self.files.items()} | self.texts
 
 
 def decides(group: str, part: Part) -> Decides:
@@ -195,13 +193,14 @@ def decides(group: str, part: Part) -> Decides:
     behind = {kind.__module__: kind for kind in reversed(type(part).__mro__)}
     code, elsewhere, modules = modules_of(behind)
     texts = {f"{group} class": part.class_path} | {f"{group} module {name}": content for name, content in code.items()}
-    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - {OWN}
+    own = {name.partition(".")[0] for name in modules}
+    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - own - {OWN}
     outside = {name for name in behind if name in elsewhere and name.partition(".")[0] in tops}
     texts |= {f"{group} module {name}": _outside(behind[name]) for name in outside}
     settings = {key: value for key, value in part.recorded().items() if key != "name"}
     named = {text: Path(text) for text in _texts(settings) if _is_data(text)}
-    for path in modules.values():
-        named |= named_files(path)
+    for name, path in modules.items():
+        named |= data_of(name, path)
     files = {f"{group} module {name}": path for name, path in modules.items()}
     files |= {f"{group} file {text}": place for text, place in named.items()}
     shipped = frozenset(name for name in elsewhere if name.startswith(f"{OWN}."))
@@ -246,10 +245,6 @@ def _texts(value: Any) -> Iterator[str]:
     elif isinstance(value, (list, tuple, dict)):
         for item in value.values() if isinstance(value, dict) else value:
             yield from _texts(item)
-
-
-def _content(path: Path) -> str:
-    return files_hash(folder_files(path), path) if path.is_dir() else content_hash(path)
 
 
 # ------------------------------------------------------------------------------------------------------------- a flight

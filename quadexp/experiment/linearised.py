@@ -63,15 +63,20 @@ def linear_loop(
         raise UnknownLoopError(f"{type(plant).__name__} keeps its inner states to itself")
     if not (in_operations(controller) and in_operations(inner := innermost(controller))):
         raise UnknownLoopError(f"{type(inner if in_operations(controller) else controller).__name__} steps in Python")
-    try:
-        flown = _Flown(controller, plant, window, state, settling, carried=False)
-        if not flown.settled:  # it may be that it is not stable
-            flown = _Flown(controller, plant, window, state, settling, carried=True)
-        phases, body, readings = flown.phases()
-    except ModelDomainError as error:
-        raise UnknownLoopError(str(error)) from None
-    if not all(np.isfinite(part).all() for phase in phases for part in phase):
-        raise UnknownLoopError("its derivatives are not finite")
+    for carried in (False, True):
+        try:
+            flown = _Flown(controller, plant, window, state, settling, carried=carried)
+            if not flown.settled and not carried:  # it may be that it is not stable
+                continue
+            phases, body, readings = flown.phases()
+        except ModelDomainError as error:
+            raise UnknownLoopError(str(error)) from None
+        if not all(np.isfinite(part).all() for phase in phases for part in phase):
+            raise UnknownLoopError("its derivatives are not finite")
+        if any(phase.C.any() for phase in phases):
+            break
+    else:
+        raise UnknownLoopError("no command follows the state, such as of rotors at their limits")
     places = np.arange(len(phases[0].A))
     direct = (places >= readings) & (places < readings + 3)
     return LinearLoop(phases, controller.control_period, (places < body) & ~direct, direct)

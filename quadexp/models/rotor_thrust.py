@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.dataset import consecutive
 from quadexp.models.residual import VELOCITY
@@ -252,6 +253,9 @@ class _Score:
             k = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))
             if (settled := _settled(flight)[k]).any():
                 rows.append((flight, table, k, settled))
+        if not rows:
+            said = f"no flight is longer than {SETTLING:g} s, so none tells how late the thrusts are"
+            raise DataError(f"{said}: fly longer, or set collect.thrust=commanded")
         rows = rows[:: max(1, round(sum(float(flight.t[-1] - flight.t[0]) for flight, *_ in rows) / LONGEST))]
         self.flights, self._k = [flight for flight, *_ in rows], [k[settled] for _, _, k, settled in rows]
         self._vehicle, self._noise = vehicle, np.array([noise.get(name, 0.0) for name in TARGETS])

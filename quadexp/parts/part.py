@@ -149,7 +149,7 @@ def imported(key: str, target: str) -> Any:
         raise ModuleError(f"{said}: {outside}")
     try:
         module = load(module_name)
-    except ImportError as error:
+    except (ImportError, UsageError) as error:
         raise ModuleError(f"{said}: {error}") from None
     except Exception as error:
         raise UsageError(f"{said}: importing {module_name} raised {type(error).__name__}: {error}") from error

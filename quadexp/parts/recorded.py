@@ -13,39 +13,52 @@ from quadexp.errors import UsageError
 from quadexp.parts.compose import Composer
 from quadexp.parts.override import in_grammar
 from quadexp.parts.part import Part
-from quadexp.parts.schema import PARTS
-from quadexp.parts.settings import declared, plain
+from quadexp.parts.schema import BUNDLES, PARTS, PRESETS
+from quadexp.parts.settings import declared, flat, plain
 
 
-def recorded_words(composer: Composer, record: Mapping[str, Any], chosen: Sequence[str] = ()) -> list[str]:
+def recorded_words(
+    composer: Composer, record: Mapping[str, Any], chosen: Sequence[str] = (), classes: Mapping[str, str] = {}
+) -> list[str]:
     """The overrides that give a recorded configuration again, options first, and then `chosen`, which change it.
 
-    A group whose option they choose is not taken from the record.
+    A group whose option they choose is not taken from the record, nor what a bundle or a preset that they choose
+    decides. classes: recorded names of the classes of parts, by group.
     """
-    replaced = {text.partition("=")[0] for text in chosen}
+    options = dict(text.split("=", 1) for text in chosen)
+    for bundle in BUNDLES:
+        if options.get(bundle) not in composer.options(bundle):
+            continue
+        values, others = composer.option(bundle, options[bundle])
+        options |= dict.fromkeys([*BUNDLES[bundle], *flat(values)], "") | others
+    for preset in PRESETS.keys() & options.keys():
+        for name in composer.options(preset):
+            options |= dict.fromkeys(flat({PRESETS[preset]: composer.option(preset, name).values}), "")
     words: list[str] = []
     for key, value in record.items():
-        if key in replaced or value is None:
+        if key in options or value is None:
             continue
         if key in PARTS:
-            option, part = _option(composer, key, value)
+            option, part = _option(composer, key, value, classes.get(key, ""))
             words.append(f"{key}={option}")
             stated = {**plain(part), **composer.option(key, option).values}
-            value = {
-                name: value[name]
-                for name in declared(part)
-                if name in value and name != "name" and value[name] != stated.get(name)
-            }
+            keys = {name for name in value.keys() & declared(part).keys() if value[name] != stated.get(name)}
+            value = {name: value[name] for name in declared(part) if name in keys and f"{key}.{name}" not in options}
+            value.pop("name", None)
         words += _texts(value, key)
     return [*sorted(words, key=lambda text: "." in text.partition("=")[0]), *chosen]
 
 
-def _option(composer: Composer, group: str, record: Mapping[str, Any]) -> tuple[str, type[Part]]:
-    """The option that a recorded part is of, and its class: that with most of the recorded keys, and no others."""
+def _option(composer: Composer, group: str, record: Mapping[str, Any], recorded: str) -> tuple[str, type[Part]]:
+    """The option that a recorded part is of, and its class: that with most of the recorded keys, and no others.
+
+    recorded: name of the class, "" where it is not known."""
     classes: dict[str, type[Part]] = {}
     for option in composer.options(group):
         part = composer.part(group, option)
         if part is None or part.former_kind != record.get("kind", ""):
+            continue
+        if recorded not in ("", f"{part.__module__}.{part.__qualname__}"):
             continue
         if all(key in record or key in part.added for key in declared(part)):
             classes[option] = part

@@ -7,9 +7,9 @@ out as conf/ is, by an entry point:
     my_lab = "my_lab.conf"
 
 They are executed from their text, never from bytecode, which Python tells from its source by seconds and size only.
-Where the text of a module has changed since, or that of one that it imports, or where a module of that name from
-another folder is loaded, all are executed anew, each in the module object that it had, as importlib.reload does: a
-flight in this process has the code that a worker process imports.
+Where the text of a module has changed since, or data that it names, or those of one that it imports, or where a module
+of that name from another folder is loaded, all are executed anew, each in the module object that it had, as
+importlib.reload does: a flight in this process has the code that a worker process imports.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 from quadexp.errors import UsageError
 from quadexp.names import sha256_of
-from quadexp.provenance import content_hash, follow
+from quadexp.provenance import content_hash, follow, named_files, place_hash
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -37,6 +37,7 @@ ENTRY_POINTS = "quadexp.conf"  # group of the entry points of plugin packages
 _folders: list[Path] = []  # given with --conf
 _places: dict[str, Path] = {}  # file, or folder without one, of modules that are executed here
 _texts: dict[str, str] = {}  # hash of the text that a module was executed from
+_data: dict[str, dict[str, str]] = {}  # and of data that it may have read then
 _objects: dict[Path, ModuleType] = {}  # module object of a file, in which it is executed again
 _state = {"generation": 0, "mixed": False}  # mixed: one was executed again alone, which others had imported from
 
@@ -101,16 +102,33 @@ def _entry_points() -> EntryPoints:
 
 
 def locate(name: str) -> Path | None:
-    """The file of a user's module, the folder of a package without one; None for what is no user's."""
+    """The file of a user's module, the folder of a package without one; None for what is no user's.
+
+    Raises UsageError where two --conf folders have other modules of that name."""
     top = name.partition(".")[0]
     plugin = _plugin_places().get(top)
+    found = []
     for folder in [plugin] if plugin else _folders:
         base = folder.joinpath(*name.split("."))
         files = [base / "__init__.py", *(base.with_name(base.name + suffix) for suffix in (".py", *EXTENSION_SUFFIXES))]
-        path = next(filter(Path.is_file, files), base)
-        if path.exists():
-            return None if plugin is None and _taken(top) else path
-    return None
+        found.append(next(filter(Path.is_file, files), base))
+    found = sorted(filter(Path.exists, found), key=Path.is_dir)
+    if not found or (plugin is None and _taken(top)):
+        return None
+    first, *others = (path for path in found if path.is_file() == found[0].is_file())
+    if first.is_file() and (other := next((o for o in others if content_hash(o) != content_hash(first)), None)):
+        raise UsageError(f"the name {name} stands for {first} and for {other}: give one of these modules another one")
+    return first
+
+
+def data_of(name: str, path: Path) -> dict[str, Path]:
+    """Files of data that a user's module names: beside it, and above it as far as its --conf folder, or its package."""
+    levels = name.count(".") + (path.stem == "__init__") - (name.partition(".")[0] in _plugin_places())
+    return named_files(path, dict.fromkeys([*path.parents[: levels + 1], path.resolve().parent]))
+
+
+def _contents(name: str, path: Path) -> dict[str, str]:
+    return {text: place_hash(place) for text, place in data_of(name, path).items()}
 
 
 def lies_outside(module: str) -> str:
@@ -185,7 +203,8 @@ def _differs(name: str, path: Path) -> bool:
     if path.is_dir():
         return str(path) not in getattr(module, "__path__", ())
     if path.suffix == ".py":
-        return _places.get(name) != path or _texts.get(name) != content_hash(path)
+        changed = _places.get(name) != path or _texts.get(name) != content_hash(path)
+        return changed or _data[name] != _contents(name, path)
     return getattr(module, "__file__", None) != str(path)  # compiled, which is loaded once
 
 
@@ -213,6 +232,7 @@ class _Loader(SourceFileLoader):
         text = self.get_data(self.path)
         _state["mixed"] |= self.name in _texts  # by importlib.reload
         _texts[self.name] = sha256_of(text)
+        _data[self.name] = _contents(self.name, Path(self.path))
         try:
             exec(self.source_to_code(text, self.path), vars(module))
         except BaseException:

@@ -31,7 +31,7 @@ from quadexp.physics.state import norms
 from quadexp.report.frame import read_results
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
-from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown, is_invalid
 from quadexp.report.statistics import Statistic, overall
 from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
@@ -239,7 +239,9 @@ def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
         for row in rows:
             who = contestant_of(row)
             who = who if (who.controller, who.settings) in several else who._replace(model="")
-            side[condition_of(row), who, row["seed"]] = row
+            key = condition_of(row), who, row["seed"]
+            if key not in side or not is_invalid(row):
+                side[key] = row
     return sides
 
 
@@ -330,7 +332,10 @@ def _contestants(
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
         sides = [(at, side, row) for (at, *_), pair in pairs.items() for side, row in zip("ab", pair, strict=True)]
         rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
-        pooled += overall(rows, metric=metric, baseline="a", confidence=confidence)
+        found = overall(rows, metric=metric, baseline="a", confidence=confidence)
+        if not found:  # its settings contradict each other
+            continue
+        pooled += found
         completed = [p for p in pairs.values() if all(is_flown(row) and math.isfinite(row[metric]) for row in p)]
         means = (_mean([pair[i] for pair in completed], metric) for i in (0, 1))
         flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}

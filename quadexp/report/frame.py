@@ -58,6 +58,8 @@ _TOKEN = re.compile(
     re.VERBOSE | re.IGNORECASE,
 )
 
+_VECTOR = re.compile(r"""(?:([^\W\d][\w.]*)\s*(==?|!=|<>)|([\[,]))\s*(\[[^\[\]'"]*\])""")  # a list that is one value
+
 Row = Mapping[str, Any]
 
 
@@ -242,6 +244,13 @@ def chosen(frame: SweepFrame, condition: str) -> list[bool]:
 
 def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]], texts: list[str]) -> list[str]:
     """The parts of the expression. Filled: columns, the values of each name in it; texts, the words that are no key."""
+
+    def quoted(match: re.Match[str]) -> str:
+        key, *_, vector = match.groups()
+        known = key is None or (frame.has(key) and any(str(value).startswith("[") for value in frame.values(key)))
+        return match[0].replace(vector, f"'{vector}'") if known else match[0]
+
+    condition = _VECTOR.sub(quoted, condition)
     tokens: list[re.Match[str]] = []
     while condition[(at := tokens[-1].end() if tokens else 0) :].strip():
         if (token := _TOKEN.match(condition, at)) is None:

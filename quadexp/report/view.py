@@ -86,7 +86,7 @@ def points(
     beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
     for place, numbers in places.items():
         flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_contestant(key))
-        broken = {flights[i] for i in numbers if not well[i]}
+        broken = {flights[i] for i in numbers if not well[i] and not is_invalid(frame.rows[i])}
         beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
     used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}
     result = {}
@@ -101,7 +101,7 @@ def points(
             share = completed / trials if trials else math.nan
             point = replace(point, mean=share, low=low, high=high, flights=trials, method="Clopper-Pearson")
         elif place in used:
-            errors = grouped((flights[i], float(values[i])) for i in numbers if flights[i] in used[place])
+            errors = grouped((flights[i], float(values[i])) for i in numbers if well[i] and flights[i] in used[place])
             means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
             low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
             limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}

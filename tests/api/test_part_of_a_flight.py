@@ -22,6 +22,7 @@ PARTS = {
     "sorted by another column": lambda f: f.sort_values("p_x"),
     "filtered by another column": lambda f: f[f["v_x"] > 0],
     "changed": lambda f: f.assign(p_x=f["p_x"] + 1),
+    "axes renamed": lambda f: f.rename(columns={"p_x": "p_y", "p_y": "p_x"}),
     "twice": lambda f: pd.concat([f, f]),
     "whole": lambda f: f,
 }

@@ -57,7 +57,10 @@ FILES = {
     "called.py": "LENGTH = 1.0\n",
     "package/__init__.py": "",
     "package/inner.py": "from . import (\n    shift,  # beside\n)\nfrom space.deep import DEEP\nSHIFT = shift.SHIFT\n",
-    "package/shift.py": "SHIFT = 0.0\n",
+    "package/shift.py": "FOLDER, FILE = 'tables', 'above.yaml'  # of the folder above\nSHIFT = 0.0\n",
+    "package/unused.py": "X = 1.0\n",
+    "tables/above.yaml": "x: 1.0\n",
+    "tables/unused.yaml": "x: 1.0\n",
     "space/deep.py": "DEEP = 0.0\n",  # a package without __init__.py
     "gains.csv": "1.0\n",
     "table.csv": "2.0\n",
@@ -73,7 +76,8 @@ GRID = [f"trajectory={','.join(TRAJECTORIES)}", f"plant={','.join(PLANTS)}", f"c
 # What is edited -> what a flight has in common whose key changes.
 OF_MINE = (
     *("mine.py", "base.py", "helper.py", "late.py", "called.py", "package/__init__.py", "package/inner.py"),
-    *("package/shift.py", "space/deep.py", "gains.csv", "table.csv", "trajectory/mine.yaml", "site/fake_package.py"),
+    *("package/shift.py", "space/deep.py", "tables/above.yaml", "gains.csv", "table.csv", "trajectory/mine.yaml"),
+    "site/fake_package.py",
 )
 DECIDED = {name: {"trajectory=mine"} for name in OF_MINE} | {
     "other.py": {"trajectory=other"},
@@ -82,6 +86,8 @@ DECIDED = {name: {"trajectory=mine"} for name in OF_MINE} | {
     "plant/heavy.yaml": {"plant=heavy"},
     "drag/model.json": {"controller=linear_drag_mpc"},
     "unused.py": set(),
+    "package/unused.py": set(),
+    "tables/unused.yaml": set(),
 }
 
 
@@ -205,6 +211,28 @@ class TestOneProcess:
         expected = 9.0 if how == "class" else 2.0
         assert flown_height(folder) == swept_height(folder, tmp_path / "r", "hover,mine") == expected
         assert sys.modules["same_name"] is module, "which can be reloaded by who has imported it"
+
+    def test_data_that_a_module_reads_when_it_is_imported(self, tmp_path):
+        """A worker read them anew, this process did not."""
+        folder = place(tmp_path / "mine", 1.0)
+        read = "from pathlib import Path\nHEIGHT = float((Path(__file__).parent / 'data' / 'height.txt').read_text())\n"
+        (folder / "same_helper.py").write_text(read)
+        (folder / "data").mkdir()
+        for i, height in enumerate((1.0, 2.0, 3.0)):
+            (folder / "data" / "height.txt").write_text(str(height))
+            assert flown_height(folder) == height
+            if i == 1:  # a folder of data, and one with an option in it
+                assert swept_height(folder, tmp_path / "r") == height
+                (folder / "data" / "about.yaml").touch()
+
+    def test_results_beside_a_module_decide_nothing(self, tmp_path):
+        """Its flights failed: what decides them had changed since the run began."""
+        folder = place(tmp_path / "mine", 1.0)
+        (folder / "same_helper.py").write_text("HEIGHT = 1.0\nOUT = 'results'\n")
+        (folder / "results").mkdir()
+        for _ in range(2):
+            assert swept_height(folder, folder / "results") == 1.0
+        assert len([*(folder / "results" / "cells").glob("*/*.parquet")]) == 1
 
     def test_a_mistake_while_editing_is_mended(self, tmp_path):
         folder = place(tmp_path / "mine", 1.0)

@@ -1,11 +1,13 @@
 """A stored flight is composed again, whatever its parts are called and wherever its files lie."""
 
+import json
 import shutil
 from pathlib import Path
 
 import pytest
 
 from quadexp.errors import UsageError
+from quadexp.experiment.evaluate import describe
 from quadexp.experiment.identity import flight_record
 from quadexp.experiment.vehicle_of import config_for
 from quadexp.parts.compose import compose, session
@@ -48,6 +50,41 @@ def test_a_part_of_ones_own_needs_its_folder():
     assert type(again.trajectory).__name__ == "HelixTrajectory" and again.trajectory.speed == 3
     with session() as composer, pytest.raises(UsageError, match="trajectory=helix: no such option.*--conf"):
         recorded_words(composer, config)
+
+
+def test_a_class_of_ones_own_with_the_keys_of_a_shipped_one_is_not_taken_for_it(tmp_path):
+    (tmp_path / "wind").mkdir()
+    (tmp_path / "wind" / "constant.yaml").write_text("_target_: breeze_of_a_test.Breeze\n")
+    own = "from quadexp.world.constant_wind import ConstantWind\n\n\nclass Breeze(ConstantWind):\n    pass\n"
+    (tmp_path / "breeze_of_a_test.py").write_text(own)
+    for conf, other in ((tmp_path, None), (None, tmp_path)):
+        config = compose(["wind=constant"], conf)
+        about = describe(config, config.vehicle, None)
+        with session(conf) as composer:
+            words = recorded_words(composer, about["config"], (), about["classes"])
+            assert type(composer.compose(words).wind) is type(config.wind)
+        with session(other) as composer, pytest.raises(UsageError, match="wind=constant: .*--conf"):
+            recorded_words(composer, about["config"], (), about["classes"])
+
+
+CHANGES = [["world=clean"], ["horizon=precise"], ["remedies=offset_free", "world=only_wind"]]
+
+
+@pytest.mark.parametrize("chosen", CHANGES, ids=" ".join)
+def test_a_bundle_or_preset_that_is_chosen_comes_before_what_was_recorded(chosen):
+    settings = ["world=everything", "trajectory=hover", "observer=wind" if "horizon" in chosen[0] else "horizon=stiff"]
+    with session() as composer:
+        recorded = recorded_words(composer, flight_record(composer.compose(settings)), chosen)
+        assert flight_record(composer.compose(recorded)) == flight_record(composer.compose([*settings, *chosen]))
+
+
+def test_margins_where_the_rotors_stand_at_their_limits_are_those_of_the_loop(here):
+    """Not 500 ms, for no command follows the state there: simulate refuses the same loop as not stable."""
+    hover = ["trajectory=hover", "trajectory.duration=0.3", "world=everything", "horizon=precise"]
+    code, out, err = run("show", "--margins", *hover, "--json")
+    assert code == 0 and "not stable" in run("simulate", *hover, "--out", "a.parquet")[2]
+    (row,) = json.loads(out)["margins"]
+    assert row["growth"] > 1 and row["delay"] == row["lag"] == 0, err
 
 
 def test_margins_of_a_file_with_any_name(here):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
+from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
@@ -162,6 +163,12 @@ def wandering(vehicle, effects, *, seconds=5.0, seed=0):
 def fitted(vehicle, effects, **options):
     flights = [wandering(vehicle, effects, seed=seed, **options) for seed in range(2)]
     return fit_timing(flights, vehicle, [transitions(flight, vehicle) for flight in flights]), flights
+
+
+def test_flights_that_are_too_short_to_tell_are_refused_in_one_line(vehicle):
+    """numpy said that there is no array to concatenate."""
+    with pytest.raises(DataError, match=r"longer than 0\.3 s.*collect\.thrust=commanded"):
+        fitted(vehicle, [Latency()], seconds=0.2)
 
 
 @pytest.fixture(scope="module")

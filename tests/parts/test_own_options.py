@@ -7,7 +7,7 @@ import pytest
 import quadexp as qx
 from quadexp import messages
 from quadexp.cli.fly import _controllers
-from quadexp.errors import UsageError
+from quadexp.errors import ModuleError, UsageError
 from quadexp.log.store import read_metadata
 from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.listing import candidates, listed
@@ -203,6 +203,23 @@ def test_the_same_folder_twice_covers_nothing(folder):
     ]
     with session([mine, mine]) as composer:
         assert composer.compose(["controller=mine"]).controller.name == "mine"
+
+
+@pytest.mark.parametrize("helper", ["", "from shared_of_a_test import Shared as Own\n"])
+def test_a_module_name_of_two_folders_is_refused_unless_it_is_one_text(helper, folder):
+    """The option of the second folder flew the class of the first."""
+    module = "shared_of_a_test" if helper else "own_of_a_test"
+    for name in ("one", "two"):
+        place = folder(f"controller/{name}", f"_target_: {name if helper else 'own'}_of_a_test.Own\n", name)
+        (place / f"{name}_of_a_test.py").write_text(helper)
+        (place / f"{module}.py").write_text(MODULE.format(name="Shared" if helper else "Own"))
+    both = [place, place.with_name("one")]
+    assert compose(["controller=one"], both).controller.name == "one"
+    (place / f"{module}.py").write_text("# another\n" + MODULE.format(name="Shared" if helper else "Own"))
+    for option in ("one", "two"):
+        with pytest.raises(ModuleError, match=f"the name {module} stands for .*two/{module}.py and for .*one/{module}"):
+            compose([f"controller={option}"], both)
+        assert compose([f"controller={option}"], place.with_name(option)).controller.name == option
 
 
 @pytest.mark.parametrize("name", ["2024_01", "1.10", "010", "no", "12:30", "2024-01-05", "1e3"])

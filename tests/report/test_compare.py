@@ -141,6 +141,13 @@ class TestResults:
         assert report["configuration"] == {"controller.nodes": [10, 20]}
         assert report["pairs"] == 2 and report["only"] == {"a": {"nominal_mpc": 1}, "b": {"perfect_mpc": 2}}
 
+    def test_a_contestant_whose_settings_contradict_each_other(self, tmp_path):
+        """Its traceback was shown in place of the others."""
+        rows = [row(seed=s, error=0.1) for s in range(3)] + [row("other", outcome="invalid", error=math.nan)]
+        report = self.compared(tmp_path, rows, rows)
+        assert [record["pairs"] for record in report["metrics"]] == [3]
+        assert report["outcome"] == {"ok -> ok": 3, "invalid -> invalid": 1}
+
     def test_the_change_with_its_interval_by_hand(self, tmp_path):
         a, b = ([row(seed=s, error=e) for s, e in enumerate(own)] for own in ((0.1, 0.2, 0.4), (0.11, 0.24, 0.40)))
         report = self.compared(tmp_path, a, b)

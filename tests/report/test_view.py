@@ -10,8 +10,9 @@ from scipy import stats
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
 from quadexp.parts.settings import read_value
+from quadexp.report.compare import compare
 from quadexp.report.draw import records
-from quadexp.report.frame import SweepFrame, setting_text, unit_of
+from quadexp.report.frame import SweepFrame, chosen, setting_text, unit_of
 from quadexp.report.statistics import compute_statistics
 from quadexp.report.view import Axis, automatic, points, view
 from quadexp.sweeps.figures import drawings
@@ -258,3 +259,28 @@ def test_a_flight_lost_in_one_setting_takes_its_seed_from_the_mean(tmp_path):
     assert point.mean == pytest.approx(np.mean([0.004 * 2, 0.004 * 3]), rel=1e-9)
     assert (point.seeds, point.flights) == (2, 4)
     assert json.dumps(records(view(frame, x="controller.nodes")))
+
+
+def test_cells_that_contradict_themselves_take_nothing_from_the_others(tmp_path):
+    """Half of them want a horizon that pid has not: no figure was drawn, and compare knew no flight."""
+    asked = ["controller=pid", "controller.rate=100,200", "remedies=none,offset_free", "seed=range(2)"]
+    folder, again = (swept(tmp_path / name, asked, lambda config: config.controller.rate / 1000) for name in "ab")
+    frame = SweepFrame.read(folder)
+    for made in (view(frame), *automatic(frame), view(frame, x="controller.rate")):
+        assert [round(point.mean, 6) for point in made.places.values()] == [0.1, 0.2]
+    report = compare(folder, again)
+    assert [record["label"] for record in report["metrics"]] == [f"pid rate={n}" for n in (100, 200)]
+    assert report["outcome"] == {"ok -> ok": 4} and report["identical"] == 4
+
+
+def test_a_list_in_a_condition_is_the_value_of_a_key_that_holds_lists(tmp_path):
+    """As tables show it: no flight fulfilled `plant.linear_drag == [0.3,0.3,0]`."""
+    asked = ["controller=pid", "wind=constant", "wind.velocity=[1,0,0],[0.0,2.0,0.0]", "seed=range(2)"]
+    frame = SweepFrame.read(swept(tmp_path / "r", asked, lambda config: 0.1))
+    for condition, count in {
+        "wind.velocity == [1, 0, 0.0]": 2,
+        "wind.velocity != [1,0,0] and seed in [0]": 1,
+        "wind.velocity in [[1,0,0], [0,2,0]] and seed == [0, 1]": 4,
+        "wind.velocity = '[0,2,0]'": 2,
+    }.items():
+        assert sum(chosen(frame, condition)) == count, condition
