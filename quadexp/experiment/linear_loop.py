@@ -79,7 +79,7 @@ class LinearLoop:
         total: Any = 0.0
         for j, (A, B, C) in enumerate(self.phases):
             total, z = total + C @ z * turn**-j, A @ z + B * turn**j
-        return np.asarray(total / count)
+        return total / count
 
     def _weights(self, delay: float, lag: float) -> tuple[np.ndarray, np.ndarray, float, int]:
         """Of the coefficients of `_response`, for the newer of two commands that act in a period, and the older: with

@@ -342,7 +342,7 @@ def known_noise(
     None where some part of a world has noise that it does not state.
     """
     squares = np.zeros(len(OUTPUTS))
-    flight = np.asarray(dataset.columns["flight"])
+    flight = dataset.columns["flight"]
     thrust = dataset.matrix([f"u_{i}" for i in range(vehicle.n_rotors)])
     dt = np.asarray(dataset.columns["dt"], float)
     for index, world in enumerate(worlds):

@@ -205,7 +205,7 @@ def fit_linear_drag(
     """
     value, error, freedom = np.zeros((3, N_PARAMETERS))
     std, r_squared = np.zeros(3), np.zeros(3)
-    flight = np.asarray(dataset.columns["flight"])
+    flight = dataset.columns["flight"]
     for i, axis in enumerate(AXES):
         names = [f"v_{axis}"] + [THRUST] * (thrust and axis == "z")
         places = [i] + [6] * (len(names) - 1) + [3 + i] * intercept

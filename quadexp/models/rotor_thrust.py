@@ -285,7 +285,7 @@ def _explained(design: np.ndarray, target: np.ndarray) -> np.ndarray:
     """What the columns (k, p) explain of the target (k,), also where some are nearly alike."""
     design = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
     normal = design.T @ design + 1e-9 * len(design) * np.eye(design.shape[1])
-    return np.asarray(design @ np.linalg.solve(normal, design.T @ target))
+    return design @ np.linalg.solve(normal, design.T @ target)
 
 
 def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehicle, score: _Score) -> Timing:

@@ -95,8 +95,7 @@ def earlier(time: np.ndarray, segment: np.ndarray, delay: float) -> np.ndarray:
     time, segment: (k,), segments one after another with increasing numbers.
     """
     rows = round(delay / period_of(time))
-    late: np.ndarray = np.maximum(np.arange(len(time)) - rows, np.searchsorted(segment, segment))
-    return late
+    return np.maximum(np.arange(len(time)) - rows, np.searchsorted(segment, segment))
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:

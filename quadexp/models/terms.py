@@ -374,7 +374,7 @@ def fit_term_mean(dataset: ResidualDataset, kind: str) -> TermMean:
     if not mass:
         raise DataError(f"gp.mean={kind}: the data set does not contain the vehicle's mass; collect it again")
     terms = QUADRATIC if kind == "quadratic" else WITHOUT_RADIUS
-    flight = np.asarray(dataset.columns["flight"])
+    flight = dataset.columns["flight"]
     model = fit_terms(
         kind, terms, dataset.matrix(VELOCITY), dataset.rotor_thrusts / mass, dataset.matrix(["a_x", "a_y", "a_z"]),
         flight, flight, what=f"gp.mean={kind}",

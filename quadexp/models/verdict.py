@@ -186,7 +186,7 @@ def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ra
 
 def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> float:
     """Noise of an output (see the module), the least over the residuals (k,) of several predictors; NaN if unknown."""
-    t, flight = np.asarray(dataset.columns["t"], float), np.asarray(dataset.columns["flight"])
+    t, flight = np.asarray(dataset.columns["t"], float), dataset.columns["flight"]
     step = float(np.median(np.asarray(dataset.columns["dt"], float)))
     gap = t[LAG:] - t[:-LAG]
     together = (flight[LAG:] == flight[:-LAG]) & (gap > 0) & (gap < DT_RANGE[1] * LAG * step)

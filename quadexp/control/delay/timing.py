@@ -264,7 +264,7 @@ def within_periods(sizes: Sizes, dead_time: float, lag: float) -> np.ndarray:
     """What the mean of the thrust over a period has beyond that of its two ends, as weights on the commands."""
     sent = SentCommands(1, sizes.period, sizes.commands * sizes.period)
     mean, now = sent.weights(np.array([[-sizes.period, 0.0], [0.0, 0.0]]), dead_time, lag)[:, ::-1]
-    return np.asarray(mean - (now + np.append(0.0, now[:-1])) / 2)
+    return mean - (now + np.append(0.0, now[:-1])) / 2
 
 
 @lru_cache(maxsize=8)

@@ -32,7 +32,7 @@ INNER_TOLERANCE = 1e-10  # rad/s and rad, of the fixed point without delay
 
 def body_velocity(x: np.ndarray) -> np.ndarray:
     """Velocity in the body frame, (3,), FLU (m/s), of a state (13,), neglecting the unmeasured wind."""
-    return np.asarray(air_velocity(x[ATTITUDE], x[VELOCITY]))
+    return air_velocity(x[ATTITUDE], x[VELOCITY])
 
 
 class KnownCoefficients:

@@ -115,8 +115,7 @@ class BelievingController(ExplicitController):
     @property
     def believed_numbers(self) -> np.ndarray:
         """What is believed, in the order of Belief; (11,)."""
-        numbers: np.ndarray = self._law.arguments["belief"]
-        return numbers
+        return self._law.arguments["belief"]
 
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""

@@ -103,8 +103,7 @@ class BelievedWorld:
     @property
     def told(self) -> np.ndarray:
         """The belief for the next step, (11,), where no estimator finds it."""
-        told: np.ndarray = self._given["belief"]
-        return told
+        return self._given["belief"]
 
     def retime(self, node_times: np.ndarray) -> None:
         """Use other times of the reference, (k,) (s) from the measurement on, from the next step on."""
@@ -136,8 +135,7 @@ class BelievedWorld:
     @property
     def settings(self) -> np.ndarray:
         """The numbers of the estimator's update, likewise."""
-        numbers: np.ndarray = self._given["settings"]
-        return numbers
+        return self._given["settings"]
 
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the

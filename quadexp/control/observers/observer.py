@@ -107,14 +107,12 @@ class Observer(WrappedController):
     @property
     def estimate(self) -> np.ndarray:
         """The state of the update, which may be changed between two steps."""
-        state: np.ndarray = self._given["s"] if self._world is None else self._world.estimate
-        return state
+        return self._given["s"] if self._world is None else self._world.estimate
 
     @property
     def settings(self) -> np.ndarray:
         """The numbers of the update, likewise."""
-        numbers: np.ndarray = self._given["settings"] if self._world is None else self._world.settings
-        return numbers
+        return self._given["settings"] if self._world is None else self._world.settings
 
     @property
     def numbers(self) -> np.ndarray:

@@ -77,7 +77,7 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Findin
         low, high, unit = allowed
         finite = np.where(np.isfinite(values), values, low)
         slack = ROUNDING * (high - low)
-        outside = np.asarray((finite < low - slack) | (finite > high + slack))
+        outside = (finite < low - slack) | (finite > high + slack)
         if outside.any():
             mask, of_rotor = np.asarray(outside.any(axis=1)), np.asarray(outside.any(axis=0))
             impossible |= mask
@@ -283,7 +283,7 @@ class Fit:
         along = np.einsum("lan,an->la", self.cross, pattern)
         size = np.einsum("an,lnm,am->la", pattern, self.gram, pattern)
         share = np.where(along > 0, along**2 / np.maximum(size, 1e-300), 0.0) / self.power
-        return np.asarray(share.max(axis=0))
+        return share.max(axis=0)
 
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Torque of each rotor's signal, (3, n), by regression at the lag that explains most, and the share of each
