@@ -44,7 +44,6 @@ class CollectConfig(Part):
     )
     identified: str | None = key(None, "folder written by `quadexp identify`, whose thrust curve recorded flights need")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.speed_min > self.speed_max:
             raise UsageError(f"collect.speed_min={self.speed_min}: must not exceed collect.speed_max={self.speed_max}")

@@ -108,8 +108,7 @@ class GPFeatures(Settings):
     tau_y: tuple[str, ...] = _features("tau_y")
     tau_z: tuple[str, ...] = _features("tau_z")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for output in OUTPUTS:
             features = getattr(self, output)
             check_features(f"gp.features.{output}", features)

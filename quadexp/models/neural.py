@@ -115,8 +115,7 @@ class NNConfig(Part):
     holdout: float = key(0.2, HOLDOUT)
     refit: bool = key(True, "after the report, fit again to all flights", when="holdout")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         check_features("nn.features", self.features)
         if unknown := set(self.outputs) - set(OUTPUTS):
             raise UsageError(f"nn.outputs: {min(unknown)!r} is no output; allowed are {', '.join(OUTPUTS)}")

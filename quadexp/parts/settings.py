@@ -117,6 +117,10 @@ class Settings:
     def __post_init__(self) -> None:
         for name, about in declared(type(self)).items():
             object.__setattr__(self, name, _checked(f"{self.prefix}{name}", getattr(self, name), about))
+        self.check_together()
+
+    def check_together(self) -> None:
+        """Raise UsageError where values, each of which is allowed, contradict each other."""
 
 
 S = TypeVar("S", bound="DataclassInstance")

@@ -79,8 +79,7 @@ class Vehicle(Part):
         None, "k of the static thrust curve u = k w^2 (w: rotor speed); null where no model needs it", "(0, 1]", "N s^2"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
         if not np.allclose(self.inertia_matrix, self.inertia_matrix.T):
             raise UsageError("vehicle.inertia: the matrix must be symmetric")

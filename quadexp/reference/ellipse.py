@@ -44,8 +44,7 @@ class Ellipse(TrajectoryPart):
     clipped = True
     counts_heading = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.plane == "vertical" and self.heading == "centre":
             raise UsageError("trajectory.heading=centre: a vertical ellipse has heading=constant (or auto)")
 

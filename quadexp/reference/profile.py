@@ -46,8 +46,7 @@ class ProfiledPath(TrajectoryPart):
 
     yaw: float | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.speed / self.acceleration < RAMP * (1 - 1e-12):
             raise UsageError(
                 f"trajectory.speed: {self.speed:g} m/s at trajectory.acceleration {self.acceleration:g} m/s^2 leaves no"

@@ -30,8 +30,7 @@ class Step(TrajectoryPart):
     step_time: float = key(1.0, "time of the step", "[0, 3600]", "s")
     duration: float = key(5.0, DURATION)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if not 0 <= self.step_time <= self.duration:
             raise UsageError(
                 f"trajectory.step_time: {self.step_time!r} s is not allowed, it must lie in 0 .. {self.duration:g} s"

@@ -79,8 +79,7 @@ class Actuator(Effect):
         0.0, "of a rotor and its motor's bell about their axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         low, high = self.rotor_speed_min, self.rotor_speed_max
         if low is not None and high is not None and low >= high:
             raise UsageError(

@@ -119,8 +119,7 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
         (), "changes in flight, each {t: s, payload: kg, lift_scale: [a factor per rotor], profile_drag_scale: factor}"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for change in self.schedule:
             unknown = sorted({*change} - {*_CHANGES}) if isinstance(change, Mapping) else [str(change)]
             if unknown or "t" not in change:

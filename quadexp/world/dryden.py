@@ -142,8 +142,7 @@ class Dryden(MeanWind):
         when="airspeed=null",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.intensity is not None and self.wind_at_6m is not None:
             raise UsageError(
                 f"wind.wind_at_6m={self.wind_at_6m:g}: wind.intensity is given too; one of the two sets the intensity"

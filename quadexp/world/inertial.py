@@ -186,8 +186,7 @@ class InertialSensors(Effect):
     def aids(self) -> tuple[Aid, ...]:
         raise NotImplementedError
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for aid in self.aids:
             if aid.rate > self.imu_rate:
                 raise UsageError(

@@ -35,8 +35,7 @@ class RotorLoss(Effect):
         (), "{rotor: number from 0, t: s, factor: share of its thrust that it has from then on} each"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for loss in self.losses:
             if not isinstance(loss, Mapping) or {*loss} != {*FAILURE}:
                 given = sorted(loss) if isinstance(loss, Mapping) else loss

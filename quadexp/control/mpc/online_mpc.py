@@ -182,8 +182,8 @@ class OnlineMPC(PredictivePart):
     reference_period: float = key(1.0, "time between new references from the adapted model; 0: never", "[0, 3600]", "s")
     adapt: AdaptKeys = key(REQUIRED, "how the weights adapt", tuned=".memory=0.1..100:log .noise=0.03..3:log")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
+        super().check_together()
         check_models("controller.residual", self.residual, FEATURES)
         if "terms" in self.residual[:-1]:
             raise UsageError(

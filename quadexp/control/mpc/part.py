@@ -71,8 +71,8 @@ class SumMPC(PredictivePart):
     former_kind = "sum_mpc"
     residual: tuple[str, ...] = key(REQUIRED, PARTS)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
+        super().check_together()
         check_models("controller.residual", self.residual, LEARNED)
 
 

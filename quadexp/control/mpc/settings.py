@@ -74,8 +74,7 @@ class MPCSettings(Settings):
         10.0, "largest position error that the MPC acts on; a larger one is reduced to this length", "(0, 1e6]", "m"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.control_period > self.node_period + 1e-12:
             raise UsageError(
                 f"controller.rate={self.rate:g}: a control period of {self.control_period:g} s must not exceed the node"
