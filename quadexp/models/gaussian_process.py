@@ -74,7 +74,7 @@ from quadexp.models.residual import (
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, Settings, key, lists, made
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.vehicle import Vehicle
 
 LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")  # that a fit depends on
@@ -303,7 +303,7 @@ def gaussian_process_residual(
     n_alpha, n_point = _sizes(structure)
     z_, theta_ = symbols(ca.MX, z=len(names), theta=len(theta))
     sizes = [n_mean, len(n_point), sum(n_point), sum(n_alpha), len(known) * N_FALLBACK, sum(map(len, factors))]
-    mean_, scale_, points_, alpha_, known_, factor_ = _split(theta_, sizes)
+    mean_, scale_, points_, alpha_, known_, factor_ = split(theta_, sizes)
     select, assemble = _scalar_functions(
         names, structure, n_mean, with_mean=bool(np.any(mean)), mean_terms=mean_terms, weighed=weighed
     )
@@ -346,16 +346,16 @@ def _matrix_sums(
     """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations; with factors F also
     ||F k||^2 and (F^T F k k)^T d."""
     n_alpha, n_point = _sizes(structure)
-    distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), _split(points, n_point), strict=True)]
+    distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), split(points, n_point), strict=True)]
     of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
     exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
     kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
-    weighted, kernels = _split(alpha * kernel, n_alpha), _split(kernel, n_alpha)
-    values = [ca.dot(a, k) for a, k in zip(_split(alpha, n_alpha), kernels, strict=True)]
+    weighted, kernels = split(alpha * kernel, n_alpha), split(kernel, n_alpha)
+    values = [ca.dot(a, k) for a, k in zip(split(alpha, n_alpha), kernels, strict=True)]
     sums = values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
     if not factor.numel():
         return *sums, [], []
-    roots = [ca.reshape(f, m, m) for f, m in zip(_split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
+    roots = [ca.reshape(f, m, m) for f, m in zip(split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
     known = [f @ k for f, k in zip(roots, kernels, strict=True)]
     back = [f.T @ q * k for f, q, k in zip(roots, known, kernels, strict=True)]
     slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
@@ -377,7 +377,7 @@ def _compiled_sums(
         for m, d in shapes
     }  # fmt: skip
     sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
-    arguments = zip(*map(_split, (scaled, points, alpha, factor), sizes), strict=True)
+    arguments = zip(*map(split, (scaled, points, alpha, factor), sizes), strict=True)
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
     return tuple(map(list, zip(*results, strict=True)))
 
@@ -385,10 +385,6 @@ def _compiled_sums(
 def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
     """Number of points of every output, and of every feature."""
     return [m for _, _, m in structure], [m for _, features, m in structure for _ in features]
-
-
-def _split(vector: Expression, sizes: Sequence[int]) -> list[Expression]:
-    return ca.vertsplit(vector, np.cumsum([0, *sizes]).tolist())
 
 
 def _scalar_functions(

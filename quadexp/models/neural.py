@@ -55,7 +55,7 @@ from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places, residual_function
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ def _network_function(names: tuple[str, ...], network: Network, layer: Layer, ba
     sizes = network.sizes
     lengths = [length for columns, rows in pairwise(sizes) for length in (rows * columns, rows)]
     z, theta = symbols(ca.MX, z=len(names), theta=sum(lengths))
-    parts = ca.vertsplit(theta, np.cumsum([0, *lengths]).tolist())
+    parts = split(theta, lengths)
     weights = [ca.reshape(w, rows, columns) for w, (columns, rows) in zip(parts[::2], pairwise(sizes), strict=True)]
     places = feature_places(names, network.features, "network")
     select = _zeros_and_ones(places, len(names))

@@ -29,6 +29,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.physics.expression import split
 from quadexp.world.effect import Clock, Readings, Sizes
 from quadexp.world.streams import NEVER, Drawn, Sampled, Ticking, on_the_way
 
@@ -135,8 +136,7 @@ class Channel:
         noise, bias, (decay, gain, delay, jitter, drop) = (
             at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
         )  # fmt: skip
-        ends = np.cumsum([0, *(one.size for one in drawn.values())]).tolist()
-        draws = dict(zip(drawn, ca.vertsplit(at.draws, ends), strict=True))
+        draws = dict(zip(drawn, split(at.draws, (one.size for one in drawn.values())), strict=True))
         drifts = [(-NEVER, at.inner[: self.taken])]  # each with the time from which on it holds
         for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + m) if self.drifts else []:
             before = drifts[-1][1]

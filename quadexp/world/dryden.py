@@ -43,7 +43,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Triple, key
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, split
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
@@ -177,7 +177,7 @@ class Dryden(MeanWind):
         filters = at.inner[:N_FILTER]
         before, winds, times = filters, [_velocity(filters, at.parameters)], []
         for slot in ca.vertsplit(at.draws, 1 + N_NOISE):
-            time, noise = ca.vertsplit(slot, [0, 1, 1 + N_NOISE])
+            time, noise = split(slot, (1, N_NOISE))
             before, filters = filters, F @ filters + root @ noise
             winds.append(_velocity(filters, at.parameters))
             times.append(time)

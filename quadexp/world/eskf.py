@@ -45,7 +45,7 @@ from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, unit
 from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -149,10 +149,9 @@ def update(
 def inject(nominal: Expression, d: Expression) -> Expression:
     """The nominal state with the error d (15,) added."""
     dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
-    q = product(nominal[ATTITUDE], exponential(turned))
     return ca.vertcat(
         nominal[POSITION] + dp,
-        q / ca.norm_2(q),
+        unit(product(nominal[ATTITUDE], exponential(turned))),
         nominal[VELOCITY] + dv,
         nominal[ACCELEROMETER_BIAS] + of_force,
         nominal[GYROSCOPE_BIAS] + of_rate,

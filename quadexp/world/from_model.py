@@ -21,7 +21,7 @@ from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key
-from quadexp.physics.expression import limited
+from quadexp.physics.expression import limited, split
 from quadexp.physics.rigid_body import derivative_function, features_function
 from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
@@ -92,7 +92,7 @@ def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, nois
     x, command, noise, step, parameters = symbols(
         ca.MX, x=N_STATE, u=n, noise=6 * noisy, step=1, parameters=6 + len(model.theta)
     )
-    density, theta = ca.vertsplit(parameters, [0, 6, 6 + len(model.theta)])
+    density, theta = split(parameters, (6, len(model.theta)))
     held = noise * density / ca.sqrt(step) if noisy else ca.MX.zeros(6)
     thrusts = limited(command, vehicle.thrust_min, vehicle.thrust_max)
 

@@ -35,7 +35,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -44,7 +43,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import Setting, key
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.rotation import along_z, conjugate, exponential, logarithm, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -243,7 +242,7 @@ class InertialSensors(Effect):
         before, after = at.states[:, instants[:-1]], at.states[:, instants[1:]]
         durations = at.step * ca.DM(np.diff(instants)).T
         sizes = [N_READING, N_BIAS, *(1 + aid.noise for aid in self.aids)]
-        drawn = ca.vertsplit(at.draws, [0, *accumulate(size * count for size in sizes)])
+        drawn = split(at.draws, (size * count for size in sizes))
         noise = ca.vertcat(*(ca.reshape(one, -1, count) for one in drawn))
         parameters = ca.repmat(at.parameters, 1, count)
         inner, *told_now = self._tick().mapaccum(count)(at.inner, before, after, durations, noise, parameters)

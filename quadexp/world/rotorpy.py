@@ -33,8 +33,8 @@ from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
-from quadexp.physics.rotation import along_z
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.rotation import along_z, with_unit_attitude
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant
@@ -178,8 +178,7 @@ def _equations(vehicle: Vehicle) -> Equations:
     begun = ca.vertcat(s[:N_STATE], ca.if_else(lags, s[N_STATE:], command))
     lag = ca.if_else(lags, parameters[LAG], 1)  # s; any, where the speeds are the commanded ones already
     after = lagging_rk4_step(lambda x, w: f(x, w, parameters)[0], begun, command, step, lag)
-    q = after[ATTITUDE]
-    after = ca.vertcat(after[: ATTITUDE.start], q / ca.norm_2(q), after[ATTITUDE.stop :])
+    after = with_unit_attitude(after)
     reading = f(after[:N_STATE], after[N_STATE:], parameters)[1]
     results = ca.cse([after, reading])
     middle = lagging_thrust(begun[N_STATE:], command, step / 2, lag)

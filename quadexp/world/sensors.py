@@ -27,6 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import declared
+from quadexp.physics.expression import unit
 from quadexp.physics.low_pass import group_delay
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -288,5 +289,4 @@ def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
 
 def turned(q: Any, error: Any) -> Any:
     """q o [1, e / 2], of unit length: an attitude (4,) with the small error e (3,), about body axes (rad)."""
-    product = left_matrix(q) @ ca.vertcat(1, error / 2)
-    return product / ca.norm_2(product)
+    return unit(left_matrix(q) @ ca.vertcat(1, error / 2))

@@ -31,6 +31,7 @@ from quadexp.control.instant import Instant, Told, call, copy, instant_of, pytho
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import key
+from quadexp.physics.expression import unit
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
@@ -157,9 +158,8 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     state = ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[VELOCITY.stop :])  # in the frame of the air
     for u, h in zip(ca.horzsplit(thrusts), ca.vertsplit(dt), strict=True):
         state = rk4_step_with_input(slope, state, [u] * 3, h)
-    q = state[ATTITUDE]
-    now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
-    return named_function("delay_prediction", arguments, {"now": now})
+    now = state[: ATTITUDE.start], unit(state[ATTITUDE]), state[VELOCITY] + wind, state[VELOCITY.stop :]
+    return named_function("delay_prediction", arguments, {"now": ca.vertcat(*now)})
 
 
 @dataclass(frozen=True, kw_only=True)

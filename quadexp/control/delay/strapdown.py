@@ -31,6 +31,7 @@ from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, i
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
 from quadexp.parts.settings import key
+from quadexp.physics.expression import unit
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
@@ -133,7 +134,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
         p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))
-    now = ca.vertcat(p, q / ca.norm_2(q), v, rates[:, -1])
+    now = ca.vertcat(p, unit(q), v, rates[:, -1])
     return ca.Function("strapdown", [x, rates, forces, late], [now], ["x", "rates", "forces", "late"], ["now"])
 
 

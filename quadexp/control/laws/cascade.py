@@ -45,7 +45,7 @@ from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, Triple, key, part
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, unit
 from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -207,7 +207,7 @@ def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[E
     size, widest = ca.norm_2(a[:2]), math.tan(keys.tilt_limit) * vertical
     level = a[:2] * ca.fmin(1, widest / ca.fmax(size, 1e-12))
     z = ca.vertcat(level, vertical)
-    z = z / ca.norm_2(z)
+    z = unit(z)
     f = z * ca.fmax((a[2] + g) / z[2], keys.thrust_least * g)
     sideways = ca.norm_2(f[:2])
     most = ca.sqrt(top**2 - ca.fmin(sideways, keys.horizontal_margin * top) ** 2)

@@ -30,7 +30,8 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
 from quadexp.physics.expression import limited
 from quadexp.physics.rigid_body import N_DISTURBANCE
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.rotation import with_unit_attitude
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -152,6 +153,4 @@ def prediction_function(
     x, further = arguments["x"], [arguments[name] for name in ("tau", "disturbance") if name in arguments]
     for u, dt in zip(ca.horzsplit(arguments["U"]), ca.vertsplit(arguments["dt"]), strict=True):
         x = node(x, u, arguments["theta"], dt, *further)
-    q = x[ATTITUDE]
-    x = ca.vertcat(x[: ATTITUDE.start], q / ca.norm_2(q), x[ATTITUDE.stop :])
-    return named_function("mpc_prediction", arguments, {"x_next": x})
+    return named_function("mpc_prediction", arguments, {"x_next": with_unit_attitude(x)})
