@@ -89,7 +89,7 @@ class ResidualDataset(NamedTuple):
         Raises DataError for a column that is missing or not finite, naming it.
         """
         columns = [self._column(name) for name in names]
-        return np.stack(columns, axis=1) if columns else np.empty((self.n_rows, 0))
+        return np.column_stack(columns) if columns else np.empty((self.n_rows, 0))
 
     def _column(self, name: str) -> np.ndarray:
         if name in self.columns:
@@ -255,7 +255,7 @@ def _read(flight: Flight, columns: Sequence[str]) -> np.ndarray:
         if column not in flight.columns:
             raise DataError(f"column '{column}' is missing in the flight")
         _require_finite(np.asarray(flight.columns[column], float), f"column '{column}'")
-    return np.stack([np.asarray(flight.columns[column], float) for column in columns], axis=1)
+    return np.column_stack([np.asarray(flight.columns[column], float) for column in columns])
 
 
 def _require_finite(column: np.ndarray, what: str) -> None:

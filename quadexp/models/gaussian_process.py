@@ -326,7 +326,7 @@ def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
     if continued and own in posterior.features and {*posterior.features} <= _continued(output):
         columns = {name: points[:, i] for i, name in enumerate(posterior.features)}
         v, thrust = columns[own], columns.get(THRUST, np.zeros(freedom))
-        design = np.stack([np.ones(freedom), v, v * np.abs(v), thrust], axis=1)
+        design = np.column_stack([np.ones(freedom), v, v * np.abs(v), thrust])
         c, _, rank, _ = np.linalg.lstsq(design, at_points)
         at_points, freedom = at_points - design @ c, freedom - rank
         if freedom < 1:  # as many coefficients as points: nothing says how wrong q is

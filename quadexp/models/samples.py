@@ -175,7 +175,7 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
     error = np.empty(most + 1)
     for late in range(most + 1):
         sent = samples.signal[rows - late]
-        design = np.stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)], axis=1)
+        design = np.column_stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)])
         error[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
     late = int(np.argmin(error))
     if error[late] > np.exp(-WORTH) * error[0]:

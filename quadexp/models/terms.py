@@ -289,7 +289,7 @@ class TermModel(Record, frozen=True):
         if rotor_acceleration.shape[1] != self.rotors:
             raise DataError(f"{rotor_acceleration.shape[1]} rotors, the model has {self.rotors}")
         columns = all_columns(self.terms, velocity, rotor_acceleration, self.momentum)
-        return np.stack([design @ c for design, c in zip(columns, self.coefficients, strict=True)], axis=1)
+        return np.column_stack([design @ c for design, c in zip(columns, self.coefficients, strict=True)])
 
     def coefficient(self, axis: str, term: str) -> tuple[float, float]:
         """Value and standard error of one coefficient, (0, 0) where the model has no such term."""

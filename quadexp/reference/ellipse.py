@@ -85,4 +85,4 @@ def _towards_centre(position: np.ndarray) -> np.ndarray:
     square, moment = x * x + y * y, x * y_1 - y * x_1
     square_1, moment_1 = 2 * (x * x_1 + y * y_1), x * y_2 - y * x_2
     yaw = np.arctan2(-y, -x)
-    return np.stack([yaw, moment / square, (moment_1 * square - moment * square_1) / square**2], axis=1)
+    return np.column_stack([yaw, moment / square, (moment_1 * square - moment * square_1) / square**2])

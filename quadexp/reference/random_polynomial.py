@@ -77,7 +77,7 @@ class RandomPolynomial(LimitedTrajectory):
         """The keypoints relative to the centre of the path, (keypoints, 3) (m)."""
         rng = np.random.default_rng(self.seed)
         phases = np.concatenate([np.linspace(0, 1, N_PATH + 1), np.linspace(0, 1, self.keypoints)])
-        points = np.stack([sum(_periodic_draw(phases, *kernel, rng) for kernel in axis) for axis in KERNELS], axis=1)
+        points = np.column_stack([sum(_periodic_draw(phases, *kernel, rng) for kernel in axis) for axis in KERNELS])
         path, keypoints = points[: N_PATH + 1], points[N_PATH + 1 :]
         low, high = path.min(axis=0), path.max(axis=0)
         keypoints[-1] = keypoints[0]  # exactly closed

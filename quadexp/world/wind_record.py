@@ -91,7 +91,7 @@ def read_wind(path: Path) -> WindRecord:
     for row, (before, now) in enumerate(pairwise(values[0]), 1):
         if now <= before:
             raise DataError(f"{path}: t = {now:g} s in row {row} is not after {before:g} s, time must increase")
-    return WindRecord(values[0], np.stack(values[1:], axis=1))
+    return WindRecord(values[0], np.column_stack(values[1:]))
 
 
 def _columns(path: Path) -> dict[str, np.ndarray]:

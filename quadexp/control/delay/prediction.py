@@ -130,7 +130,7 @@ class Prediction(WrappedController):
         """Parts of the time, and the weights of commands in each."""
         before = np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP  # from the end of the prediction
         ends, starts = (np.minimum(one, late + self.ahead) - self.ahead for one in (before, before + STEP))
-        weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
+        weights = self.commands.weights(-np.column_stack([starts, ends]), self.dead_time, self.lag)
         self._arguments["weights"].reshape(weights.shape)[...] = weights
         self._arguments["dt"][:], self._shown = starts - ends, late
 

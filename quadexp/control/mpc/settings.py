@@ -143,7 +143,7 @@ class MPCSettings(Settings):
         if self.samples == 1:
             return times
         middles = (times[:-1] + times[1:]) / 2
-        return np.append(np.stack([times[:-1], middles], axis=1).ravel(), times[-1])
+        return np.append(np.column_stack([times[:-1], middles]).ravel(), times[-1])
 
     @property
     def node_share(self) -> np.ndarray:

@@ -225,7 +225,7 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
         return smooth - gaussian_filter1d(smooth, scale / SLOWEST, axis=0)
 
     def at(x: np.ndarray, lag: float = 0.0) -> np.ndarray:
-        return np.stack([np.interp(grid - lag, t, column) for column in x.T], axis=1)
+        return np.column_stack([np.interp(grid - lag, t, column) for column in x.T])
 
     rate = at(w)
     smooth = gaussian_filter1d(rate, scale / BAND, axis=0)

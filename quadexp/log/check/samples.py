@@ -168,7 +168,7 @@ def check_spikes(
         finite = np.where(np.isfinite(values), values, 0)
         size = norms(finite)
         beyond = size > limit.get(name, np.inf)
-        apart = np.abs(finite - np.stack([median_filter(column, 7, mode="nearest") for column in finite.T], axis=1))
+        apart = np.abs(finite - np.column_stack([median_filter(column, 7, mode="nearest") for column in finite.T]))
         threshold = np.maximum(SPIKE * 1.4826 * np.median(apart, axis=0), SPIKE_FLOOR[name])
         bad = beyond | (apart > threshold).any(axis=1)
         if not bad.any():
