@@ -20,7 +20,7 @@ so that a constant d_tau and a wrong J leave no steady error of alpha, as long a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -51,7 +51,7 @@ NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic conver
 class INDIKeys(Settings):
     """Incremental nonlinear dynamic inversion with the values of Sun et al. 2022; see quadexp/control/indi.py."""
 
-    prefix: ClassVar[str] = "inner."
+    prefix = "inner."
 
     rate: float = key(300.0, "rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
     cutoff: float = key(12.0, "of the Butterworth filter, below half the rate", "(0, 5000]", "Hz", tuned="4..100:log")

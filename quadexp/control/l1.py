@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +53,7 @@ LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y"
 class L1Keys(Settings):
     """Predictor, low pass and limits of L1 adaptive augmentation; see quadexp/control/l1.py."""
 
-    prefix: ClassVar[str] = "adaptive."
+    prefix = "adaptive."
 
     velocity_pole: float = key(
         1.0, "a_v: decay of the predicted velocity's error", "(0, 1000]", "1/s", tuned="0.3..30:log"

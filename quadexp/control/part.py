@@ -19,7 +19,7 @@ RESIDUAL = Setting("model that is added to the rigid body in the prediction", wo
 class ControllerPart(Part):
     """What every controller has, as an option of the configuration."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
     added: ClassVar[tuple[str, ...]] = ("allow_unstable",)
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
@@ -16,7 +16,7 @@ class CollectConfig(Part):
     over [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
     target, identified: of recorded flights; see quadexp/models/recorded.py."""
 
-    prefix: ClassVar[str] = "collect."
+    prefix = "collect."
 
     mode: Literal["random", "setpoints"] = key("random", "smooth random paths, or jumps between random points")
     duration: float = key(300.0, "total flight time", "(0, 86400]", "s")

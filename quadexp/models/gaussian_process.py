@@ -29,7 +29,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -99,7 +99,7 @@ def _features(output: str, *features: str) -> Any:
 class GPFeatures(Settings):
     """For every output the features of its GP; an empty list leaves the output uncorrected."""
 
-    prefix: ClassVar[str] = "gp.features."
+    prefix = "gp.features."
 
     a_x: tuple[str, ...] = _features("a_x")
     a_y: tuple[str, ...] = _features("a_y")
@@ -130,7 +130,7 @@ DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
 class GPConfig(Part):
     """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
 
-    prefix: ClassVar[str] = "gp."
+    prefix = "gp."
     features: GPFeatures = key(DEFAULT_FEATURES, "features of every output")
     inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
     method: Literal["sgpr", "subset"] = key(

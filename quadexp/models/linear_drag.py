@@ -16,7 +16,7 @@ are 7 to 10 times too small on flights.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -46,7 +46,7 @@ LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % inte
 class DragConfig(Part):
     """How linear drag is fitted; see quadexp/models/linear_drag.py."""
 
-    prefix: ClassVar[str] = "drag."
+    prefix = "drag."
 
     intercept: bool = key(True, "fit a constant acceleration in addition to the drag")
     thrust: bool = key(True, "fit an error of the collective thrust, as a share, on the z axis")

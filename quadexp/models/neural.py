@@ -28,7 +28,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -99,7 +99,7 @@ def activation(t: Expression) -> tuple[Expression, Expression]:
 class NNConfig(Part):
     """How the neural network is made and trained; see quadexp/models/neural.py."""
 
-    prefix: ClassVar[str] = "nn."
+    prefix = "nn."
 
     features: tuple[str, ...] = key(("v_x", "v_y", "v_z", "thrust"), "features of all outputs")
     outputs: tuple[str, ...] = key(("a_x", "a_y", "a_z"), "outputs; the others are not corrected")

@@ -34,7 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -121,7 +121,7 @@ def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expr
 class RLSSettings(Settings):
     """How the estimators are started and weighted; the defaults are the paper's, with clipping."""
 
-    prefix: ClassVar[str] = "controller.rls."
+    prefix = "controller.rls."
 
     covariance: float = key(
         50.0, "initial covariance P_0 as a multiple of the identity, where relative_std is null", "(0, 1e9]"

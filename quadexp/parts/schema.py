@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
@@ -17,7 +17,7 @@ from quadexp.parts.settings import SEEDS, Settings, key
 class EvaluateConfig(Settings):
     """How a comparison is run and shown; nothing here changes a flight."""
 
-    prefix: ClassVar[str] = "evaluate."
+    prefix = "evaluate."
 
     metric: Literal["mean_error", "rmse", "max_error"] = key(
         "mean_error", "error in the table: mean, root mean square, or largest distance from the reference"

@@ -73,7 +73,7 @@ class TrajectoryPart(Part):
     the box around the whole reference, widened by this (m).
     """
 
-    prefix: ClassVar[str] = "trajectory."
+    prefix = "trajectory."
 
     allow_infeasible: bool = key(
         False, "also fly what needs more thrust than there is; random: at the asked speed", noise=False

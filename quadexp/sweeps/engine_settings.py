@@ -15,7 +15,7 @@ Wait = Annotated[float, Setting("time without any worker after which the sweep s
 class EngineConfig(Part):
     """Where the flights run; number of workers and limits of time and memory are settings of `evaluate`."""
 
-    prefix: ClassVar[str] = "engine."
+    prefix = "engine."
 
     kind: ClassVar[str] = "local"
 

@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -56,7 +56,7 @@ N_FIXED = 5  # parameters without I_p and factors
 class Actuator(Effect):
     """Motors with a lag, limits of their speed, and rotors that differ."""
 
-    prefix: ClassVar[str] = "actuator."
+    prefix = "actuator."
 
     time_constant_up: float = key(0.0, LAG.format("faster"), "[0, 1]", "s")
     time_constant_down: float = key(0.0, LAG.format("slower"), "[0, 1]", "s")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class Plant(Protocol):
 class PlantPart(Part):
     """What every plant has, as an option of the configuration."""
 
-    prefix: ClassVar[str] = "plant."
+    prefix = "plant."
 
     step: float = key(1e-3, "largest integration step; a control period is divided evenly", "[1e-5, 0.02]", "s")
     backend: Backend = "auto"

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +52,7 @@ PARAMETERS = (
 class Battery(Effect):
     """An equivalent circuit of lithium-polymer cells in series; see quadexp/physics/battery.py."""
 
-    prefix: ClassVar[str] = "battery."
+    prefix = "battery."
 
     cells: int = key(4, "cells in series", "[1, 24]", "cells")
     capacity: float = key(1.5, "charge of the full battery", "(0, 1000]", "Ah")

@@ -24,7 +24,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, reduce
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -70,7 +70,7 @@ LARGEST_CHANGE = 1e-5  # m/s, of the last Newton step; the error left is of the 
 class BladeElementEffects(Settings):
     """What differs from the paper's plant, or the options it has."""
 
-    prefix: ClassVar[str] = "plant."
+    prefix = "plant."
 
     printed_coefficients: bool = key(
         False, "use the cross terms of equations (14) and (15) with their misprints, for comparison only"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Disturbance(Effect):
     Parameters: force (3,), world (N); torque (3,), body (N m); onset and end (s).
     """
 
-    prefix: ClassVar[str] = "external."
+    prefix = "external."
 
     force: Triple = key(ZERO, "force at the centre of mass, world", "[-1000, 1000]", "N")
     torque: Triple = key(ZERO, "torque, body", "[-1000, 1000]", "N m")

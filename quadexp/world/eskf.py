@@ -35,7 +35,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -190,7 +190,7 @@ class Navigation(Effect):
     inner states: nominal state (16,), upper triangle of the covariance (120,), queue (e, d): of each reading the IMU's
     and, for each aid, whether there is a fix, and the fix. Readings of before the flight have the interval zero."""
 
-    prefix: ClassVar[str] = "estimator."
+    prefix = "estimator."
 
     process_factor: float = key(
         1.0, "factor on the standard deviations of the IMU's noise that the filter believes", "(0, 1000]"

@@ -10,7 +10,7 @@ for, acts along z_body at the rotor; its speed does not change.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class GroundEffect(Effect):
     Raises UsageError at the beginning of a flight where no radius is known.
     """
 
-    prefix: ClassVar[str] = "ground."
+    prefix = "ground."
 
     height: float = key(0.0, "height of the ground, world", "[-1000, 1000]", "m")
     height_max: float = key(

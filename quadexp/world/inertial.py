@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -154,7 +154,7 @@ class InertialSensors(Effect):
     of each aid when it is read (3,) and its deviations.
     """
 
-    prefix: ClassVar[str] = "sensor."
+    prefix = "sensor."
 
     imu_rate: float = key(200.0, "readings a second; the next whole number of them in a control period", RATE, "Hz")
     accelerometer_noise_density: float = key(2e-3, "white noise of the specific force", "[0, 10]", "m/s^2/sqrt(Hz)")

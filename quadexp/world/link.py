@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +31,7 @@ ROUNDING = 1e-11  # s, by which a command may come before or after a step and co
 class Latency(Effect):
     """Commands that arrive late, or not at all."""
 
-    prefix: ClassVar[str] = "link."
+    prefix = "link."
 
     latency: float = key(0.0, "least time between a command and its thrust", "[0, 0.5]", "s")
     jitter: float = key(0.0, "what a command may take longer, uniform from command to command", "[0, 0.5]", "s")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ ROUNDING = 1e-9  # s; a loss at the beginning of a step acts in it
 class RotorLoss(Effect):
     """Rotors that lose part of their thrust."""
 
-    prefix: ClassVar[str] = "health."
+    prefix = "health."
 
     losses: tuple[Any, ...] = key(
         (), "{rotor: number from 0, t: s, factor: share of its thrust that it has from then on} each"

@@ -15,7 +15,6 @@ that of Sun et al. 2022, zero by default.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -41,7 +40,7 @@ class PlantEffects(Settings):
     an amplitude per step of 0.5 ms; as a spectral density it is amplitude * sqrt(0.0005 s). All zero: the ideal plant.
     """
 
-    prefix: ClassVar[str] = "plant."
+    prefix = "plant."
 
     linear_drag: Triple = key((0.3, 0.3, 0.0), "linear drag coefficients, body axes", "[0, 100]", "N s/m")
     quadratic_drag: Triple = key((0.08, 0.08, 0.08), "quadratic drag coefficients, body axes", "[0, 100]", "N s^2/m^2")

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class StatedEstimate(Effect):
     what is told lies. parameters: standard deviations of position, velocity, attitude and rate, (4,).
     """
 
-    prefix: ClassVar[str] = "estimator."
+    prefix = "estimator."
 
     position_noise: float = key(0.0, "standard deviation of the position, per axis", "[0, 10]", "m")
     velocity_noise: float = key(0.0, "standard deviation of the velocity, per axis", "[0, 10]", "m/s")

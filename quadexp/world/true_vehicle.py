@@ -17,7 +17,7 @@ plant itself, experiment/build.py):
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class TrueVehicle(Effect):
     Parameters: coefficient_allocation (4 n,), column by column.
     """
 
-    prefix: ClassVar[str] = "truth."
+    prefix = "truth."
 
     mass: float = key(1.0, "factor on the mass", FACTOR)
     inertia: Triple = key((1.0, 1.0, 1.0), "factors on the moments of inertia about x, y, z", FACTOR)
@@ -116,7 +116,7 @@ class TrueVehicle(Effect):
 class Payload(Effect):
     """A point mass that the vehicle carries."""
 
-    prefix: ClassVar[str] = "payload."
+    prefix = "payload."
 
     mass: float = key(0.2, "mass of the payload", "[0.001, 100]", "kg")
     point: Triple = key(

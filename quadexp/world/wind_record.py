@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -50,7 +49,7 @@ class WindFromFile(Effect):
     Raises UsageError for a missing file, DataError for one without wind.
     """
 
-    prefix: ClassVar[str] = "wind."
+    prefix = "wind."
 
     path: str = key(
         REQUIRED, "CSV or Parquet file with the columns t (s), wind_x, wind_y, wind_z (m/s, world); a flight is one"

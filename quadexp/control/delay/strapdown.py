@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 class KnownDelay(Remedy):
     """How old the state is that the controller is told."""
 
-    prefix: ClassVar[str] = "delay."
+    prefix = "delay."
 
     time: float = key(0.01, "age of the measured state that is made good", "[0, 0.5]", "s")
 

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class CascadeKeys(Settings):
     """Gains and limits of a flight stack's cascade, PX4's defaults where they have a physical unit; see
     quadexp/control/laws/cascade.py."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     rate: Rate = 200.0
     position_proportional: Triple = key(

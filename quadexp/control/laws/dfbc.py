@@ -27,7 +27,7 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -66,7 +66,7 @@ SMALL = 1e-9  # of a length, below which a direction is not determined
 class DFBCKeys(Settings):
     """Gains with the values of Sun et al. 2022, Table I; see quadexp/control/laws/dfbc.py."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     rate: float = key(300.0, "control rate", "[1, 2000]", "Hz")
     position_gain: Triple = key(

@@ -32,7 +32,7 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -62,7 +62,7 @@ LOGGED = ("psi",)
 class GeometricKeys(Settings):
     """Gains and options of geometric tracking; see quadexp/control/laws/geometric.py."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     rate: Rate = 100.0
     position_bandwidth: Triple = key(

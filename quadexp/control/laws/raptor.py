@@ -20,7 +20,7 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +51,7 @@ NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
 class RaptorKeys(Settings):
     """What the policy is shown; see quadexp/control/laws/raptor.py."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     rate: float = key(100.0, "control rate; the policy was trained at 100 Hz", "[1, 1000]", "Hz")
     position_limit: float = key(0.5, "largest position error that the policy is shown, each axis", "(0, 100]", "m")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 import time
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,7 @@ AIR = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_flap", "tau_m", "rotor_speed_min
 class RotorPySE3Keys(Settings):
     """Gains of RotorPy's SE3 controller, its own defaults; see quadexp/control/laws/rotorpy_se3.py."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     rate: Rate = 100.0
     position_proportional: Triple = key((6.5, 6.5, 15.0), "kp_pos", "[0, 1000]", "1/s^2", tuned="2..60:log")

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -41,7 +41,7 @@ FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parame
 class AdaptKeys(Settings):
     """How weights adapt in flight; see quadexp/models/online.py."""
 
-    prefix: ClassVar[str] = "controller.adapt."
+    prefix = "controller.adapt."
 
     law: Literal["bayes", "rls", "composite"] = key(
         "bayes", "bayes: Kalman filter, pulled to the prior; rls: with forgetting; composite: bayes with tracking error"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class MPCSettings(Settings):
     Raises UsageError where control period, first node and mean node period do not fit together.
     """
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     horizon: float = key(1.0, "length of the prediction horizon", "(0, 10]", "s")
     nodes: int = key(10, "number of intervals of the horizon", "[2, 200]", "nodes")
