@@ -139,7 +139,7 @@ def _flights(
 
 
 def _write(rows: Sequence[Row], protocol: Protocol, out: Path, asked: Bench, notes: Sequence[str]) -> Leaderboard:
-    options: dict[str, Any] = {"metric": protocol.metric, "baseline": protocol.baseline}
+    options = {"metric": protocol.metric, "baseline": protocol.baseline}
     tables = {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
     record = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "notes": list(notes)}
     files = {"leaderboard": write_board(out / FILE, rows, record)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -153,7 +153,7 @@ def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf
     with Progress("flights") as progress:
         board = ranked_by(overrides, asked, out=out, conf=conf, progress=progress, say=say)
     boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in board.tables.items()}
-    record: dict[str, Any] = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
+    record = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
     record["files"] = dict(board.files)
     tables = list(board.tables.values())
     return Answer(record, tables, [*tables, *board.files.values()], board.notes, board.failed)

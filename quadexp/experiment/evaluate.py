@@ -260,7 +260,7 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     from quadexp.models.dataset import feature_rows
 
     ranges = dict(air_of(innermost(controller)).ranges or {})
-    record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
+    record = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
     if not ranges or not len(flight):
         return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}
     rate = flight.stack(["w_x", "w_y", "w_z"])

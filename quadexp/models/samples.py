@@ -74,7 +74,7 @@ class Samples:
 
     def rows(self, selection: np.ndarray) -> Samples:
         """The samples of a mask or index array; the flights keep their numbers."""
-        chosen: dict[str, Any] = {k: part[selection] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
+        chosen = {k: part[selection] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
         return replace(self, **chosen)
 
     def delayed(self, delay: float) -> Samples:

@@ -362,7 +362,7 @@ def flight_by_flight(samples: Samples, settings: FitSettings) -> list[dict[str, 
     records = []
     for index, name in enumerate(samples.names):
         alone = replace(samples.rows(samples.flight == index), names=(name,))
-        record: dict[str, Any] = {"flight": name, "rows": len(alone)}
+        record = {"flight": name, "rows": len(alone)}
         try:
             fit = fit_level("linear", alone, settings)
             records.append(record | {"coefficients": fit.terms.records(), "thrust": str(fit.curve)})

@@ -79,7 +79,7 @@ def force_variance(flight: Flight, column: str) -> np.ndarray:
     acts = columns["auto_acts_dead_time"] + columns["auto_acts_lag"]
     timing = np.hypot(columns["auto_delay_sd"], columns["auto_delay"] - acts)  # NaN: nothing is known yet
     thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
-    late: np.ndarray = timing / lag * behind(flight.t, thrust, lag)
+    late = timing / lag * behind(flight.t, thrust, lag)
     return variance + late**2
 
 

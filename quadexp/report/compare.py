@@ -65,7 +65,7 @@ class Side(NamedTuple):
 
 def _flight(path: Path) -> Side:
     flight = read_flight(path, check=False)
-    row: Mapping[str, Any] = flight.metadata.get("row") or {}
+    row = flight.metadata.get("row") or {}
     if not row:
         raise UsageError(f"{path}: a flight without a result row (a recorded one?): it cannot be compared")
     speed = f" at {text}" if (text := speed_text(row["speed"])) else ""
@@ -259,7 +259,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
         means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
         texts.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
     heads = [f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"]
-    report: dict[str, Any] = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
+    report = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
     if len(paths) > 2:
         return report
     a, b = sides

@@ -186,7 +186,7 @@ class Tests:
         causes: Mapping[Condition, Mapping[str, int]],
     ) -> Difference:
         flights = {(at, seed): log for at in statement for seed, log in of.get(at, {}).items()}
-        kept: frozenset[tuple[Condition, int]] = whole(set(flights)) if flights else frozenset()
+        kept = whole(set(flights)) if flights else frozenset()
         logs = seed_means(flights)
         left_out = Counter[str]()
         for at in statement:

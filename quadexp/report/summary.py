@@ -135,7 +135,7 @@ def _table(path: Path) -> dict[str, Any]:
     kind = record["kind"]
     columns, _ = read_table(path, kind)
     rows, size = len(next(iter(columns.values()))) if columns else 0, path.stat().st_size
-    summary: dict[str, Any] = {
+    summary = {
         "path": str(path), "kind": kind, "schema": record["schema"], "rows": rows, "bytes": size,
         "columns": {name: describe(name, kind)._asdict() for name in columns}, "config": record.get("config"),
         "seed": record.get("seed"), "versions": record.get("versions", {}), "sources": record.get("sources", ""),
@@ -253,7 +253,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
     data, outputs = dict(model.dataset), () if isinstance(model, NeuralModel) else getattr(model, "outputs", ())
-    summary: dict[str, Any] = {
+    summary = {
         "path": str(path), "kind": model.kind, "schema": record.get("schema"), "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle), "dataset": data, "settings": dict(getattr(model, "settings", {})),
         "versions": dict(getattr(model, "versions", {}) or record.get("versions", {})),

@@ -122,7 +122,7 @@ def compose(
     def forces() -> ca.MX:
         return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else forces_kept)
 
-    told: Told = {"state": x_next, "specific_force": reading}
+    told = {"state": x_next, "specific_force": reading}
     known_now = (own, parameters, draws, step, clock, vehicle)
     seen = Readings(last_t, ca.horzcat(x, states[:N_STATE, :]), *known_now, columns_of, forces)
     own, told = everything.measured(seen, told)
@@ -182,7 +182,7 @@ class _Parts:
 
     def __init__(self, equations: Equations, effects: tuple[Effect, ...], layout: Layout, vehicle: Vehicle) -> None:
         self._equations, self._effects, self._layout, self._vehicle = equations, effects, layout, vehicle
-        self._kind: Any = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
+        self._kind = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
         # Effects whose inner states change from step to step, and those that only use them in the steps.
         self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
         acting = [i for i, one in enumerate(effects) if any(map(one.has, ("wind", "thrusts", "wrench")))]

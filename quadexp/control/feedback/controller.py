@@ -69,7 +69,7 @@ class IdentifiedCoefficients:
         """Begin a flight with the initial values."""
         self.estimator.reset()
         self.reopened, self._wait = 0, FIRST_WAIT
-        self._innovation: float = 1.0
+        self._innovation = 1.0
 
     @property
     def theta(self) -> np.ndarray:

@@ -79,7 +79,7 @@ def disturbance_function(
     y = ca.densify(y)
     force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
     q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
-    known: Any = along_z(thrust) + y[:3]
+    known = along_z(thrust) + y[:3]
     if scaled:
         by_scale = along_z(thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
         unexplained, turned = R @ (a["reading"] - known), R @ by_scale

@@ -97,7 +97,7 @@ class Observer(WrappedController):
             self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
             self._belief = self._world.numbers
             return
-        self.delivered: Any = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
+        self.delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
         shared = {"theta": parameters_of(innermost(inner))}
         self._update = BufferedFunction(realise(update.function, inner.backend), shared)
         self._given, self._result = self._update.arguments, self._update.results

@@ -135,7 +135,7 @@ def _offsets(log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
 
 def _metadata(path: Path, log: RawLog, vehicle: Vehicle | None, offsets: dict[str, Any]) -> dict[str, Any]:
     source = {"file": path.name, "sha256": digest(path), "format": log.format, "mapping": log.mapping}
-    metadata: dict[str, Any] = {
+    metadata = {
         "name": path.stem, "outcome": "ok", "recorded": True, "source": source | {"offsets": offsets} | log.about,
         "versions": versions(), "provenance": provenance(),
     }  # fmt: skip
