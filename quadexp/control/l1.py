@@ -21,7 +21,6 @@ a matched disturbance too. Where u leaves the limits, allocation.py decides. Wor
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,7 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.parts.settings import Settings, key, part
+from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import features_function
 from quadexp.physics.rotation import along_z, rotation_matrix
@@ -49,7 +48,7 @@ ERROR, DISTURBANCE, FILTERED = slice(0, 6), slice(6, 12), slice(12, 18)  # of th
 LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y", "l1_torque_z")
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class L1Keys(Settings):
     """Predictor, low pass and limits of L1 adaptive augmentation; see quadexp/control/l1.py."""
 
@@ -204,7 +203,7 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
     return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class L1(L1Keys, Remedy):
     """L1 adaptive augmentation (Hanover et al. 2022, Wu et al. 2023)."""
 

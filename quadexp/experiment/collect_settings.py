@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class CollectConfig(Part):
     """How a data set is flown: flights of at most `flight_duration` until `duration` is reached, speeds spread evenly
     over [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).

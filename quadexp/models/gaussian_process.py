@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -73,7 +72,7 @@ from quadexp.models.residual import (
 )
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, Setting, Settings, key, lists, made
+from quadexp.parts.settings import SEEDS, Setting, Settings, key, keyed, lists, made
 from quadexp.physics.expression import Expression, split
 from quadexp.physics.vehicle import Vehicle
 
@@ -95,7 +94,7 @@ def _features(output: str, *features: str) -> Any:
     return key(features, Setting(f"features of the GP of {output}; []: no correction"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class GPFeatures(Settings):
     """For every output the features of its GP; an empty list leaves the output uncorrected."""
 
@@ -126,7 +125,7 @@ class GPFeatures(Settings):
 DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class GPConfig(Part):
     """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
 

@@ -15,7 +15,6 @@ are 7 to 10 times too small on flights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -31,7 +30,7 @@ from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, key
+from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import along_z
@@ -42,7 +41,7 @@ N_PARAMETERS = 7
 LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % interval of quadexp identify"}
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class DragConfig(Part):
     """How linear drag is fitted; see quadexp/models/linear_drag.py."""
 

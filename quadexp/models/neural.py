@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -54,7 +53,7 @@ from quadexp.models.online import Adapting, Block
 from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places, residual_function
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, key
+from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.expression import Expression, split
 from quadexp.physics.vehicle import Vehicle
 
@@ -95,7 +94,7 @@ def activation(t: Expression) -> tuple[Expression, Expression]:
     return t * q, q * q * q
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class NNConfig(Part):
     """How the neural network is made and trained; see quadexp/models/neural.py."""
 

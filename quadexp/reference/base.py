@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting, key
+from quadexp.parts.settings import Setting, key, keyed
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 
@@ -64,7 +64,7 @@ class Trajectory(Protocol):
         """Flat output at the times t, (k,) (s); held outside 0 .. duration."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class TrajectoryPart(Part):
     """What every trajectory has, as an option of the configuration.
 
@@ -91,7 +91,7 @@ class TrajectoryPart(Part):
         return replace(self)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class LimitedTrajectory(TrajectoryPart):
     """A path that is timed by the limits of the vehicle. vehicle: whose; None: no limits.
 

@@ -9,19 +9,18 @@ World ENU (m). V: speed at t = 0, the end of the minor axis; a: centripetal acce
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart, flat_output_held
 
 LONGEST_HORIZON = 10.0  # s, for which the ellipse goes on behind the flight
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Ellipse(TrajectoryPart):
     """An ellipse. Raises UsageError where a number is out of range.
 

@@ -29,7 +29,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
-from quadexp.parts.settings import REQUIRED, key
+from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.state import norms
 from quadexp.reference.base import (
     MARGIN,
@@ -148,7 +148,7 @@ def _numbers(where: str, row: list[str], header: list[str], columns: tuple[str, 
     return numbers
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FileTrajectory(LimitedTrajectory):
     """The track or the waypoints in a CSV or TUM file; it is read when first used.
 

@@ -5,16 +5,14 @@ The jump cannot be flown; it tests a controller far from its reference.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.reference.base import DURATION, FlatOutput, TrajectoryPart, standing
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Step(TrajectoryPart):
     """A jump of the set-point.
 

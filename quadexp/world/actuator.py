@@ -38,7 +38,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import decayed, time_constant_towards
 from quadexp.physics.rotation import along_z, rotation_matrix
@@ -52,7 +52,7 @@ NO_LAG = 1e-9  # s, in place of 0: the decay over any step is then exactly 0
 N_FIXED = 5  # parameters without I_p and factors
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Actuator(Effect):
     """Motors with a lag, limits of their speed, and rotors that differ."""
 

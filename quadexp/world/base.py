@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given, Part
-from quadexp.parts.settings import Backend, Setting, key
+from quadexp.parts.settings import Backend, Setting, key, keyed
 from quadexp.physics.vehicle import Vehicle
 
 FORCE_DENSITY = Setting("spectral density of the white noise on the force, each axis", "[0, 10]", "N/sqrt(Hz)")
@@ -39,7 +38,7 @@ class Plant(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class PlantPart(Part):
     """What every plant has, as an option of the configuration."""
 

@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.battery import (
     OperatingPoint,
     charge_after,
@@ -48,7 +47,7 @@ PARAMETERS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Battery(Effect):
     """An equivalent circuit of lithium-polymer cells in series; see quadexp/physics/battery.py."""
 

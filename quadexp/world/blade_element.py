@@ -34,7 +34,7 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.models.blade_element import blade_element_correction
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Settings, key, part
+from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.blade_element import (
     ADOPTED,
     PRINTED,
@@ -105,7 +105,7 @@ class PlantChange:
 _CHANGES = [one.name for one in fields(PlantChange)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
     """Lei & Li's plant. schedule: changes in flight, each {t: s, payload: kg,
     lift_scale: [one factor a rotor], profile_drag_scale: factor}, all but t optional."""

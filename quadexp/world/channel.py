@@ -22,13 +22,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.parts.settings import keyed
 from quadexp.physics.expression import split
 from quadexp.world.effect import Clock, Readings, Sizes
 from quadexp.world.streams import NEVER, Drawn, Sampled, Ticking, on_the_way
@@ -39,7 +39,7 @@ WHOLE = 1e-6  # of a control period or an integration step
 MOST = 200  # readings in a control period
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Channel:
     """size: numbers of a reading; errors: of its error, which an attitude has fewer of.
 

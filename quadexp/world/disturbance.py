@@ -9,13 +9,12 @@ does not depend on the step.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -28,7 +27,7 @@ def active_share(t: Expression, step: Expression, start: Expression, end: Expres
     return ca.fmax(ca.fmin(t + step, end) - ca.fmax(t, start), 0) / step
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Disturbance(Effect):
     """A force and a torque from outside.
 

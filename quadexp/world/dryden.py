@@ -32,7 +32,6 @@ Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <=
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -42,7 +41,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression, limited, split
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -108,7 +107,7 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
     return intensity * ca.vertcat(filters[0], across, vertical)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Dryden(MeanWind):
     """A mean wind and turbulence after Dryden.
 

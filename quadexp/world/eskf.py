@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -44,7 +44,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, unit
 from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
@@ -183,7 +183,7 @@ def unpacked(numbers: Expression) -> Expression:
     return ca.triu2symm(ca.horzcat(*columns))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Navigation(Effect):
     """The filter that joins the readings of a world's inertial sensors.
 

@@ -11,7 +11,6 @@ density, held for 0.5 ms whatever the integration step (see Held in streams.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -20,7 +19,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, key
+from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.expression import limited, split
 from quadexp.physics.rigid_body import derivative_function, features_function
 from quadexp.physics.rotation import along_z
@@ -30,7 +29,7 @@ from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FromModel(PlantPart):
     """A model identified from flights as the truth; see quadexp/world/from_model.py. model: its checkpoint folder."""
 

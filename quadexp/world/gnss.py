@@ -14,12 +14,10 @@ world axes: its east component tells the error of heading at every attitude, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
@@ -29,7 +27,7 @@ from quadexp.world.inertial import OUTAGE, RATE, SHARE, Aid, InertialSensors, In
 PLACES = [*D_POSITION, *D_VELOCITY]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ImuGnss(InertialSensors):
     """An IMU, position (m) and velocity (m/s) from satellites, and north from a magnetometer.
 

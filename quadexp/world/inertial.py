@@ -42,7 +42,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.parts.settings import Setting, key
+from quadexp.parts.settings import Setting, key, keyed
 from quadexp.physics.expression import Expression, split
 from quadexp.physics.rotation import along_z, conjugate, exponential, logarithm, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
@@ -146,7 +146,7 @@ def read(
     return reading, bias + spread[N_READING:] * ca.sqrt(duration) * noise[N_READING:]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class InertialSensors(Effect):
     """An IMU with aids; a subclass says which. Raises UsageError where an aid is asked for more often than the IMU.
 

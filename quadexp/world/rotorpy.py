@@ -19,8 +19,6 @@ with Aerodynamics for Education and Research", arXiv 2306.04485.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.compile.symbolic import ca
@@ -28,7 +26,7 @@ from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
@@ -46,7 +44,7 @@ SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes th
 # no slope at u = 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RotorPy(PlantPart):
     """Air and motors of RotorPy 3.0's Multirotor (Folk et al. 2023), with the numbers of its Hummingbird."""
 

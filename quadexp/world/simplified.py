@@ -22,7 +22,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Settings, Triple, key, part
+from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import thrust_loss
@@ -81,7 +81,7 @@ LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, LIFT 
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Simplified(PlantEffects, PlantPart):
     """Torrente's simplified simulation."""
 

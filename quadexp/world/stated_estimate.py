@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.sensor_sheet import SensorSheet, Stated, noisier
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
@@ -29,7 +29,7 @@ AXES = 12  # of the noise: position, velocity, attitude, rate
 ROUNDING = 1e-6  # of an integration step, by which a delay may differ from whole steps and count as such
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class StatedEstimate(Effect):
     """The truth with stated noise and delay.
 

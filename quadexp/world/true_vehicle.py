@@ -16,14 +16,14 @@ plant itself, experiment/build.py):
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE
@@ -70,7 +70,7 @@ def coefficient_allocation(vehicle: Vehicle, thrust_factor: float, torque_factor
     return np.array([thrust, thrust, thrust, turn])[:, None] * vehicle.allocation
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class TrueVehicle(Effect):
     """The true vehicle, by factors of the one that controllers believe in.
 
@@ -112,7 +112,7 @@ class TrueVehicle(Effect):
         return set(factors) == {1.0} and not any(self.center_of_mass)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Payload(Effect):
     """A point mass that the vehicle carries."""
 
@@ -124,7 +124,7 @@ class Payload(Effect):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FixedPayload(Payload):
     """A payload fixed to the airframe."""
 

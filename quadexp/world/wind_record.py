@@ -17,7 +17,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
-from quadexp.parts.settings import REQUIRED, key
+from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.world.effect import Effect, Moment
 
@@ -42,7 +42,7 @@ class WindRecord:
         return table(limited(t, self.t[0], self.t[-1]))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class WindFromFile(Effect):
     """A wind that was recorded.
 

@@ -15,7 +15,6 @@ time at which its command begins to act: phi goes on over the dead time, under t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from quadexp.control.delivered import SETTLED, SentCommands
 from quadexp.control.instant import Instant, Told, call, copy, instant_of, python
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import unit
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
@@ -162,7 +161,7 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     return named_function("delay_prediction", arguments, {"now": ca.vertcat(*now)})
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class PredictionPart(KnownDelay):
     """A late state is brought to now by the controller's model."""
 

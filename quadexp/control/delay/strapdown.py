@@ -17,7 +17,6 @@ the part of it that is younger than tau.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,13 +29,13 @@ from quadexp.control.built import built
 from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move, python
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import unit
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class KnownDelay(Remedy):
     """How old the state is that the controller is told."""
 
@@ -143,7 +142,7 @@ def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:
     return duration / 2 * (first + last) + duration**2 / 12 * ca.cross(first, last)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class StrapdownPart(KnownDelay):
     """A late state is brought to now by gyroscope and accelerometer."""
 

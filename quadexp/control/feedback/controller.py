@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +18,7 @@ from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.rls import BladeElementRLS, Identification
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Backend, key, part
+from quadexp.parts.settings import REQUIRED, Backend, key, keyed, part
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.rotor import THETA
 from quadexp.physics.state import ATTITUDE, VELOCITY
@@ -184,7 +183,7 @@ class FeedbackController(InOperations):
             self._law()
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Feedback(FeedbackSettings, ControllerPart):
     """Compensated feedback. variant: what is compensated, and from where."""
 

@@ -30,7 +30,6 @@ control_allocator (sequential desaturation); equations taken, code our own. Worl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ from quadexp.control.laws.attitude import attitude_of
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Settings, Triple, key, part
+from quadexp.parts.settings import Backend, Settings, Triple, key, keyed, part
 from quadexp.physics.expression import Expression, limited, unit
 from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
@@ -57,7 +56,7 @@ MEMORY = {"velocity_integral": 3, "velocity": 3, "velocity_filter": 3, "rate_int
 LOGGED = tuple(f"{name}_{axis}" for name in ("velocity_integral", "rate_integral") for axis in "xyz")
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class CascadeKeys(Settings):
     """Gains and limits of a flight stack's cascade, PX4's defaults where they have a physical unit; see
     quadexp/control/laws/cascade.py."""
@@ -232,7 +231,7 @@ def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression
     return 2 * sign * ca.DM(proportional) * error
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Cascade(CascadeKeys, ControllerPart):
     """The cascade of P and PID loops of a flight stack, fed with position, velocity, acceleration and yaw."""
 

@@ -26,7 +26,6 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -41,7 +40,7 @@ from quadexp.control.laws.explicit import BelievingController
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Setting, Settings, Triple, key, part
+from quadexp.parts.settings import Backend, Setting, Settings, Triple, key, keyed, part
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -62,7 +61,7 @@ LOGGED = ("error_tilt", "error_yaw")
 SMALL = 1e-9  # of a length, below which a direction is not determined
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class DFBCKeys(Settings):
     """Gains with the values of Sun et al. 2022, Table I; see quadexp/control/laws/dfbc.py."""
 
@@ -178,7 +177,7 @@ class DFBC(BelievingController):
         self.residual = None  # the law needs no attitude, rates or thrusts of a reference
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FlatnessBased(DFBCKeys, ControllerPart):
     """Flatness-based control (Sun et al. 2022). residual: its model of the air."""
 

@@ -31,7 +31,6 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -47,7 +46,7 @@ from quadexp.control.laws.explicit import BelievingController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Settings, Triple, key, part
+from quadexp.parts.settings import Backend, Settings, Triple, key, keyed, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -58,7 +57,7 @@ FORCE, TORQUE, WIND, SCALE, AIR = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10  
 LOGGED = ("psi",)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class GeometricKeys(Settings):
     """Gains and options of geometric tracking; see quadexp/control/laws/geometric.py."""
 
@@ -236,7 +235,7 @@ def _in_ball(vector: Expression, radius: float) -> Expression:
     return vector * radius / ca.fmax(ca.norm_2(vector), max(radius, 1e-12))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Geometric(GeometricKeys, ControllerPart):
     """Geometric tracking on SE(3) (Lee, Leok, McClamroch 2010). residual: its model of the air."""
 

@@ -18,7 +18,6 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -34,7 +33,7 @@ from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend, Settings, key, part
+from quadexp.parts.settings import Backend, Settings, key, keyed, part
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -47,7 +46,7 @@ SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RaptorKeys(Settings):
     """What the policy is shown; see quadexp/control/laws/raptor.py."""
 
@@ -153,7 +152,7 @@ def _matrix(values: np.ndarray) -> ca.DM:
     return ca.DM(values.ravel() if 1 in values.shape else values)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Raptor(RaptorKeys, ControllerPart):
     """RAPTOR, a learned policy for all quadrotors (Eschmann et al. 2025), of the package foundation-policy."""
 

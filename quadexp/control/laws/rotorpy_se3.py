@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,14 +21,14 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Settings, Triple, key, part
+from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 AIR = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_flap", "tau_m", "rotor_speed_min", "rotor_speed_max")  # not used
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RotorPySE3Keys(Settings):
     """Gains of RotorPy's SE3 controller, its own defaults; see quadexp/control/laws/rotorpy_se3.py."""
 
@@ -109,7 +108,7 @@ def _controller(given: dict[str, Any]) -> Any:
     return module.SE3Control(given)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RotorPySE3(RotorPySE3Keys, ControllerPart):
     """RotorPy's SE3Control (Folk, Paulos, Kumar 2023), the code of the package rotorpy itself."""
 

@@ -31,7 +31,7 @@ from quadexp.models.online import Adapting, Law, prior_belief, update_function
 from quadexp.models.residual import LEARNED, Residual, sum_residual
 from quadexp.models.rls import Identification
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Settings, key, part
+from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.vehicle import Vehicle
 
 FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters
@@ -170,7 +170,7 @@ class AdaptingController(PredictiveController):
         self.mpc.set_parameters(self._all)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class OnlineMPC(PredictivePart):
     """MPC whose model adapts in flight.
 
@@ -277,7 +277,7 @@ class IdentifyingController(PredictiveController):
         return self.identified.log()
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RLSMPC(PredictivePart):
     """MPC whose blade-element model is identified in flight.
     reference_period: s between new references from the identified coefficients; 0: never."""

@@ -18,7 +18,6 @@ with both poles of the error at z = exp(-b T). The torque: control.observers.fil
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -42,7 +41,7 @@ from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -107,7 +106,7 @@ def disturbance_function(
     return named_function("disturbance_observer", a, {"s_next": ca.vertcat(state, rates), "belief": belief})
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class DisturbanceObserver(ObserverPart):
     """Force and torque beyond the model."""
 

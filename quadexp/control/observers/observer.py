@@ -11,7 +11,6 @@ it finds by other sensors goes on. It runs from the second instant on: before th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, no_residual
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.vehicle import Vehicle
 
 COLUMNS = (
@@ -41,7 +40,7 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ObserverPart(Remedy):
     """What every observer has."""
 
