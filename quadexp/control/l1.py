@@ -37,6 +37,7 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
+from quadexp.names import named
 from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import features_function
@@ -128,7 +129,7 @@ class L1Controller(WrappedController):
 
     def log(self) -> dict[str, float]:
         """See Controller.log; the estimated force along body axes (N) and torque (N m), before the low pass."""
-        return self.inner.log() | dict(zip(LOGGED, self._estimate.results["body"].tolist(), strict=True))
+        return self.inner.log() | named(LOGGED, self._estimate.results["body"].tolist())
 
 
 def l1_functions(
@@ -154,7 +155,7 @@ def l1_functions(
         air = [model(features(inputs[name], mean), inputs["theta"])[0] for name in ("x", "x_last")]
     predictor = _predictor(vehicle, keys, period)
     results = predictor(inputs["x"], inputs["x_last"], mean, inputs["memory"], *map(ca.densify, air))
-    outputs = dict(zip(("memory_next", "body", "lateral"), results, strict=True)) | {"rotors_next": rotors_next}
+    outputs = named(("memory_next", "body", "lateral"), results) | {"rotors_next": rotors_next}
     estimate = named_function("l1_estimate", inputs, outputs)
     base, y = symbols(ca.SX, base=n, filtered=6)
     u = added(vehicle, base, -y[2:])

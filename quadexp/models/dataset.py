@@ -46,6 +46,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.signal import finite_rows
 from quadexp.log.store import read_table
 from quadexp.models.residual import AXES, OUTPUTS, THRUST
+from quadexp.names import named
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import rigid_body_function
 from quadexp.physics.rotation import air_velocity
@@ -351,7 +352,7 @@ def known_noise(
             return None
         rows = flight == index
         squares += np.sum(_variances(vehicle, plant, estimator, thrust[rows], dt[rows, None]), axis=0)
-    return dict(zip(OUTPUTS, np.sqrt(squares / max(dataset.n_rows, 1)).tolist(), strict=True))
+    return named(OUTPUTS, np.sqrt(squares / max(dataset.n_rows, 1)).tolist())
 
 
 def _variances(

@@ -19,6 +19,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.battery import (
     OperatingPoint,
@@ -146,7 +147,7 @@ class Battery(Effect):
         return ""
 
     def _named(self, at: Moment) -> dict[str, Expression]:
-        return dict(zip(PARAMETERS, ca.vertsplit(at.parameters), strict=True))
+        return named(PARAMETERS, ca.vertsplit(at.parameters))
 
     def _point(self, at: Moment) -> OperatingPoint:
         """Voltage, current and thrusts during the step."""

@@ -28,6 +28,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.parts.settings import keyed
 from quadexp.physics.expression import split
 from quadexp.world.effect import Clock, Readings, Sizes
@@ -136,7 +137,7 @@ class Channel:
         noise, bias, (decay, gain, delay, jitter, drop) = (
             at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
         )  # fmt: skip
-        draws = dict(zip(drawn, split(at.draws, (one.size for one in drawn.values())), strict=True))
+        draws = named(drawn, split(at.draws, (one.size for one in drawn.values())))
         drifts = [(-NEVER, at.inner[: self.taken])]  # each with the time from which on it holds
         for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + m) if self.drifts else []:
             before = drifts[-1][1]

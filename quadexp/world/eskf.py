@@ -43,6 +43,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, unit
@@ -284,7 +285,7 @@ class Navigation(Effect):
         """Estimated biases, and the variances of the error, both on the horizon."""
         diagonal = [N_NOMINAL + i * (i + 3) // 2 for i in range(N_ERROR)]
         biases = {f"est_{name}": len(STATE_COLUMNS[: RATE.start]) + i for i, name in enumerate(BIAS_COLUMNS)}
-        return biases | dict(zip(VARIANCES, diagonal, strict=True))
+        return biases | named(VARIANCES, diagonal)
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
         aids, count, behind = self.sensors.aids, self.sensors.readings(at.clock), self.horizon(at.clock)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.names import named
 from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
@@ -62,7 +63,7 @@ class ImuGnss(InertialSensors):
             deviations=deviations,
             measure=_measure,
             compare=_compare,
-            first_guess=dict(zip(PLACES, deviations.tolist(), strict=True)),
+            first_guess=named(PLACES, deviations.tolist()),
         )
         heading = Aid(
             name="heading",

@@ -17,6 +17,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.rls import BladeElementRLS, Identification
+from quadexp.names import named
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Backend, key, keyed, part
 from quadexp.physics.rotation import air_velocity
@@ -91,7 +92,7 @@ class IdentifiedCoefficients:
         """The estimate by coefficient; number of clips and of covariance resets so far."""
         estimator = self.estimator
         counts = {"clips": float(estimator.clips.sum()), "reopened": float(self.reopened)}
-        return {**dict(zip(THETA, estimator.theta.tolist(), strict=True)), **counts}
+        return {**named(THETA, estimator.theta.tolist()), **counts}
 
 
 class FeedbackController(InOperations):

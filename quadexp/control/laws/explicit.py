@@ -19,6 +19,7 @@ from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.instant import YES, InOperations, Instant, Operation, Told, call, copy, law_record, move
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
+from quadexp.names import named
 from quadexp.parts.settings import Setting
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -106,7 +107,7 @@ class ExplicitController(InOperations):
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
-        return dict(zip(self._logged, self._law.results["log"].tolist(), strict=True)) if self._logged else {}
+        return named(self._logged, self._law.results["log"].tolist()) if self._logged else {}
 
 
 class BelievingController(ExplicitController):

@@ -45,6 +45,7 @@ from quadexp.control.laws.attitude import attitude_distance, attitude_error, mov
 from quadexp.control.laws.explicit import BelievingController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
+from quadexp.names import named
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, Triple, key, keyed, part
 from quadexp.physics.expression import Expression
@@ -132,7 +133,7 @@ def geometric_function(
         ]
     given = [inputs[name] for name in ("x", "state", "input", "middle", "path", "belief", "memory")]
     names, results = ("command", "held", "memory_next", "log"), law(*given, *map(ca.densify, air))
-    return named_function("geometric", inputs, dict(zip(names, results, strict=True)))
+    return named_function("geometric", inputs, named(names, results))
 
 
 def _features(n: int) -> ca.Function:

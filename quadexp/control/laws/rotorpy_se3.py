@@ -20,6 +20,7 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -69,7 +70,7 @@ class RotorPySE3Controller:
         began = time.perf_counter()
         x = measurement.state
         state = {"x": x[POSITION], "v": x[VELOCITY], "q": np.roll(x[ATTITUDE], -1), "w": x[RATE]}
-        path = dict(zip(("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot"), window.position, strict=True))
+        path = named(("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot"), window.position)
         heading = {"yaw": window.yaw[0], "yaw_dot": window.yaw[1]}
         wanted = self._law.update(measurement.t, state, path | heading)["cmd_motor_thrusts"]
         u = np.clip(wanted, self.vehicle.thrust_min, self.vehicle.thrust_max)

@@ -30,6 +30,7 @@ from quadexp.control.instant import YES, Operation, Told, call, copy, move
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.models.residual import Residual
+from quadexp.names import named
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -86,7 +87,7 @@ class BelievedWorld:
         low, high = mpc.limits
         into = {"disturbance": mpc.disturbance, "low": low, "high": high}
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
-        into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if self._in_place else {}
+        into |= named(("X_in", "U_in"), mpc.reference) if self._in_place else {}
         self._enter = BufferedFunction(function, {"theta": mpc.parameters, "X": solution}, into)
         self._given, self._left = self._enter.arguments, self._enter.results
         given = self._given

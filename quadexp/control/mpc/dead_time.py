@@ -28,6 +28,7 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
+from quadexp.names import named
 from quadexp.physics.expression import limited
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.rotation import with_unit_attitude
@@ -112,7 +113,7 @@ class MotorLead:
         self, limits: tuple[np.ndarray, np.ndarray], settings: MPCSettings, backend: str = "interpreted"
     ) -> None:
         function = built(backend, inversion_function, len(limits[0]))
-        self._invert = BufferedFunction(function, dict(zip(("low", "high"), limits, strict=True)))
+        self._invert = BufferedFunction(function, named(("low", "high"), limits))
         self.tune(settings)
 
     def tune(self, settings: MPCSettings) -> None:

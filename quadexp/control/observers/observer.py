@@ -28,6 +28,7 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, no_residual
+from quadexp.names import named
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.vehicle import Vehicle
 
@@ -154,7 +155,7 @@ class Observer(WrappedController):
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
-        return self.inner.log() | dict(zip(COLUMNS, self._belief.tolist(), strict=True))
+        return self.inner.log() | named(COLUMNS, self._belief.tolist())
 
 
 def believer(controller: Controller, name: str) -> Any:
