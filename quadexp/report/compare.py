@@ -31,7 +31,7 @@ from quadexp.physics.state import norms
 from quadexp.report.frame import read_results
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
-from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.pairing import Row, causes_text, common, condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.statistics import Statistic, overall
 from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
@@ -267,7 +267,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     lines = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)] + [""]
     for name, missing in only.items():
         if missing:
-            lines.append(f"only in {name}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
+            lines.append(f"only in {name}  {causes_text(missing)}")
     report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
     if not cells:
         return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}

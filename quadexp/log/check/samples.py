@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from quadexp.log.check.candidates import COLUMNS, KEYS
-from quadexp.log.check.finding import Finding, longest, of_rows
-from quadexp.log.signal import period_of, runs
+from quadexp.log.check.finding import Finding, of_rows
+from quadexp.log.signal import longest, period_of, runs
 from quadexp.log.signal.windows import STREAMS, attitude_rate
 from quadexp.physics.state import norms
 
