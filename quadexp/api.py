@@ -218,7 +218,7 @@ def load(path: Place) -> Flight | Dataset | Results | Checkpoint | Frame:
     if kind == "flight":
         flight = read_flight(path)
         return Flight.of(flight.columns, flight.metadata)
-    kinds: dict[str, type[Frame]] = {"residuals": Dataset, "tuning": Tuning, "leaderboard": Leaderboard}
+    kinds = {"residuals": Dataset, "tuning": Tuning, "leaderboard": Leaderboard}
     return kinds.get(kind, Frame).of(*read_table(path, kind))
 
 

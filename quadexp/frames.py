@@ -303,7 +303,7 @@ class Leaderboard(Frame):
         from quadexp.report.metrics import from_columns
 
         rows, protocol = from_columns(self.columns_as_arrays()), read_protocol()
-        options: Any = {"metric": protocol.metric, "baseline": protocol.baseline}
+        options = {"metric": protocol.metric, "baseline": protocol.baseline}
         return {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
 
     def summary(self) -> list[str]:

@@ -27,6 +27,11 @@ def distinct(values: Iterable[T]) -> list[T]:
     return list(dict.fromkeys(values))
 
 
+def named(names: Iterable[T], values: Iterable[V]) -> dict[T, V]:
+    """Name -> value, in order; there are as many of both."""
+    return dict(zip(names, values, strict=True))
+
+
 def without(values: Mapping[T, V], names: Container[T]) -> dict[T, V]:
     """The values but for those of some names."""
     return {name: value for name, value in values.items() if name not in names}

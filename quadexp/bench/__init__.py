@@ -1,13 +1,12 @@
 """A leaderboard: the same tasks, worlds and seeds for every controller, by a protocol that does not change."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from quadexp.parts.settings import Settings, key
+from quadexp.parts.settings import Settings, key, keyed
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Bench(Settings):
     """What `quadexp bench` and `qx.bench` are asked."""
 

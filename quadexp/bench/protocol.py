@@ -54,7 +54,7 @@ class Family:
         """What its words mean: the value of every key of tasks, worlds and data that is not the key's default, so that
         a key that comes later changes nothing."""
         first = next(iter(self.tasks.values()))
-        asked: dict[str, tuple[Sequence[str], Sequence[str]]] = {
+        asked = {
             **{f"task {name}": ([*self.given, *given], TASK) for name, given in self.tasks.items()},
             **{f"world {name}": ([*self.given, *first, *given], WORLD) for name, given in self.worlds.items()},
             **{name: (given, MADE_BY[name]) for name, given in self.models.items()},

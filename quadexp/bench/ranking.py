@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
+from quadexp.names import named
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
 from quadexp.report.pairing import grouped, seed_means, whole
 
@@ -74,7 +75,7 @@ def standings(
         errors[at], steps[at] = _error(row, metric), float(row["solve_time_median"])
     of_seed = grouped((cell[2], cells[cell]) for cell in sorted(cells))
     ranked, lost = [i for i, name in enumerate(names) if not entries[name]["bound"]], ~np.isfinite(errors)
-    ranks = dict(zip(ranked, rankdata(errors[ranked], axis=0), strict=True))  # ties share their mean rank
+    ranks = named(ranked, rankdata(errors[ranked], axis=0))  # ties share their mean rank
     seed_ranks = {i: np.array([np.mean(of_entry[k]) for k in of_seed.values()]) for i, of_entry in ranks.items()}
     seed_losses = np.array([[of_entry[k].sum() for k in of_seed.values()] for of_entry in lost])
     order = _order(seed_losses, seed_ranks, confidence)

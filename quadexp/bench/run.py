@@ -27,6 +27,7 @@ from quadexp.bench.ranking import Row
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.cell_store import CellStore
+from quadexp.names import named
 from quadexp.parts.cells import Cell
 from quadexp.parts.compose import Composer, session
 from quadexp.parts.options import Folders
@@ -95,7 +96,7 @@ def bench(
             for name in (entry.name for entry in invited if entry.name not in flying_entries):
                 raise UsageError(next(note for note in notes if note.startswith(f"{name} has no part")))
             keys = [next(iter(plan_cells([cell]))) for cell, _ in flights]
-            cells = dict(zip(keys, (cell for cell, _ in flights), strict=True))  # two entries may fly the same
+            cells = named(keys, (cell for cell, _ in flights))  # two entries may fly the same
             options: Any = {"function": function, "isolate": isolate, "progress": progress}
             flown = {row["key"]: row for row in fly_cells([*cells.values()], store, engine, **options)}
             made_by = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called}
@@ -139,7 +140,7 @@ def _flights(
 
 
 def _write(rows: Sequence[Row], protocol: Protocol, out: Path, asked: Bench, notes: Sequence[str]) -> Leaderboard:
-    options: dict[str, Any] = {"metric": protocol.metric, "baseline": protocol.baseline}
+    options = {"metric": protocol.metric, "baseline": protocol.baseline}
     tables = {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
     record = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "notes": list(notes)}
     files = {"leaderboard": write_board(out / FILE, rows, record)}

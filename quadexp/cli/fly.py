@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -13,6 +13,7 @@ from quadexp.bench import Bench
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, complete
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.progress import Progress
 from quadexp.tune import Tune
 
@@ -152,8 +153,8 @@ def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf
 
     with Progress("flights") as progress:
         board = ranked_by(overrides, asked, out=out, conf=conf, progress=progress, say=say)
-    boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in board.tables.items()}
-    record: dict[str, Any] = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
+    boards = {name: [named(t.columns, row) for row in t.rows] for name, t in board.tables.items()}
+    record = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
     record["files"] = dict(board.files)
     tables = list(board.tables.values())
     return Answer(record, tables, [*tables, *board.files.values()], board.notes, board.failed)

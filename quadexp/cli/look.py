@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command, single_values
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
-from quadexp.names import without
+from quadexp.names import named, without
 from quadexp.progress import Progress
 from quadexp.writer import check_output, write_text
 
@@ -96,7 +96,7 @@ def results(
     remarks = [f"{said}; {checked.text()}"]
     remarks += [RULE] if counts.keys() - {"ok"} else []
     remarks += flown_by_lines(total) if several else []
-    chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
+    chosen = [named(names, values) for values in zip(*map(frame.column, names), strict=True)]
     record = {"count": len(total), "checked": checked.text(), "rows": chosen if names else frame.rows}
     return Answer(record, [table], [table], remarks=remarks, texts={"csv": lambda: csv_of(frame, shown)})
 
@@ -244,7 +244,7 @@ def _beliefs(path: Path, out: Path | None, force: bool) -> Answer:
     if figure is not None:
         save_figure(beliefs_figure(flight), figure, force=force)
     drawn = [] if figure is None else [str(figure)]
-    record = {"beliefs": [dict(zip(table.columns, row, strict=True)) for row in table.rows]}
+    record = {"beliefs": [named(table.columns, row) for row in table.rows]}
     return Answer(record, [table], [table, *drawn])
 
 

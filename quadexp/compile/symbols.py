@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from quadexp.compile.symbolic import ca
+from quadexp.names import named
 
 
 def symbols(kind: Any, **shapes: Any) -> list[Any]:
@@ -34,4 +35,4 @@ def named_function(name: str, inputs: Mapping[str, Any], outputs: Mapping[str, A
 def dense_function(name: str, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> ca.Function:
     """The same with dense outputs; what several of them need is computed once."""
     values = ca.cse([ca.densify(value) for value in outputs.values()])
-    return named_function(name, inputs, dict(zip(outputs, values, strict=True)))
+    return named_function(name, inputs, named(outputs, values))

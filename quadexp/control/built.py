@@ -33,5 +33,4 @@ def _structure(argument: Any) -> Hashable:
     if hasattr(argument, "fingerprint"):
         return str(argument.fingerprint)
     function = getattr(argument, "function", argument)
-    structure: Hashable = function.serialize() if hasattr(function, "serialize") else argument
-    return structure
+    return function.serialize() if hasattr(function, "serialize") else argument

@@ -195,7 +195,7 @@ def goes_in_c(controller: Any) -> bool:
     if controller.backend != "compiled" or controller.reference_period or not in_operations(controller):
         return False
     instant = controller.running.instant
-    functions: list[Any] = [o.function for o in instant.operations if o.function is not None]
+    functions = [o.function for o in instant.operations if o.function is not None]
     if instant.plan is not None:
         if type(instant.plan.mpc) is not ModelPredictiveController:
             return False

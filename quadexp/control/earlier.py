@@ -22,8 +22,8 @@ class Earlier:
         whole = int(age / period + 1e-9)
         self._share = age / period - whole
         self._kept = np.zeros((whole + 2, size))  # the oldest first
-        self.then: np.ndarray = np.zeros(size) if age else self._kept[-1]
-        self.oldest: np.ndarray = self._kept[0 if age else -1]
+        self.then = np.zeros(size) if age else self._kept[-1]
+        self.oldest = self._kept[0 if age else -1]
 
     def reset(self, values: np.ndarray) -> None:
         """These values, (n,), have been there for long."""

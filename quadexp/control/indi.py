@@ -19,8 +19,7 @@ so that a constant d_tau and a wrong J leave no steady error of alpha, as long a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,7 +38,7 @@ from quadexp.control.wrapped import WrappedController, layers, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
 from quadexp.parts.sensor_sheet import later_speeds
-from quadexp.parts.settings import Backend, Settings, key, part
+from quadexp.parts.settings import Backend, Settings, key, keyed, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
@@ -47,11 +46,11 @@ from quadexp.physics.vehicle import Vehicle
 NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class INDIKeys(Settings):
     """Incremental nonlinear dynamic inversion with the values of Sun et al. 2022; see quadexp/control/indi.py."""
 
-    prefix: ClassVar[str] = "inner."
+    prefix = "inner."
 
     rate: float = key(300.0, "rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
     cutoff: float = key(12.0, "of the Butterworth filter, below half the rate", "(0, 5000]", "Hz", tuned="4..100:log")
@@ -198,7 +197,7 @@ class INDI(WrappedController):
         return inner._replace(operations=operations, command=results["thrust"])
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class INDIPart(INDIKeys, Remedy):
     """An INDI rate loop."""
 

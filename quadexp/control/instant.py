@@ -223,8 +223,7 @@ def in_operations(controller: Any) -> bool:
 
 def instant_of(controller: Any, told: Told, state: np.ndarray) -> Instant:
     """The instant of a controller; one operation in Python where it does not say what it does."""
-    made: Instant = controller.instant(told, state) if in_operations(controller) else _stepped(controller, told, state)
-    return made
+    return controller.instant(told, state) if in_operations(controller) else _stepped(controller, told, state)
 
 
 def stepped(controller: Controller, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:

@@ -21,8 +21,7 @@ a matched disturbance too. Where u leaves the limits, allocation.py decides. Wor
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +37,8 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.parts.settings import Settings, key, part
+from quadexp.names import named
+from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import features_function
 from quadexp.physics.rotation import along_z, rotation_matrix
@@ -49,11 +49,11 @@ ERROR, DISTURBANCE, FILTERED = slice(0, 6), slice(6, 12), slice(12, 18)  # of th
 LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y", "l1_torque_z")
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class L1Keys(Settings):
     """Predictor, low pass and limits of L1 adaptive augmentation; see quadexp/control/l1.py."""
 
-    prefix: ClassVar[str] = "adaptive."
+    prefix = "adaptive."
 
     velocity_pole: float = key(
         1.0, "a_v: decay of the predicted velocity's error", "(0, 1000]", "1/s", tuned="0.3..30:log"
@@ -129,7 +129,7 @@ class L1Controller(WrappedController):
 
     def log(self) -> dict[str, float]:
         """See Controller.log; the estimated force along body axes (N) and torque (N m), before the low pass."""
-        return self.inner.log() | dict(zip(LOGGED, self._estimate.results["body"].tolist(), strict=True))
+        return self.inner.log() | named(LOGGED, self._estimate.results["body"].tolist())
 
 
 def l1_functions(
@@ -155,7 +155,7 @@ def l1_functions(
         air = [model(features(inputs[name], mean), inputs["theta"])[0] for name in ("x", "x_last")]
     predictor = _predictor(vehicle, keys, period)
     results = predictor(inputs["x"], inputs["x_last"], mean, inputs["memory"], *map(ca.densify, air))
-    outputs = dict(zip(("memory_next", "body", "lateral"), results, strict=True)) | {"rotors_next": rotors_next}
+    outputs = named(("memory_next", "body", "lateral"), results) | {"rotors_next": rotors_next}
     estimate = named_function("l1_estimate", inputs, outputs)
     base, y = symbols(ca.SX, base=n, filtered=6)
     u = added(vehicle, base, -y[2:])
@@ -204,7 +204,7 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
     return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class L1(L1Keys, Remedy):
     """L1 adaptive augmentation (Hanover et al. 2022, Wu et al. 2023)."""
 

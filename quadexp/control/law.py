@@ -21,7 +21,7 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -38,7 +38,7 @@ from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Backend
+from quadexp.parts.settings import Backend, keyed
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -84,7 +84,7 @@ class Inputs:
         return Belief(b[0:3], b[3:6], b[6:9], b[9], b[10]) if name == "belief" else b
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Law(ControllerPart):
     """A law in closed form, see the module.
 

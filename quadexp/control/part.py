@@ -5,21 +5,20 @@ A remedy is put around a controller against errors of its model, delays and dist
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given, Part
-from quadexp.parts.settings import Setting, key
+from quadexp.parts.settings import Setting, key, keyed
 
 RESIDUAL = Setting("model that is added to the rigid body in the prediction", words=("none", *LEARNED, "plant"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ControllerPart(Part):
     """What every controller has, as an option of the configuration."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
     added: ClassVar[tuple[str, ...]] = ("allow_unstable",)
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
@@ -46,7 +45,7 @@ class ControllerPart(Part):
         raise NotImplementedError
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Remedy(Part):
     """A remedy. believes: whether it tells the controller of disturbances, see control/base.py."""
 

@@ -161,7 +161,7 @@ def _with_drag(config: Config) -> Any:
     if not all(hasattr(plant, name) for name in (*names, "lift")):
         said = f"scales the drag of plant=simplified and its presets; plant={plant.name} has no such coefficients"
         raise UsageError(f"truth.drag={factor:g}: {said}")
-    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(plant, name)) for name in names}
+    scaled = {name: tuple(factor * k for k in getattr(plant, name)) for name in names}
     return replace(plant, **scaled, lift=factor * plant.lift)
 
 

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class CollectConfig(Part):
     """How a data set is flown: flights of at most `flight_duration` until `duration` is reached, speeds spread evenly
     over [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
     target, identified: of recorded flights; see quadexp/models/recorded.py."""
 
-    prefix: ClassVar[str] = "collect."
+    prefix = "collect."
 
     mode: Literal["random", "setpoints"] = key("random", "smooth random paths, or jumps between random points")
     duration: float = key(300.0, "total flight time", "(0, 86400]", "s")
@@ -44,7 +43,6 @@ class CollectConfig(Part):
     )
     identified: str | None = key(None, "folder written by `quadexp identify`, whose thrust curve recorded flights need")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.speed_min > self.speed_max:
             raise UsageError(f"collect.speed_min={self.speed_min}: must not exceed collect.speed_max={self.speed_max}")

@@ -32,7 +32,7 @@ from quadexp.experiment.identity import (
 )
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.schema import Flight
-from quadexp.log.signal import finite_rows
+from quadexp.log.signal import finite_rows, longest
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
@@ -260,7 +260,7 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     from quadexp.models.dataset import feature_rows
 
     ranges = dict(air_of(innermost(controller)).ranges or {})
-    record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
+    record = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
     if not ranges or not len(flight):
         return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}
     rate = flight.stack(["w_x", "w_y", "w_z"])
@@ -275,8 +275,7 @@ def _longest(mask: np.ndarray, t: np.ndarray, position: np.ndarray) -> str:
     """The longest stretch of samples of a mask, (k,): times, and position (m) in its middle."""
     if not mask.any():
         return ""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)  # first, and after the last
-    first, end = edges[np.argmax(np.diff(edges, axis=1))]
+    first, end = longest(mask)
     at = ", ".join(f"{x:.1f}" for x in position[(first + end - 1) // 2] + 0.0)
     return f"{t[first]:.2f} to {t[end - 1]:.2f} s at ({at}) m"
 

@@ -147,7 +147,7 @@ def identify_vehicle(
     if not settings.induced:
         model = with_changes(model, notes=(*model.notes, NO_INDUCED))
     model = with_changes(model, versions=versions())
-    report: dict[str, Any] = {
+    report = {
         "kind": "vehicle_model", "vehicle": model.vehicle, "dataset": model.dataset, "signal": samples.kind,
         "thrust": str(model.thrust), "models": {kind: terms.records() for kind, terms in model.models.items()},
         "flights": flight_by_flight(samples, settings), "curves": curves, "selection": ladder, "best": model.best,

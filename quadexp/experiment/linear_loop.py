@@ -53,7 +53,7 @@ class LinearLoop:
         new, old, keeps, whole = self._weights(delay, lag)
         size, n = self.phases[0].B.shape
         held = n * (whole + old.any())
-        closed: Any = np.eye(size + held)
+        closed = np.eye(size + held)
         for (A, _, C), response in zip(self.phases, self._held, strict=True):
             # Of z and what is held: sent, the newest first, or the lagging one.
             sent = np.vstack([np.hstack([C, np.zeros((n, held))]), np.eye(held, size + held, size)])
@@ -79,7 +79,7 @@ class LinearLoop:
         total: Any = 0.0
         for j, (A, B, C) in enumerate(self.phases):
             total, z = total + C @ z * turn**-j, A @ z + B * turn**j
-        return np.asarray(total / count)
+        return total / count
 
     def _weights(self, delay: float, lag: float) -> tuple[np.ndarray, np.ndarray, float, int]:
         """Of the coefficients of `_response`, for the newer of two commands that act in a period, and the older: with

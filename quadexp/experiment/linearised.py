@@ -119,7 +119,7 @@ class _Flown:
 
     @property
     def _error(self) -> np.ndarray:
-        return np.asarray(self._x - self._state(self._k))
+        return self._x - self._state(self._k)
 
     def phases(self) -> tuple[list[Phase], int, int]:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
@@ -158,7 +158,7 @@ class _Flown:
 
     def _step(self) -> np.ndarray:
         u, _ = self._controller.step(self._told, self._window(self._k))
-        return np.asarray(u)
+        return u
 
     def _enter(self, u: np.ndarray) -> None:
         """Tell the plant's function all of the next period, without noise."""

@@ -153,7 +153,7 @@ def instability(
     """Why the loop of a flight is not stable at hover, in one line with what helps; "" where it is, where that is not
     known, and where the configuration allows it. What is tried: telling the controller lag and delay, and other control
     rates and horizons without."""
-    controller: Any = config.controller
+    controller = config.controller
     if margins.get("growth", 0.0) <= SLOW or controller.allow_unstable:
         return ""
     lag = getattr(config.plant, "motor_lag", 0.0) + getattr(plant, "loop_lag", 0.0)
@@ -169,7 +169,7 @@ def instability(
         except UsageError:  # of settings that contradict each other
             return False
 
-    grids: list[dict[str, float]] = [{"rate": max(rate, controller.rate)} for rate in RATES]
+    grids = [{"rate": max(rate, controller.rate)} for rate in RATES]
     if hasattr(controller, "horizon"):
         grids = [grid | {"horizon": round(share * controller.horizon, DIGITS)} for grid in grids for share in SHARES]
     known = next((_keys(unknown | grid) for grid in grids if unknown and stable(unknown | grid)), "")

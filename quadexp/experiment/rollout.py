@@ -20,6 +20,7 @@ from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.log.outcome import CORRIDOR, corridor
 from quadexp.log.schema import Flight
 from quadexp.models.residual import Residual
+from quadexp.names import named
 from quadexp.physics.rotation import heading, heading_rate
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, in_motion, input_columns, norms
 from quadexp.reference.base import Trajectory
@@ -356,18 +357,18 @@ class _Log:
         """Named columns of the flown samples."""
         flown, inputs = slice(self.rows), input_columns(self.input.shape[1])
         columns = {"t": t[flown]}
-        columns |= dict(zip(STATE_COLUMNS, self.state[flown].T, strict=True))
-        columns |= dict(zip(inputs, self.input[flown].T, strict=True))
+        columns |= named(STATE_COLUMNS, self.state[flown].T)
+        columns |= named(inputs, self.input[flown].T)
         columns |= {f"ref_{n}": v for n, v in zip(STATE_COLUMNS, self.state_reference[flown].T, strict=True)}
         columns |= {f"ref_{n}": v for n, v in zip(inputs, self.input_reference[flown].T, strict=True)}
         columns |= {f"acc_{axis}": values for axis, values in zip("xyz", self.reading[flown].T, strict=True)}
-        record = dict(zip(StepRecord._fields, self.record[flown].T, strict=True))
+        record = named(StepRecord._fields, self.record[flown].T)
         counts = {"status": np.int8, "sweeps": np.int16, "active": np.int16}
         columns["solve_time"] = record["solve_time"]
         columns |= {name: record[name].astype(kind) for name, kind in counts.items()}
         columns |= {"kkt": record["kkt"], "unconverged": (record["converged"] == 0).astype(np.int8)}
-        columns |= dict(zip(inner_names, self.inner[flown].T, strict=True))
+        columns |= named(inner_names, self.inner[flown].T)
         if len(self.estimate):
             columns |= {f"est_{n}": v for n, v in zip(STATE_COLUMNS, self.estimate[flown].T, strict=True)}
-        columns |= dict(zip(self.extra_names, self.extra[flown].T, strict=True))
+        columns |= named(self.extra_names, self.extra[flown].T)
         return {name: np.ascontiguousarray(values) for name, values in columns.items()}

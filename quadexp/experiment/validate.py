@@ -72,7 +72,7 @@ def validate(
                     notes.append(f"{said}, so this is not a test")
     progress(len(folds), len(folds))
     scored = [validation.residuals(predicted) for predicted in by_predictor.values()]
-    report: dict[str, Any] = {
+    report = {
         "models": [str(path) for path in models], "flights": list(flown), "leave_one_out": leave_one_out,
         "nominal": None if leave_one_out else str(used[0].curve),
         "rows": validation.score_rows(scored), "bands": validation.band_rows(scored),
@@ -121,7 +121,7 @@ def refitted(
     for label, model in loaded:
         if isinstance(model, VehicleModel):
             known = vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None
-            again: Any = fit_vehicle_model(given, known, _settings(model, len(flights)), names=names)
+            again = fit_vehicle_model(given, known, _settings(model, len(flights)), names=names)
             curve = curve or again.thrust
         else:
             if curve is None:

@@ -290,7 +290,7 @@ class Flight:
         from quadexp.physics.rotation import air_velocity
 
         attitude, velocity = (tuple(f"{name}_{axis}" for axis in axes) for name, axes in (("q", "wxyz"), ("v", _AXES)))
-        return np.asarray(air_velocity(self.stack(attitude), self.stack(velocity), self.wind))
+        return air_velocity(self.stack(attitude), self.stack(velocity), self.wind)
 
     @property
     def rotor_position(self) -> np.ndarray:

@@ -72,4 +72,4 @@ def mounting_matrix(angles: Sequence[float]) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     roll, pitch, yaw = angles
-    return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix())
+    return Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()

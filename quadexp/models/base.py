@@ -134,7 +134,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     def acceleration(self, rows: ResidualDataset) -> np.ndarray:
         """Predicted residual acceleration, body frame, (k, 3) (m/s^2)."""
         predictions, zero = self.predict(rows), np.zeros(rows.n_rows)
-        return np.stack([predictions[a].mean if a in predictions else zero for a in AXIS], axis=1)
+        return np.column_stack([predictions[a].mean if a in predictions else zero for a in AXIS])
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """The same for a controller or a plant. part: which of several models, "best" for its own choice.

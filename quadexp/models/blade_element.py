@@ -53,6 +53,7 @@ from quadexp.models.residual import AXES, Residual, feature_names, symbolic_resi
 from quadexp.models.rls import ITERATIONS as SAFE_ITERATIONS
 from quadexp.models.rls import SLOWEST, BladeElementRLS, RLSSettings
 from quadexp.models.samples import READINGS, check_columns
+from quadexp.names import named
 from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
@@ -242,10 +243,10 @@ class Identification:
 
     def metadata(self) -> dict[str, Any]:
         """Metadata of the table; the estimates are those of the fit to all samples where there is one."""
-        recursion, clips = (dict(zip(THETA, values.tolist(), strict=True)) for values in (self.raw[-1], self.clips))
+        recursion, clips = (named(THETA, values.tolist()) for values in (self.raw[-1], self.clips))
         record: dict[str, Any] = {"flight": self.name, "estimates": recursion, "recursion": recursion}
         if self.fit is not None:
-            record["estimates"] = dict(zip(THETA, self.fit.theta.tolist(), strict=True))
+            record["estimates"] = named(THETA, self.fit.theta.tolist())
             record["interval_95"] = {name: list(self.fit.interval(name)) for name in THETA}
             record |= {"accelerometer_offset": self.fit.offset.tolist(), "blocks": self.fit.blocks}
         noise = self.noise if self.fit is None else self.fit.noise

@@ -46,6 +46,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.signal import finite_rows
 from quadexp.log.store import read_table
 from quadexp.models.residual import AXES, OUTPUTS, THRUST
+from quadexp.names import named
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import rigid_body_function
 from quadexp.physics.rotation import air_velocity
@@ -89,7 +90,7 @@ class ResidualDataset(NamedTuple):
         Raises DataError for a column that is missing or not finite, naming it.
         """
         columns = [self._column(name) for name in names]
-        return np.stack(columns, axis=1) if columns else np.empty((self.n_rows, 0))
+        return np.column_stack(columns) if columns else np.empty((self.n_rows, 0))
 
     def _column(self, name: str) -> np.ndarray:
         if name in self.columns:
@@ -255,7 +256,7 @@ def _read(flight: Flight, columns: Sequence[str]) -> np.ndarray:
         if column not in flight.columns:
             raise DataError(f"column '{column}' is missing in the flight")
         _require_finite(np.asarray(flight.columns[column], float), f"column '{column}'")
-    return np.stack([np.asarray(flight.columns[column], float) for column in columns], axis=1)
+    return np.column_stack([np.asarray(flight.columns[column], float) for column in columns])
 
 
 def _require_finite(column: np.ndarray, what: str) -> None:
@@ -342,7 +343,7 @@ def known_noise(
     None where some part of a world has noise that it does not state.
     """
     squares = np.zeros(len(OUTPUTS))
-    flight = np.asarray(dataset.columns["flight"])
+    flight = dataset.columns["flight"]
     thrust = dataset.matrix([f"u_{i}" for i in range(vehicle.n_rotors)])
     dt = np.asarray(dataset.columns["dt"], float)
     for index, world in enumerate(worlds):
@@ -351,7 +352,7 @@ def known_noise(
             return None
         rows = flight == index
         squares += np.sum(_variances(vehicle, plant, estimator, thrust[rows], dt[rows, None]), axis=0)
-    return dict(zip(OUTPUTS, np.sqrt(squares / max(dataset.n_rows, 1)).tolist(), strict=True))
+    return named(OUTPUTS, np.sqrt(squares / max(dataset.n_rows, 1)).tolist())
 
 
 def _variances(

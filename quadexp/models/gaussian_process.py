@@ -27,9 +27,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -73,8 +72,8 @@ from quadexp.models.residual import (
 )
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, Setting, Settings, key, lists, made
-from quadexp.physics.expression import Expression
+from quadexp.parts.settings import SEEDS, Setting, Settings, key, keyed, lists, made
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.vehicle import Vehicle
 
 LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")  # that a fit depends on
@@ -95,11 +94,11 @@ def _features(output: str, *features: str) -> Any:
     return key(features, Setting(f"features of the GP of {output}; []: no correction"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class GPFeatures(Settings):
     """For every output the features of its GP; an empty list leaves the output uncorrected."""
 
-    prefix: ClassVar[str] = "gp.features."
+    prefix = "gp.features."
 
     a_x: tuple[str, ...] = _features("a_x")
     a_y: tuple[str, ...] = _features("a_y")
@@ -108,8 +107,7 @@ class GPFeatures(Settings):
     tau_y: tuple[str, ...] = _features("tau_y")
     tau_z: tuple[str, ...] = _features("tau_z")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for output in OUTPUTS:
             features = getattr(self, output)
             check_features(f"gp.features.{output}", features)
@@ -127,11 +125,11 @@ class GPFeatures(Settings):
 DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class GPConfig(Part):
     """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
 
-    prefix: ClassVar[str] = "gp."
+    prefix = "gp."
     features: GPFeatures = key(DEFAULT_FEATURES, "features of every output")
     inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
     method: Literal["sgpr", "subset"] = key(
@@ -304,7 +302,7 @@ def gaussian_process_residual(
     n_alpha, n_point = _sizes(structure)
     z_, theta_ = symbols(ca.MX, z=len(names), theta=len(theta))
     sizes = [n_mean, len(n_point), sum(n_point), sum(n_alpha), len(known) * N_FALLBACK, sum(map(len, factors))]
-    mean_, scale_, points_, alpha_, known_, factor_ = _split(theta_, sizes)
+    mean_, scale_, points_, alpha_, known_, factor_ = split(theta_, sizes)
     select, assemble = _scalar_functions(
         names, structure, n_mean, with_mean=bool(np.any(mean)), mean_terms=mean_terms, weighed=weighed
     )
@@ -327,7 +325,7 @@ def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
     if continued and own in posterior.features and {*posterior.features} <= _continued(output):
         columns = {name: points[:, i] for i, name in enumerate(posterior.features)}
         v, thrust = columns[own], columns.get(THRUST, np.zeros(freedom))
-        design = np.stack([np.ones(freedom), v, v * np.abs(v), thrust], axis=1)
+        design = np.column_stack([np.ones(freedom), v, v * np.abs(v), thrust])
         c, _, rank, _ = np.linalg.lstsq(design, at_points)
         at_points, freedom = at_points - design @ c, freedom - rank
         if freedom < 1:  # as many coefficients as points: nothing says how wrong q is
@@ -347,16 +345,16 @@ def _matrix_sums(
     """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations; with factors F also
     ||F k||^2 and (F^T F k k)^T d."""
     n_alpha, n_point = _sizes(structure)
-    distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), _split(points, n_point), strict=True)]
+    distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), split(points, n_point), strict=True)]
     of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
     exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
     kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
-    weighted, kernels = _split(alpha * kernel, n_alpha), _split(kernel, n_alpha)
-    values = [ca.dot(a, k) for a, k in zip(_split(alpha, n_alpha), kernels, strict=True)]
+    weighted, kernels = split(alpha * kernel, n_alpha), split(kernel, n_alpha)
+    values = [ca.dot(a, k) for a, k in zip(split(alpha, n_alpha), kernels, strict=True)]
     sums = values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
     if not factor.numel():
         return *sums, [], []
-    roots = [ca.reshape(f, m, m) for f, m in zip(_split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
+    roots = [ca.reshape(f, m, m) for f, m in zip(split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
     known = [f @ k for f, k in zip(roots, kernels, strict=True)]
     back = [f.T @ q * k for f, q, k in zip(roots, known, kernels, strict=True)]
     slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
@@ -378,7 +376,7 @@ def _compiled_sums(
         for m, d in shapes
     }  # fmt: skip
     sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
-    arguments = zip(*map(_split, (scaled, points, alpha, factor), sizes), strict=True)
+    arguments = zip(*map(split, (scaled, points, alpha, factor), sizes), strict=True)
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
     return tuple(map(list, zip(*results, strict=True)))
 
@@ -386,10 +384,6 @@ def _compiled_sums(
 def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
     """Number of points of every output, and of every feature."""
     return [m for _, _, m in structure], [m for _, features, m in structure for _ in features]
-
-
-def _split(vector: Expression, sizes: Sequence[int]) -> list[Expression]:
-    return ca.vertsplit(vector, np.cumsum([0, *sizes]).tolist())
 
 
 def _scalar_functions(

@@ -15,8 +15,7 @@ are 7 to 10 times too small on flights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -31,7 +30,7 @@ from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, key
+from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import along_z
@@ -42,11 +41,11 @@ N_PARAMETERS = 7
 LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % interval of quadexp identify"}
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class DragConfig(Part):
     """How linear drag is fitted; see quadexp/models/linear_drag.py."""
 
-    prefix: ClassVar[str] = "drag."
+    prefix = "drag."
 
     intercept: bool = key(True, "fit a constant acceleration in addition to the drag")
     thrust: bool = key(True, "fit an error of the collective thrust, as a share, on the z axis")
@@ -205,7 +204,7 @@ def fit_linear_drag(
     """
     value, error, freedom = np.zeros((3, N_PARAMETERS))
     std, r_squared = np.zeros(3), np.zeros(3)
-    flight = np.asarray(dataset.columns["flight"])
+    flight = dataset.columns["flight"]
     for i, axis in enumerate(AXES):
         names = [f"v_{axis}"] + [THRUST] * (thrust and axis == "z")
         places = [i] + [6] * (len(names) - 1) + [3 + i] * intercept

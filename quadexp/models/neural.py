@@ -25,10 +25,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import count, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -54,8 +53,8 @@ from quadexp.models.online import Adapting, Block
 from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places, residual_function
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, key
-from quadexp.physics.expression import Expression
+from quadexp.parts.settings import SEEDS, key, keyed
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -95,11 +94,11 @@ def activation(t: Expression) -> tuple[Expression, Expression]:
     return t * q, q * q * q
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class NNConfig(Part):
     """How the neural network is made and trained; see quadexp/models/neural.py."""
 
-    prefix: ClassVar[str] = "nn."
+    prefix = "nn."
 
     features: tuple[str, ...] = key(("v_x", "v_y", "v_z", "thrust"), "features of all outputs")
     outputs: tuple[str, ...] = key(("a_x", "a_y", "a_z"), "outputs; the others are not corrected")
@@ -115,8 +114,7 @@ class NNConfig(Part):
     holdout: float = key(0.2, HOLDOUT)
     refit: bool = key(True, "after the report, fit again to all flights", when="holdout")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         check_features("nn.features", self.features)
         if unknown := set(self.outputs) - set(OUTPUTS):
             raise UsageError(f"nn.outputs: {min(unknown)!r} is no output; allowed are {', '.join(OUTPUTS)}")
@@ -239,7 +237,7 @@ def _network_function(names: tuple[str, ...], network: Network, layer: Layer, ba
     sizes = network.sizes
     lengths = [length for columns, rows in pairwise(sizes) for length in (rows * columns, rows)]
     z, theta = symbols(ca.MX, z=len(names), theta=sum(lengths))
-    parts = ca.vertsplit(theta, np.cumsum([0, *lengths]).tolist())
+    parts = split(theta, lengths)
     weights = [ca.reshape(w, rows, columns) for w, (columns, rows) in zip(parts[::2], pairwise(sizes), strict=True)]
     places = feature_places(names, network.features, "network")
     select = _zeros_and_ones(places, len(names))

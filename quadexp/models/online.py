@@ -54,7 +54,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -158,7 +158,7 @@ def update_function(
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
     sigma = rotation_matrix(x[ATTITUDE]).T @ (x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
 
-    beliefs = ca.vertsplit(belief, np.cumsum([0, *(block.size for block in adapting.blocks)]).tolist())
+    beliefs = split(belief, (block.size for block in adapting.blocks))
     theta, innovation, updated = ca.MX(prior), [ca.MX(0)] * 3, []
     for block, row, before in zip(adapting.blocks, rows, beliefs, strict=True):
         given = before, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]

@@ -144,7 +144,7 @@ def with_common_scale(dataset: ResidualDataset) -> CommonScale:
     mass = dataset.metadata["vehicle"]["mass"]
     acceleration = dataset.matrix([THRUST])[:, 0] / mass
     a_z = dataset.matrix(["a_z"])[:, 0].copy()
-    flight = np.asarray(dataset.columns["flight"])
+    flight = dataset.columns["flight"]
     errors = {}
     for index in np.unique(flight):
         thrust = acceleration[flight == index]

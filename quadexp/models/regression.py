@@ -175,7 +175,7 @@ def over_blocks(
     """
     groups = blocks_of(scores, stretch, flight)
     count, p = int(groups.max()) + 1, scores.shape[1]
-    sums = np.stack([np.bincount(groups, column, count) for column in scores.T], axis=1)
+    sums = np.column_stack([np.bincount(groups, column, count) for column in scores.T])
     half = np.linalg.solve(information, sums.T)
     inverse = np.linalg.inv(information)
     return count / max(count - p, 1) * half @ half.T + inverse @ np.broadcast_to(prior, (p, p)) @ inverse, count
@@ -201,7 +201,7 @@ def _over_flights(
             return undefined
         deviation[g] = solve(x[rest], target[rest], loss, start=coefficients, tolerance=TOLERANCE)[0] - coefficients
     influence = x @ np.linalg.inv(x.T @ x)
-    share = np.stack([np.bincount(groups, column**2, count) for column in influence.T], axis=1)
+    share = np.column_stack([np.bincount(groups, column**2, count) for column in influence.T])
     part = share**2 / np.sum(share**2, axis=0)
     freedom = np.maximum(1 / np.sum(part**2, axis=0) - 1, 1.0)
     return (count - 1) / count * deviation.T @ deviation, freedom

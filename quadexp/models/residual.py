@@ -28,7 +28,7 @@ import numpy.typing as npt
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.rigid_body import FEATURES, N_OUTPUTS, OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 
@@ -161,9 +161,9 @@ def sum_residual(parts: Sequence[Residual]) -> Residual:
 
 
 def _sum(functions: Sequence[ca.Function], parts: Sequence[Residual]) -> ca.Function:
-    ends = np.cumsum([0, *(len(part.theta) for part in parts)]).tolist()
-    z, theta = symbols(ca.MX, z=functions[0].size1_in(0), theta=ends[-1])
-    values = [function(z, given) for function, given in zip(functions, ca.vertsplit(theta, ends), strict=True)]
+    sizes = [len(part.theta) for part in parts]
+    z, theta = symbols(ca.MX, z=functions[0].size1_in(0), theta=sum(sizes))
+    values = [function(z, given) for function, given in zip(functions, split(theta, sizes), strict=True)]
     results = [sum(terms[1:], terms[0]) for terms in zip(*values, strict=True)]
     return residual_function("sum", z, theta, results)
 

@@ -34,7 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +42,7 @@ from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Settings, key, part
+from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import balance, safe_newton
@@ -121,7 +121,7 @@ def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expr
 class RLSSettings(Settings):
     """How the estimators are started and weighted; the defaults are the paper's, with clipping."""
 
-    prefix: ClassVar[str] = "controller.rls."
+    prefix = "controller.rls."
 
     covariance: float = key(
         50.0, "initial covariance P_0 as a multiple of the identity, where relative_std is null", "(0, 1e9]"
@@ -147,7 +147,7 @@ class RLSSettings(Settings):
         return cls(noise=noise, relative_std=relative_std, **others)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Identification(RLSSettings, BladeKeys):
     """Identification in flight, as a controller is configured. profile_drag, lift_slope, body_drag: first values.
     relative_std: if given, P_0 is the square of relative_std times the first values, else covariance times identity.

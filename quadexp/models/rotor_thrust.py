@@ -262,10 +262,10 @@ class _Score:
         # Per thrust: acceleration along z, torque about x and y.
         self._effect = np.vstack([np.full(vehicle.n_rotors, 1 / vehicle.mass), vehicle.allocation[1:3]])
         u, v, self._target = (
-            np.concatenate([np.stack([table[name] for name in names], axis=1)[rest] for _, table, _, rest in rows])
+            np.concatenate([np.column_stack([table[name] for name in names])[rest] for _, table, _, rest in rows])
             for names in (input_columns(vehicle.n_rotors), VELOCITY, TARGETS)
         )
-        self._u, self._terms = u, np.stack([np.ones(len(v)), *v.T, *(v * np.abs(v)).T], axis=1)
+        self._u, self._terms = u, np.column_stack([np.ones(len(v)), *v.T, *(v * np.abs(v)).T])
 
     def rms(self, timing: Timing) -> tuple[float, float, float]:
         """Of every target."""
@@ -274,7 +274,7 @@ class _Score:
         target = self._target + (self._u - thrust) @ self._effect.T
         remaining = []
         for axis, effect in enumerate(self._effect):
-            powers = np.stack([thrust @ effect, thrust**2 @ effect], axis=1)
+            powers = np.column_stack([thrust @ effect, thrust**2 @ effect])
             error = target[:, axis] - _explained(np.concatenate([self._terms, powers], axis=1), target[:, axis])
             remaining.append(root_mean_square(error))
         return remaining[0], remaining[1], remaining[2]
@@ -289,7 +289,7 @@ def _explained(design: np.ndarray, target: np.ndarray) -> np.ndarray:
     """What the columns (k, p) explain of the target (k,), also where some are nearly alike."""
     design = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
     normal = design.T @ design + 1e-9 * len(design) * np.eye(design.shape[1])
-    return np.asarray(design @ np.linalg.solve(normal, design.T @ target))
+    return design @ np.linalg.solve(normal, design.T @ target)
 
 
 def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehicle, score: _Score) -> Timing:
@@ -315,8 +315,8 @@ def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehi
 def _scaled(model: np.ndarray, measured: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Thrusts (k, n) times the factors of each rotor that fit the measured ones best: a constant, a share of the
     collective thrust, whose current a battery's voltage follows, and a drift over the time t, (k,)."""
-    factors = np.stack([np.ones(len(t)), model.mean(axis=1), t - t.mean()], axis=1)
-    return np.stack([_explained(u[:, None] * factors, y) for u, y in zip(model.T, measured.T, strict=True)], axis=1)
+    factors = np.column_stack([np.ones(len(t)), model.mean(axis=1), t - t.mean()])
+    return np.column_stack([_explained(u[:, None] * factors, y) for u, y in zip(model.T, measured.T, strict=True)])
 
 
 def _search(score: Callable[[Timing], float]) -> Timing:

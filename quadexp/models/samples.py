@@ -74,7 +74,7 @@ class Samples:
 
     def rows(self, selection: np.ndarray) -> Samples:
         """The samples of a mask or index array; the flights keep their numbers."""
-        chosen: dict[str, Any] = {k: part[selection] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
+        chosen = {k: part[selection] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
         return replace(self, **chosen)
 
     def delayed(self, delay: float) -> Samples:
@@ -95,8 +95,7 @@ def earlier(time: np.ndarray, segment: np.ndarray, delay: float) -> np.ndarray:
     time, segment: (k,), segments one after another with increasing numbers.
     """
     rows = round(delay / period_of(time))
-    late: np.ndarray = np.maximum(np.arange(len(time)) - rows, np.searchsorted(segment, segment))
-    return late
+    return np.maximum(np.arange(len(time)) - rows, np.searchsorted(segment, segment))
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:
@@ -176,7 +175,7 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
     error = np.empty(most + 1)
     for late in range(most + 1):
         sent = samples.signal[rows - late]
-        design = np.stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)], axis=1)
+        design = np.column_stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)])
         error[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
     late = int(np.argmin(error))
     if error[late] > np.exp(-WORTH) * error[0]:

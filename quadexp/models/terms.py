@@ -289,7 +289,7 @@ class TermModel(Record, frozen=True):
         if rotor_acceleration.shape[1] != self.rotors:
             raise DataError(f"{rotor_acceleration.shape[1]} rotors, the model has {self.rotors}")
         columns = all_columns(self.terms, velocity, rotor_acceleration, self.momentum)
-        return np.stack([design @ c for design, c in zip(columns, self.coefficients, strict=True)], axis=1)
+        return np.column_stack([design @ c for design, c in zip(columns, self.coefficients, strict=True)])
 
     def coefficient(self, axis: str, term: str) -> tuple[float, float]:
         """Value and standard error of one coefficient, (0, 0) where the model has no such term."""
@@ -374,7 +374,7 @@ def fit_term_mean(dataset: ResidualDataset, kind: str) -> TermMean:
     if not mass:
         raise DataError(f"gp.mean={kind}: the data set does not contain the vehicle's mass; collect it again")
     terms = QUADRATIC if kind == "quadratic" else WITHOUT_RADIUS
-    flight = np.asarray(dataset.columns["flight"])
+    flight = dataset.columns["flight"]
     model = fit_terms(
         kind, terms, dataset.matrix(VELOCITY), dataset.rotor_thrusts / mass, dataset.matrix(["a_x", "a_y", "a_z"]),
         flight, flight, what=f"gp.mean={kind}",

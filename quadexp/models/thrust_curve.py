@@ -134,7 +134,7 @@ def scaled_signal(
 def thrust_design(scaled: np.ndarray, powers: Sequence[float], *, intercept: bool) -> np.ndarray:
     """Regressors of the curve, (k, p): sum_i s_i^p of every power; then 1 if there is an intercept."""
     ones = [np.ones(len(scaled))] if intercept else []
-    return np.stack([np.sum(scaled**p, axis=1) for p in powers] + ones, axis=1)
+    return np.column_stack([np.sum(scaled**p, axis=1) for p in powers] + ones)
 
 
 @dataclass(frozen=True)

@@ -330,7 +330,7 @@ def rollout_errors(
             continue
         parts = [_end_errors(*each, vehicle, tracked=tracked, mode=mode) for each in flown]
         mode_name = "attitude" if vehicle is None else mode
-        row: dict[str, Any] = {"predictor": tracks[0].predictor.name, "mode": mode_name, "horizon": float(horizon)}
+        row = {"predictor": tracks[0].predictor.name, "mode": mode_name, "horizon": float(horizon)}
         row |= {"thrust_tracked": tracked, "starts": sum(len(starts) for _, starts, _ in flown)}
         for name in parts[0]:
             values = np.concatenate([part[name] for part in parts])

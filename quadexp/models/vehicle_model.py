@@ -43,6 +43,7 @@ from quadexp.models.terms import (
     term_residual,
 )
 from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
+from quadexp.names import named
 from quadexp.physics.vehicle import Vehicle
 
 KINDS = ("linear", "quadratic", "blade_element")
@@ -215,7 +216,7 @@ def fit_vehicle_model(
     if optional["blade_element"] is not None and not momentum:
         notes.append("blade element without induced velocity: the rotors' radius is unknown (pass --rotor-radius M)")
     kinds = ["linear", *(kind for kind, model in optional.items() if model is not None)]
-    velocity = ResidualDataset(dict(zip(VELOCITY, samples.velocity.T, strict=True)), {})
+    velocity = ResidualDataset(named(VELOCITY, samples.velocity.T), {})
     return VehicleModel(
         linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
         best if best is not None and best in kinds else kinds[-1], tuple(notes),
@@ -251,7 +252,7 @@ def _dataset_record(samples: Samples) -> dict[str, Any]:
 def rmse(residual: np.ndarray) -> dict[str, float]:
     """Root mean square per axis, and of the vector (m/s^2)."""
     square = np.mean(residual**2, axis=0)
-    return {**dict(zip(AXES, np.sqrt(square).tolist(), strict=True)), "norm": float(np.sqrt(square.sum()))}
+    return {**named(AXES, np.sqrt(square).tolist()), "norm": float(np.sqrt(square.sum()))}
 
 
 def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) -> list[dict[str, Any]]:
@@ -362,7 +363,7 @@ def flight_by_flight(samples: Samples, settings: FitSettings) -> list[dict[str, 
     records = []
     for index, name in enumerate(samples.names):
         alone = replace(samples.rows(samples.flight == index), names=(name,))
-        record: dict[str, Any] = {"flight": name, "rows": len(alone)}
+        record = {"flight": name, "rows": len(alone)}
         try:
             fit = fit_level("linear", alone, settings)
             records.append(record | {"coefficients": fit.terms.records(), "thrust": str(fit.curve)})

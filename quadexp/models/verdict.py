@@ -83,7 +83,7 @@ def fit_with_report(dataset: ResidualDataset, kind: type[Model], settings: Any, 
     if refit:
         model = kind.fit(dataset, settings, start=first, callback=progress(share, 1.0 - share))
     held_out = sorted(set(map(str, test.columns["flight_name"])))
-    report: dict[str, Any] = {"rows": evaluate(first, train, test), "held_out_flights": held_out, "refitted": refit}
+    report = {"rows": evaluate(first, train, test), "held_out_flights": held_out, "refitted": refit}
     return Fit(model, first, train, test, report | {"out_of_range": outside_shares(first.feature_range, test)})
 
 
@@ -186,7 +186,7 @@ def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ra
 
 def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> float:
     """Noise of an output (see the module), the least over the residuals (k,) of several predictors; NaN if unknown."""
-    t, flight = np.asarray(dataset.columns["t"], float), np.asarray(dataset.columns["flight"])
+    t, flight = np.asarray(dataset.columns["t"], float), dataset.columns["flight"]
     step = float(np.median(np.asarray(dataset.columns["dt"], float)))
     gap = t[LAG:] - t[:-LAG]
     together = (flight[LAG:] == flight[:-LAG]) & (gap > 0) & (gap < DT_RANGE[1] * LAG * step)
@@ -211,7 +211,7 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
             "rmse": rmse, "drag_rmse": rms(errors[1]), "noise": floor,
             "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))),
         }  # fmt: skip
-    report: dict[str, Any] = {"outputs": outputs, "flights": len(test.flights)}
+    report = {"outputs": outputs, "flights": len(test.flights)}
     report["of"] = len(train.flights) + len(test.flights)
     report["duration"] = float(sum(np.sum(data.columns["dt"]) for data in (train, test)))
     if not has_thrust_scale(train):

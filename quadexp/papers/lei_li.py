@@ -16,6 +16,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.names import named
 from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
 from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
@@ -134,7 +135,7 @@ def identified_table(flights: Sequence[Flight]) -> str:
 def _truth(flight: Flight) -> dict[str, float]:
     """The plant's own coefficients."""
     plant = flight.metadata["config"]["plant"]
-    return dict(zip(THETA, [plant["profile_drag"], plant["lift_slope"], *plant["body_drag"]], strict=True))
+    return named(THETA, [plant["profile_drag"], plant["lift_slope"], *plant["body_drag"]])
 
 
 @styled

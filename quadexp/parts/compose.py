@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -71,7 +71,7 @@ class Composer:
         parsed = self._overrides.read(overrides, sweep=True)
         grids = self._grids(parsed) if is_read("sweep", command) else [parsed]
         for override in (override for grid in grids for override in grid):
-            keys: Iterable[str] = [override.key]
+            keys = [override.key]
             if override.key == "experiment" and override.value is not None:
                 option = self._files.option("experiment", override.value)
                 flies_it = "sweep" in option.values and is_read("trajectory", command)

@@ -59,7 +59,7 @@ def _vehicle(stated: dict[str, Any]) -> dict[str, Any]:
     return {
         "mass": stated["mass"],
         "inertia": stated["J"],
-        "rotor_position": (stated["L"] * np.stack([-pitch, roll, np.zeros(len(spin))], axis=1)).tolist(),
+        "rotor_position": (stated["L"] * np.column_stack([-pitch, roll, np.zeros(len(spin))])).tolist(),
         "rotor_spin": spin.tolist(),
         "torque_coefficient": stated.get("thrust2torque", float(f"{reaction:.{DIGITS}g}")),
         "thrust_min": stated["thrust_min"],

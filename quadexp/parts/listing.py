@@ -12,7 +12,7 @@ from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.options import Folders, OptionFiles, given_folders, groups
 from quadexp.parts.schema import CHOSEN, PARTS, Config
-from quadexp.parts.settings import REQUIRED, Declared, declared, lists
+from quadexp.parts.settings import REQUIRED, Declared, declared, shown
 
 Record = dict[str, str]
 
@@ -64,7 +64,7 @@ def _keys(files: OptionFiles, group: str, option: str) -> list[Record]:
     part, stated = files.part_of(group, option), files.option(group, option)
     if part is None:
         sets = stated.chosen | {key: value for key, value in stated.values.items() if not key.startswith("_")}
-        return [{"key": key, "value": _text(value), "allowed": "", "meaning": ""} for key, value in sets.items()]
+        return [{"key": key, "value": shown(value), "allowed": "", "meaning": ""} for key, value in sets.items()]
     return [
         _key(f"{group}.{name}", key, stated.values.get(name, key.default))
         for name, key in declared(part).items()
@@ -85,12 +85,8 @@ def _all_keys(files: OptionFiles) -> list[Record]:
 
 def _key(name: str, key: Declared, value: Any) -> Record:
     allowed = " ".join(key.words) if key.words else f"{key.setting.interval} {key.setting.unit}".strip()
-    shown = "" if value == REQUIRED else "..." if key.node else _text(lists(value))
-    return {"key": name, "value": shown, "allowed": allowed, "meaning": key.setting.meaning}
-
-
-def _text(value: Any) -> str:
-    return "null" if value is None else str(value).replace(" ", "") if not isinstance(value, str) else value
+    default = "" if value == REQUIRED else "..." if key.node else shown(value)
+    return {"key": name, "value": default, "allowed": allowed, "meaning": key.setting.meaning}
 
 
 # -------------------------------------------------------------------------------------------------------- completion

@@ -314,7 +314,7 @@ def _entries_of(sheet: Path, hashed: str) -> dict[str, Entry]:
 
 def _contents(group: str, option: str, values: dict[str, Any], extended: Any) -> dict[str, dict[str, Any]]:
     """Name -> content of the options that an entry stands for. extended: the option that it extends, or None."""
-    defaults: list[Any] = [] if extended is None else [extended]
+    defaults = [] if extended is None else [extended]
     if group not in BUNDLES:
         return {f"{group}/{option}": {"defaults": [*defaults, "_self_"], **values}}
     chosen = {key: value for key, value in values.items() if "." not in key}

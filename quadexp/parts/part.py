@@ -20,20 +20,20 @@ from __future__ import annotations
 import functools
 import inspect
 import pickle
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, ClassVar, Self
 
 from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
 from quadexp.names import without
 from quadexp.parts.sensor_sheet import SensorSheet
-from quadexp.parts.settings import Name, Settings, record
+from quadexp.parts.settings import Name, Settings, keyed, record
 from quadexp.parts.user_modules import OWN, generation, import_from, lies_outside, load, own_folders
 
 TARGET = "_target_"  # key of an option that names the class of its part
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Part(Settings):
     """Base of what an option stands for. name: what tables and figures call it; that of the option unless it says so.
 
@@ -116,7 +116,7 @@ def _part_of(packed: bytes, generation: int) -> Any:
     return part
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Nothing(Part):
     """The option that does nothing."""
 
@@ -166,7 +166,7 @@ def imported(key: str, target: str) -> Any:
     return named
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Given:
     """What a part that is built is handed, as far as it is made before.
 

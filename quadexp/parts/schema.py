@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, Settings, key
+from quadexp.parts.settings import SEEDS, Settings, key, keyed
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class EvaluateConfig(Settings):
     """How a comparison is run and shown; nothing here changes a flight."""
 
-    prefix: ClassVar[str] = "evaluate."
+    prefix = "evaluate."
 
     metric: Literal["mean_error", "rmse", "max_error"] = key(
         "mean_error", "error in the table: mean, root mean square, or largest distance from the reference"
@@ -35,7 +34,7 @@ class EvaluateConfig(Settings):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Config(Settings):
     """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files). world: the name of what is
     around the plant, for tables; see `world_name`."""

@@ -21,7 +21,18 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from math import isfinite
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from quadexp.errors import ForbiddenValueError, UsageError
 from quadexp.messages import suggestion
@@ -36,6 +47,15 @@ _WORDS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no"
 
 Triple = tuple[float, float, float]
 SEEDS = "[0, 4294967295]"  # interval of every seed
+
+
+T = TypeVar("T")
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def keyed(kind: type[T]) -> type[T]:
+    """A class as a frozen dataclass whose values are given by name, as all settings are."""
+    return dataclass(frozen=True, kw_only=True)(kind)
 
 
 @dataclass(frozen=True)
@@ -117,6 +137,10 @@ class Settings:
     def __post_init__(self) -> None:
         for name, about in declared(type(self)).items():
             object.__setattr__(self, name, _checked(f"{self.prefix}{name}", getattr(self, name), about))
+        self.check_together()
+
+    def check_together(self) -> None:
+        """Raise UsageError where values, each of which is allowed, contradict each other."""
 
 
 S = TypeVar("S", bound="DataclassInstance")

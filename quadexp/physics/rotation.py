@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, unit
+from quadexp.physics.state import ATTITUDE
 
 SMALLEST = 1e-30  # rad^2, floor under the square of an angle that keeps its root and quotients finite
 
@@ -27,6 +28,11 @@ def rotation_matrix(q: Expression) -> Expression:
     q'q keeps R a rotation there, with R(p o q) = R(p) R(q).
     """
     return ca.vertcat(*(ca.horzcat(*row) for row in _entries(q[0], q[1], q[2], q[3])))
+
+
+def with_unit_attitude(x: Expression) -> Expression:
+    """A state, and what stands behind it, with its quaternion brought back to unit length."""
+    return ca.vertcat(x[: ATTITUDE.start], unit(x[ATTITUDE]), x[ATTITUDE.stop :])
 
 
 def along_z(size: Expression) -> Expression:

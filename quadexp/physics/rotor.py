@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -23,7 +22,7 @@ STANDING = 1e-6  # rad/s; slower rotors count as stopped; in still air all their
 class RotorGeometry(Settings):
     """Shape of every rotor of a vehicle, and the density of the air."""
 
-    prefix: ClassVar[str] = "vehicle.rotor."
+    prefix = "vehicle.rotor."
 
     radius: float = key(REQUIRED, "radius of the rotor disc", "[0.001, 10]", "m")
     chord: float = key(REQUIRED, "chord of a blade", "(0, 1]", "m")

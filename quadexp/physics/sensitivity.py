@@ -24,6 +24,7 @@ from collections.abc import Callable
 
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import named_function, symbols
+from quadexp.names import named
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_thrust
 from quadexp.physics.rigid_body import (
@@ -107,7 +108,7 @@ def rk4_sensitivity_function(
     given = {"x": start, "u": u, "theta": theta, "dt": dt}
     further = {"tau": (lag, tau), "added": (added, plus), "disturbance": (disturbed, disturbance)}
     given |= {name: symbol for name, (asked, symbol) in further.items() if asked}
-    return named_function("node", given, dict(zip(("x_next", "A", "B"), outputs, strict=True)))
+    return named_function("node", given, named(("x_next", "A", "B"), outputs))
 
 
 def _by_command(G: Expression, a: Expression | None = None) -> Expression:

@@ -31,7 +31,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class Vehicle(Part):
     Raises UsageError where the parameters are not those of a rigid body, or the vehicle cannot be controlled.
     """
 
-    prefix: ClassVar[str] = "vehicle."
+    prefix = "vehicle."
 
     mass: float = key(REQUIRED, "mass, without a payload", "(0, 100]", "kg")
     inertia: tuple[Triple, Triple, Triple] = key(REQUIRED, "inertia matrix, rows, kg m^2")
@@ -79,8 +79,7 @@ class Vehicle(Part):
         None, "k of the static thrust curve u = k w^2 (w: rotor speed); null where no model needs it", "(0, 1]", "N s^2"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
         if not np.allclose(self.inertia_matrix, self.inertia_matrix.T):
             raise UsageError("vehicle.inertia: the matrix must be symmetric")

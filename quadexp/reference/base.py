@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting, key
+from quadexp.parts.settings import Setting, key, keyed
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 
@@ -64,7 +64,7 @@ class Trajectory(Protocol):
         """Flat output at the times t, (k,) (s); held outside 0 .. duration."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class TrajectoryPart(Part):
     """What every trajectory has, as an option of the configuration.
 
@@ -73,7 +73,7 @@ class TrajectoryPart(Part):
     the box around the whole reference, widened by this (m).
     """
 
-    prefix: ClassVar[str] = "trajectory."
+    prefix = "trajectory."
 
     allow_infeasible: bool = key(
         False, "also fly what needs more thrust than there is; random: at the asked speed", noise=False
@@ -91,7 +91,7 @@ class TrajectoryPart(Part):
         return replace(self)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class LimitedTrajectory(TrajectoryPart):
     """A path that is timed by the limits of the vehicle. vehicle: whose; None: no limits.
 

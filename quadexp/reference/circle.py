@@ -5,16 +5,15 @@ p = (r cos th, r sin th, height),  world (m),  th(t) from the speed profile,  he
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from quadexp.parts.settings import keyed
 from quadexp.reference.base import FlatOutput, flat_output_held, hold_outside, level_path
 from quadexp.reference.phasor import phasor
 from quadexp.reference.profile import OVERSHOOT, ProfiledPath
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Circle(ProfiledPath):
     """Circle about the world's z axis, started at (radius, 0, height), counter-clockwise seen from above.
 

@@ -9,19 +9,18 @@ World ENU (m). V: speed at t = 0, the end of the minor axis; a: centripetal acce
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart, flat_output_held
 
 LONGEST_HORIZON = 10.0  # s, for which the ellipse goes on behind the flight
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Ellipse(TrajectoryPart):
     """An ellipse. Raises UsageError where a number is out of range.
 
@@ -44,8 +43,7 @@ class Ellipse(TrajectoryPart):
     clipped = True
     counts_heading = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.plane == "vertical" and self.heading == "centre":
             raise UsageError("trajectory.heading=centre: a vertical ellipse has heading=constant (or auto)")
 
@@ -86,4 +84,4 @@ def _towards_centre(position: np.ndarray) -> np.ndarray:
     square, moment = x * x + y * y, x * y_1 - y * x_1
     square_1, moment_1 = 2 * (x * x_1 + y * y_1), x * y_2 - y * x_2
     yaw = np.arctan2(-y, -x)
-    return np.stack([yaw, moment / square, (moment_1 * square - moment * square_1) / square**2], axis=1)
+    return np.column_stack([yaw, moment / square, (moment_1 * square - moment * square_1) / square**2])

@@ -29,7 +29,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
-from quadexp.parts.settings import REQUIRED, key
+from quadexp.names import named
+from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.state import norms
 from quadexp.reference.base import (
     MARGIN,
@@ -86,7 +87,7 @@ def read_positions(path: Path) -> Positions:
     else:
         header, columns, rows = list(TUM), TUM, [(i, line.split()) for i, line in lines]
     table = np.array([_numbers(f"{path}, line {i}", row, header, columns) for i, row in rows])
-    values = dict(zip(columns, table.reshape(len(rows), len(columns)).T, strict=True))
+    values = named(columns, table.reshape(len(rows), len(columns)).T)
     sampled = columns[: len(WAYPOINTS)] != WAYPOINTS
     points = np.column_stack([values[name] for name in (columns[1:4] if sampled else WAYPOINTS)])
     if sampled and len(points) < MIN_ROWS:
@@ -148,7 +149,7 @@ def _numbers(where: str, row: list[str], header: list[str], columns: tuple[str, 
     return numbers
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FileTrajectory(LimitedTrajectory):
     """The track or the waypoints in a CSV or TUM file; it is read when first used.
 

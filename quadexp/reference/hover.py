@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.reference.base import DURATION, FlatOutput, TrajectoryPart, standing
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Hover(TrajectoryPart):
     """A constant position and heading. Raises UsageError where one is out of range."""
 

@@ -12,12 +12,11 @@ Both at a height of 5 m, heading north. Here in ENU, x east and y north.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from quadexp.parts.settings import Setting, key
+from quadexp.parts.settings import Setting, key, keyed
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION
 from quadexp.reference.base import (
     DURATION,
@@ -39,7 +38,7 @@ Start = Annotated[
 NORTH = np.pi / 2  # yaw, rad
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class LeiLiPath(TrajectoryPart):
     """What both have in common. start: "printed", the paper's initial state, or "reference"."""
 
@@ -64,7 +63,7 @@ class LeiLiPath(TrajectoryPart):
         return x
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Rectangle(LeiLiPath):
     """A square flown once, started and ended at its south-west corner, clockwise seen from above.
 
@@ -92,7 +91,7 @@ class Rectangle(LeiLiPath):
         return flat_output_held(level_path(plane[0], plane[1], self.height), NORTH, inside)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class LeiLiCircle(LeiLiPath):
     """A circle with two speeds, clockwise seen from above, started at its southernmost point.
 

@@ -8,17 +8,17 @@ most sqrt(2) r th' (in the crossing).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from quadexp.parts.settings import keyed
 from quadexp.reference.base import FlatOutput, flat_output_held, hold_outside, level_path, sampled_peak_speed
 from quadexp.reference.phasor import phasor
 from quadexp.reference.profile import ProfiledPath
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Lemniscate(ProfiledPath):
     """Figure eight along the world's x axis, started at (radius, 0, height).
 

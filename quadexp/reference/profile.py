@@ -16,12 +16,10 @@ Every section has the form th'' = c_0 + c_1 cos(k tau), which integrates and dif
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import REQUIRED, key
+from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.reference.base import N_DERIVATIVES, RADIUS, SPEED, TrajectoryPart
 
 RAMP = 2.0  # s, from rest to full acceleration
@@ -29,7 +27,7 @@ TURN = 4.0  # s, from full acceleration to full deceleration
 OVERSHOOT = 4.0 / np.pi - 1.0  # s, (peak speed - nominal speed) / acceleration
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ProfiledPath(TrajectoryPart):
     """A closed path at constant height from (radius, 0, height), with the path angle of the profile.
 
@@ -46,8 +44,7 @@ class ProfiledPath(TrajectoryPart):
 
     yaw: float | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.speed / self.acceleration < RAMP * (1 - 1e-12):
             raise UsageError(
                 f"trajectory.speed: {self.speed:g} m/s at trajectory.acceleration {self.acceleration:g} m/s^2 leaves no"

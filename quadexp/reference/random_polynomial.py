@@ -21,14 +21,13 @@ the segment time, and the peak about 2.4 times that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import REQUIRED, SEEDS, key
+from quadexp.parts.settings import REQUIRED, SEEDS, key, keyed
 from quadexp.reference.base import MARGIN, SPEED, FlatOutput, LimitedTrajectory
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ N_HARMONICS = 8  # I_8(1/l^2) is below 1e-17 of I_1 for every kernel above
 N_PATH = 100  # points for measuring the path's extent
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RandomPolynomial(LimitedTrajectory):
     """A random closed path; the same seed gives the same path for any speed and vehicle.
 
@@ -77,7 +76,7 @@ class RandomPolynomial(LimitedTrajectory):
         """The keypoints relative to the centre of the path, (keypoints, 3) (m)."""
         rng = np.random.default_rng(self.seed)
         phases = np.concatenate([np.linspace(0, 1, N_PATH + 1), np.linspace(0, 1, self.keypoints)])
-        points = np.stack([sum(_periodic_draw(phases, *kernel, rng) for kernel in axis) for axis in KERNELS], axis=1)
+        points = np.column_stack([sum(_periodic_draw(phases, *kernel, rng) for kernel in axis) for axis in KERNELS])
         path, keypoints = points[: N_PATH + 1], points[N_PATH + 1 :]
         low, high = path.min(axis=0), path.max(axis=0)
         keypoints[-1] = keypoints[0]  # exactly closed

@@ -5,16 +5,14 @@ The jump cannot be flown; it tests a controller far from its reference.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.reference.base import DURATION, FlatOutput, TrajectoryPart, standing
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Step(TrajectoryPart):
     """A jump of the set-point.
 
@@ -30,8 +28,7 @@ class Step(TrajectoryPart):
     step_time: float = key(1.0, "time of the step", "[0, 3600]", "s")
     duration: float = key(5.0, DURATION)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if not 0 <= self.step_time <= self.duration:
             raise UsageError(
                 f"trajectory.step_time: {self.step_time!r} s is not allowed, it must lie in 0 .. {self.duration:g} s"

@@ -243,6 +243,6 @@ def _body(flight: Flight, k: int, rotors: np.ndarray) -> list[np.ndarray]:
     centre = np.array([flight[f"p_{axis}"][k] - flight[f"ref_p_{axis}"][k] for axis in "xyz"])
     angle = np.linspace(0, 2 * np.pi, 17)
     radius = 0.55 * norms(rotors[:, :2]).min()
-    disc = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    disc = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
     lines = [np.stack([centre, centre + rotation @ rotor])[:, :2] for rotor in rotors]
     return lines + [(centre + (rotor + disc) @ rotation.T)[:, :2] for rotor in rotors]

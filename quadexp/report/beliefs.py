@@ -79,7 +79,7 @@ def force_variance(flight: Flight, column: str) -> np.ndarray:
     acts = columns["auto_acts_dead_time"] + columns["auto_acts_lag"]
     timing = np.hypot(columns["auto_delay_sd"], columns["auto_delay"] - acts)  # NaN: nothing is known yet
     thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
-    late: np.ndarray = timing / lag * behind(flight.t, thrust, lag)
+    late = timing / lag * behind(flight.t, thrust, lag)
     return variance + late**2
 
 
@@ -90,8 +90,7 @@ def behind(t: np.ndarray, value: np.ndarray, lag: np.ndarray) -> np.ndarray:
     moved = np.nan_to_num(value - np.interp(t - lag, t, value)) ** 2
     total = np.concatenate([[0.0], np.cumsum(moved[1:] * np.diff(t))])
     recent = (total - np.interp(t - RECENT * lag, t, total)) / (RECENT * lag)
-    distance: np.ndarray = np.sqrt((moved + np.maximum(recent, 0.0)) / 2)
-    return distance
+    return np.sqrt((moved + np.maximum(recent, 0.0)) / 2)
 
 
 def truths(flight: Flight) -> dict[str, np.ndarray]:
@@ -130,8 +129,7 @@ def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
         given = flight.stack([f"delivered_{i}" for i in range(n)]).sum(axis=1)
     window = np.ones(min(max(round(LAST / float(flight.t[1] - flight.t[0])), 1), len(flight)))
     means = [np.convolve(sums, window)[: len(flight)] for sums in (given, commanded)]
-    scale: np.ndarray = means[0] / means[1] * truth.get("thrust_coefficient", 1.0) / truth.get("mass", 1.0)
-    return scale
+    return means[0] / means[1] * truth.get("thrust_coefficient", 1.0) / truth.get("mass", 1.0)
 
 
 def lag_of(up: float, down: float) -> float:
@@ -161,8 +159,7 @@ def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool 
         thrust = flight.columns["observer_thrust_scale"] * (thrust + (off + np.roll(off, 1)) / 2)
     acceleration = np.diff(flight.state[:, VELOCITY], axis=0, prepend=np.nan) / period
     middle = (up + np.roll(up, 1, axis=0)) / 2
-    force: np.ndarray = vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
-    return force
+    return vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
 
 
 def commanded_thrust(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
@@ -174,16 +171,14 @@ def commanded_thrust(flight: Flight, dead_time: float, lag: float) -> np.ndarray
     ages = (np.arange(FINE) + 0.5) / FINE * period  # within the period, from its end back
     late = np.clip(np.floor((t[:, None] - t[0] - ages - dead_time) / period + 1e-9).astype(int), 0, None)
     thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / FINE / lag) if lag else 1.0
-    followed: np.ndarray = lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE)
-    return followed
+    return lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE)
 
 
 def _up(flight: Flight) -> np.ndarray:
     """Direction of the thrusts, world, (k, 3)."""
     from scipy.spatial.transform import Rotation
 
-    up: np.ndarray = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True).apply([0, 0, 1])
-    return up
+    return Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True).apply([0, 0, 1])
 
 
 def _text(value: float) -> str:

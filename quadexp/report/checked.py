@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
+from quadexp.names import named
 from quadexp.report.metrics import ROW_COLUMNS, errors_none
 from quadexp.report.text import count
 
@@ -91,7 +92,7 @@ def flown_by(rows: Iterable[Row]) -> list[dict[str, Any]]:
     """The programs that flew the rows, the most frequent first: program, sources, libraries, cells."""
     names = ("program", "sources", "libraries")
     counts = Counter(tuple(row.get(name) or "" for name in names) for row in rows)
-    return [{**dict(zip(names, program, strict=True)), "cells": cells} for program, cells in counts.most_common()]
+    return [{**named(names, program), "cells": cells} for program, cells in counts.most_common()]
 
 
 def program_name(row: Row) -> str:

@@ -31,7 +31,16 @@ from quadexp.physics.state import norms
 from quadexp.report.frame import read_results
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
-from quadexp.report.pairing import Row, common, condition_of, contestant_labels, contestant_of, is_flown, is_invalid
+from quadexp.report.pairing import (
+    Row,
+    causes_text,
+    common,
+    condition_of,
+    contestant_labels,
+    contestant_of,
+    is_flown,
+    is_invalid,
+)
 from quadexp.report.statistics import Statistic, overall
 from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
@@ -65,7 +74,7 @@ class Side(NamedTuple):
 
 def _flight(path: Path) -> Side:
     flight = read_flight(path, check=False)
-    row: Mapping[str, Any] = flight.metadata.get("row") or {}
+    row = flight.metadata.get("row") or {}
     if not row:
         raise UsageError(f"{path}: a flight without a result row (a recorded one?): it cannot be compared")
     speed = f" at {text}" if (text := speed_text(row["speed"])) else ""
@@ -261,7 +270,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
         means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
         texts.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
     heads = [f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"]
-    report: dict[str, Any] = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
+    report = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
     if len(paths) > 2:
         return report
     a, b = sides
@@ -269,7 +278,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     lines = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)] + [""]
     for name, missing in only.items():
         if missing:
-            lines.append(f"only in {name}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
+            lines.append(f"only in {name}  {causes_text(missing)}")
     report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
     if not cells:
         return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}

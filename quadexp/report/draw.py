@@ -27,6 +27,7 @@ from matplotlib.patches import Rectangle
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_flight
+from quadexp.names import named
 from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, read_results
@@ -313,7 +314,7 @@ def records(view: View) -> list[dict[str, Any]]:
     """The numbers behind a view, a record a place: its keys, and mean, low, high in SI units."""
     rows = []
     for place, point in view.places.items():
-        keys = dict(zip(view.keys, place, strict=True))
+        keys = named(view.keys, place)
         about = {"seeds": point.seeds, "flights": point.flights, "ended": point.ended, "trials": point.trials}
         numbers = {view.y: point.mean, "low": point.low, "high": point.high, "interval": point.method}
         rows.append({**keys, **numbers, **about, "invalid": point.invalid})
@@ -350,7 +351,7 @@ def comparison_figure(kind: str, paths: Sequence[Path]) -> Figure:
     if kind == "flight":
         from quadexp.report.flight_figures import flights_figure
 
-        return flights_figure(dict(zip(names_of(paths), map(read_flight, paths), strict=True)))
+        return flights_figure(named(names_of(paths), map(read_flight, paths)))
     if kind == "results":
         return results_figure(paths)
     raise UsageError("--out: draws flights and results; the scores of checkpoints are in the table")

@@ -236,7 +236,7 @@ class Profile(NamedTuple):
 def delay_figure(profiles: Sequence[Profile]) -> Figure:
     """A panel for each profile: what every candidate leaves unexplained."""
     figure = Figure(figsize=(9.0, 2.8))
-    places: Any = figure.subplot_mosaic([[profile.name for profile in profiles]])
+    places = figure.subplot_mosaic([[profile.name for profile in profiles]])
     for profile in profiles:
         panel = places[profile.name]
         panel.plot(MS * profile.candidates, profile.score, color=HUES["blue"])

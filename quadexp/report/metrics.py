@@ -22,7 +22,7 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
-from quadexp.names import without
+from quadexp.names import named, without
 from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, VELOCITY, norms, root_mean_square
 from quadexp.report.table import csv_text
 
@@ -200,5 +200,5 @@ def typed(name: str, value: Any) -> Any:
 def from_columns(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
     """Rows of results from the columns of their file; a flight that was lost has no errors, whatever wrote it."""
     lists = (column.tolist() for column in columns.values())
-    rows = (dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True))
+    rows = (named(columns, values) for values in zip(*lists, strict=True))
     return [row | errors_none(row["outcome"]) for row in rows]

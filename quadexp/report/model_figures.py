@@ -18,7 +18,6 @@ from quadexp.models.gaussian_process import GPModel, OutputPosterior
 from quadexp.models.regression import half_width
 from quadexp.models.residual import AXES, THRUST, VELOCITY
 from quadexp.models.samples import SIGNALS, Samples
-from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.models.vehicle_model import VehicleModel
 from quadexp.report.model_lines import MODES, QUANTITIES, error_of, mean_of
@@ -167,7 +166,7 @@ def _draw_fit(upper: Any, lower: Any, model: GPModel, output: OutputPosterior, i
     density(lower, features[:, i], remainder, (*ends, *bottom), (60, 20))
     lower.fill_between(x, -band, band, color=BLUE, alpha=0.25, linewidth=0, zorder=2)
     lower.axhline(0, color=BLUE, linewidth=1.4, zorder=3)
-    at_foot: dict[str, Any] = {"marker": "|", "markersize": 9, "markeredgewidth": 1.1, "clip_on": False, "zorder": 5}
+    at_foot = {"marker": "|", "markersize": 9, "markeredgewidth": 1.1, "clip_on": False, "zorder": 5}
     lower.plot(points, np.full(len(points), bottom[0]), "k", linestyle="none", label="inducing points", **at_foot)
     lower.set(ylabel=f"data minus mean ({unit(output.output)})", xlabel=axis_label(output.features[i]))
     lower.set(xlim=ends, ylim=bottom)
@@ -242,7 +241,7 @@ def drag_figure(model: VehicleModel, samples: Samples) -> Figure:
     rotors = model.thrust.of_signal(samples.signal, samples.voltage)
     target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
     usual = np.tile(np.median(rotors, axis=0), (100, 1))
-    fitted: list[tuple[TermModel, str, str]] = [(model.linear, ORANGE, "-")]
+    fitted = [(model.linear, ORANGE, "-")]
     fitted += [(model.quadratic, HUES["green"], "--")] if model.quadratic is not None else []
     figure = Figure(figsize=(9.6, 3.4))
     panels = figure.subplots(1, 3)

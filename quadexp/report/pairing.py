@@ -246,9 +246,7 @@ class Groups:
         for (condition, contestant), flights in self.cells.items():
             by_seed = grouped((flight.seed, flight) for flight in sorted(flights, key=lambda flight: flight.seed))
             self.conditions.setdefault(condition, {})[contestant] = by_seed
-        self.worlds: dict[World, list[Condition]] = grouped(
-            (condition.world, condition) for condition in self.conditions
-        )
+        self.worlds = grouped((condition.world, condition) for condition in self.conditions)
         self.contestants = distinct(contestant for _, contestant in self.cells)
         self.labels = labels or contestant_labels(self.contestants)
         self._baselines = [contestant for contestant in self.contestants if contestant.controller == baseline]

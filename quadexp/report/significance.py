@@ -25,7 +25,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.names import distinct
+from quadexp.names import distinct, named
 from quadexp.report.inference import Ratio, holm, least_seeds, log_ratio, sign_flips, vary
 from quadexp.report.pairing import Condition, Contestant, Groups, grouped, seed_means, whole
 from quadexp.report.text import count, speed_text, too_few
@@ -140,9 +140,7 @@ class Tests:
         tested = [pair for pair in pairs if any(of.varies for of in self._pair(*pair).values())]
         joint = np.array([[of.joint for of in self._pair(*pair).values()] for pair in tested])
         corrected = holm(joint).tolist()
-        return {
-            frozenset(pair): dict(zip(self._kinds, p, strict=True)) for pair, p in zip(tested, corrected, strict=True)
-        }
+        return {frozenset(pair): named(self._kinds, p) for pair, p in zip(tested, corrected, strict=True)}
 
     def _pair(self, one: Contestant, other: Contestant) -> dict[Statement, Difference]:
         """Every statement, without p_holm; comparisons: how many there are of its kind."""
@@ -186,7 +184,7 @@ class Tests:
         causes: Mapping[Condition, Mapping[str, int]],
     ) -> Difference:
         flights = {(at, seed): log for at in statement for seed, log in of.get(at, {}).items()}
-        kept: frozenset[tuple[Condition, int]] = whole(set(flights)) if flights else frozenset()
+        kept = whole(set(flights)) if flights else frozenset()
         logs = seed_means(flights)
         left_out = Counter[str]()
         for at in statement:

@@ -22,7 +22,7 @@ from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import METRICS, errors_none, from_columns
 from quadexp.report.notes import LARGE_HEADING_ERROR, outside_line, range_lines
-from quadexp.report.pairing import grouped
+from quadexp.report.pairing import causes_text, grouped
 from quadexp.report.table import Table, records_table
 from quadexp.report.text import number, speed_text
 
@@ -135,7 +135,7 @@ def _table(path: Path) -> dict[str, Any]:
     kind = record["kind"]
     columns, _ = read_table(path, kind)
     rows, size = len(next(iter(columns.values()))) if columns else 0, path.stat().st_size
-    summary: dict[str, Any] = {
+    summary = {
         "path": str(path), "kind": kind, "schema": record["schema"], "rows": rows, "bytes": size,
         "columns": {name: describe(name, kind)._asdict() for name in columns}, "config": record.get("config"),
         "seed": record.get("seed"), "versions": record.get("versions", {}), "sources": record.get("sources", ""),
@@ -207,7 +207,7 @@ def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], 
     rows = from_columns(columns)
     summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
     outcomes = Counter(row["outcome"] for row in rows)
-    lines = ["outcomes    " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())]
+    lines = [f"outcomes    {causes_text(outcomes)}"]
     lines += flown_by_lines(rows)
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
@@ -253,7 +253,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
     data, outputs = dict(model.dataset), () if isinstance(model, NeuralModel) else getattr(model, "outputs", ())
-    summary: dict[str, Any] = {
+    summary = {
         "path": str(path), "kind": model.kind, "schema": record.get("schema"), "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle), "dataset": data, "settings": dict(getattr(model, "settings", {})),
         "versions": dict(getattr(model, "versions", {}) or record.get("versions", {})),

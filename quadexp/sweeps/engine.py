@@ -181,8 +181,7 @@ class Workers:
                 given = self._memory, os.environ.get(PATH), folders
                 self._pool = ProcessPool(max_workers=most, context=context, initializer=begin, initargs=given)
                 wait([self._pool.schedule(time.sleep, args=(PAUSE,)) for _ in range(most)], timeout=STARTING)
-        future: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
-        return future
+        return self._pool.schedule(function, args=arguments, timeout=timeout)
 
     def run(
         self, function: Callable[..., Any], jobs: Mapping[str, tuple[Any, ...]], *, timeout: float | None = None

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from quadexp.parts.part import Part
-from quadexp.parts.settings import Setting, key
+from quadexp.parts.settings import Setting, key, keyed
 
 Wait = Annotated[float, Setting("time without any worker after which the sweep stops", "(0, 604800]", "s")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class EngineConfig(Part):
     """Where the flights run; number of workers and limits of time and memory are settings of `evaluate`."""
 
-    prefix: ClassVar[str] = "engine."
+    prefix = "engine."
 
     kind: ClassVar[str] = "local"
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class DaskConfig(EngineConfig):
     """A Dask cluster: started on this machine, or that of the scheduler at `address`, whose certificates are named by
     Dask's own settings (DASK_DISTRIBUTED__COMM__TLS__CA_FILE and its like)."""
@@ -32,7 +31,7 @@ class DaskConfig(EngineConfig):
     wait: Wait = 60.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class JobsConfig(EngineConfig):
     """Jobs of a queueing system, `evaluate.workers` of them with one worker each, submitted by dask-jobqueue.
 

@@ -101,7 +101,7 @@ def check_jobs(jobs: Iterable[Job]) -> dict[str, str]:
     found: dict[str, str] = {}
     for job in jobs:
         config = job.cell.config
-        checks: tuple[tuple[Any, ...], ...] = (
+        checks = (
             (build_vehicle, config.vehicle),
             (_build_trajectory, config.trajectory, config.vehicle),
             (_build_effects, config.vehicle, *world_parts(config).values()),

@@ -21,7 +21,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import FAILURES
 from quadexp.parts.settings import read_value
 from quadexp.report.frame import RESULTS, SweepFrame, chosen
-from quadexp.sweeps.sweep_table import Row, condition, open_results, read_rows, table_row, write_results
+from quadexp.sweeps.sweep_table import condition, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep, or one that has not ended, asked for it
 # What a sweep makes of its rows.
@@ -105,7 +105,7 @@ def _frame(store: CellStore, *, own: bool = False) -> tuple[SweepFrame, dict[str
         wanted = {*listed, *store.asked()}
     except DataError:  # nobody knows: all
         wanted = {*listed, *there}
-    cells: list[Row] = [] if own else [{**row, WANTED: True} for row in rows]
+    cells = [] if own else [{**row, WANTED: True} for row in rows]
     configs: dict[str, dict[str, Any]] = {}
     for key in sorted(there if own else there - listed.keys()):
         row = listed.get(key, {})

@@ -25,7 +25,7 @@ from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
-from quadexp.names import without
+from quadexp.names import named, without
 from quadexp.parts.cells import Cell, Cells
 from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
@@ -221,7 +221,7 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
     done = store.done()
     there = [key for key in jobs if key in done]
     with ThreadPoolExecutor(2) as readers:  # hashing needs no interpreter lock
-        read_rows = dict(zip(there, readers.map(read, there), strict=True))
+        read_rows = named(there, readers.map(read, there))
     changed = [str(row) for row in read_rows.values() if isinstance(row, QuadexpError)]
     stored = {key: row for key, row in read_rows.items() if not isinstance(row, QuadexpError)}
     rows = {key: _row_of(jobs[key], row) for key, row in stored.items()}

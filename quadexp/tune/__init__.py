@@ -1,11 +1,9 @@
 """Settings of a controller by flights: the same budget for every controller."""
 
-from dataclasses import dataclass
-
-from quadexp.parts.settings import SEEDS, Settings, key
+from quadexp.parts.settings import SEEDS, Settings, key, keyed
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Tune(Settings):
     """What `quadexp tune` and `qx.tune` are asked."""
 

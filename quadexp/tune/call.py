@@ -164,7 +164,7 @@ def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
 def _write_history(out: Path, request: Request, search: Search, trials: Sequence[Trial]) -> Path:
     values = np.array([trial.worth.value for trial in trials])
     count = np.arange(len(trials))
-    columns: dict[str, Any] = {"trial": count, "flights": search.flights * (count + 1), "value": values}
+    columns = {"trial": count, "flights": search.flights * (count + 1), "value": values}
     columns["best"] = np.minimum.accumulate(values)
     columns |= {
         name: np.array([getattr(trial.worth, name) for trial in trials]) for name in ("error", "lost", "margin")

@@ -61,7 +61,7 @@ def write_preset(
     title = f"{printable(controller)}, tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
     if len(options) == 1:
         head, path = [f"# {title}", *origin], out / "controller" / f"{name}.yaml"
-        content: dict[str, Any] = {"defaults": [controller, "_self_"], "name": name, **changed["controller"]}
+        content = {"defaults": [controller, "_self_"], "name": name, **changed["controller"]}
         choice = f"controller={name}"
     else:
         head, path = ["# @package _global_", f"# For controller={title}", *origin], out / "remedies" / f"{name}.yaml"

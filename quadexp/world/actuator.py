@@ -32,13 +32,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import decayed, time_constant_towards
 from quadexp.physics.rotation import along_z, rotation_matrix
@@ -52,11 +52,11 @@ NO_LAG = 1e-9  # s, in place of 0: the decay over any step is then exactly 0
 N_FIXED = 5  # parameters without I_p and factors
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Actuator(Effect):
     """Motors with a lag, limits of their speed, and rotors that differ."""
 
-    prefix: ClassVar[str] = "actuator."
+    prefix = "actuator."
 
     time_constant_up: float = key(0.0, LAG.format("faster"), "[0, 1]", "s")
     time_constant_down: float = key(0.0, LAG.format("slower"), "[0, 1]", "s")
@@ -79,8 +79,7 @@ class Actuator(Effect):
         0.0, "of a rotor and its motor's bell about their axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         low, high = self.rotor_speed_min, self.rotor_speed_max
         if low is not None and high is not None and low >= high:
             raise UsageError(

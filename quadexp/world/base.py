@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given, Part
-from quadexp.parts.settings import Backend, Setting, key
+from quadexp.parts.settings import Backend, Setting, key, keyed
 from quadexp.physics.vehicle import Vehicle
 
 FORCE_DENSITY = Setting("spectral density of the white noise on the force, each axis", "[0, 10]", "N/sqrt(Hz)")
@@ -39,11 +38,11 @@ class Plant(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class PlantPart(Part):
     """What every plant has, as an option of the configuration."""
 
-    prefix: ClassVar[str] = "plant."
+    prefix = "plant."
 
     step: float = key(1e-3, "largest integration step; a control period is divided evenly", "[1e-5, 0.02]", "s")
     backend: Backend = "auto"

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.names import named
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.battery import (
     OperatingPoint,
     charge_after,
@@ -48,11 +48,11 @@ PARAMETERS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Battery(Effect):
     """An equivalent circuit of lithium-polymer cells in series; see quadexp/physics/battery.py."""
 
-    prefix: ClassVar[str] = "battery."
+    prefix = "battery."
 
     cells: int = key(4, "cells in series", "[1, 24]", "cells")
     capacity: float = key(1.5, "charge of the full battery", "(0, 1000]", "Ah")
@@ -147,7 +147,7 @@ class Battery(Effect):
         return ""
 
     def _named(self, at: Moment) -> dict[str, Expression]:
-        return dict(zip(PARAMETERS, ca.vertsplit(at.parameters), strict=True))
+        return named(PARAMETERS, ca.vertsplit(at.parameters))
 
     def _point(self, at: Moment) -> OperatingPoint:
         """Voltage, current and thrusts during the step."""

@@ -24,7 +24,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, reduce
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.models.blade_element import blade_element_correction
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Settings, key, part
+from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.blade_element import (
     ADOPTED,
     PRINTED,
@@ -70,7 +70,7 @@ LARGEST_CHANGE = 1e-5  # m/s, of the last Newton step; the error left is of the 
 class BladeElementEffects(Settings):
     """What differs from the paper's plant, or the options it has."""
 
-    prefix: ClassVar[str] = "plant."
+    prefix = "plant."
 
     printed_coefficients: bool = key(
         False, "use the cross terms of equations (14) and (15) with their misprints, for comparison only"
@@ -105,7 +105,7 @@ class PlantChange:
 _CHANGES = [one.name for one in fields(PlantChange)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
     """Lei & Li's plant. schedule: changes in flight, each {t: s, payload: kg,
     lift_scale: [one factor a rotor], profile_drag_scale: factor}, all but t optional."""
@@ -119,8 +119,7 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
         (), "changes in flight, each {t: s, payload: kg, lift_scale: [a factor per rotor], profile_drag_scale: factor}"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for change in self.schedule:
             unknown = sorted({*change} - {*_CHANGES}) if isinstance(change, Mapping) else [str(change)]
             if unknown or "t" not in change:

@@ -22,13 +22,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.names import named
+from quadexp.parts.settings import keyed
+from quadexp.physics.expression import split
 from quadexp.world.effect import Clock, Readings, Sizes
 from quadexp.world.streams import NEVER, Drawn, Sampled, Ticking, on_the_way
 
@@ -38,7 +40,7 @@ WHOLE = 1e-6  # of a control period or an integration step
 MOST = 200  # readings in a control period
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Channel:
     """size: numbers of a reading; errors: of its error, which an attitude has fewer of.
 
@@ -135,8 +137,7 @@ class Channel:
         noise, bias, (decay, gain, delay, jitter, drop) = (
             at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
         )  # fmt: skip
-        ends = np.cumsum([0, *(one.size for one in drawn.values())]).tolist()
-        draws = dict(zip(drawn, ca.vertsplit(at.draws, ends), strict=True))
+        draws = named(drawn, split(at.draws, (one.size for one in drawn.values())))
         drifts = [(-NEVER, at.inner[: self.taken])]  # each with the time from which on it holds
         for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + m) if self.drifts else []:
             before = drifts[-1][1]

@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import accumulate
 from typing import Any
 
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
+from quadexp.physics.expression import split
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -122,7 +122,7 @@ def compose(
     def forces() -> ca.MX:
         return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else forces_kept)
 
-    told: Told = {"state": x_next, "specific_force": reading}
+    told = {"state": x_next, "specific_force": reading}
     known_now = (own, parameters, draws, step, clock, vehicle)
     seen = Readings(last_t, ca.horzcat(x, states[:N_STATE, :]), *known_now, columns_of, forces)
     own, told = everything.measured(seen, told)
@@ -182,7 +182,7 @@ class _Parts:
 
     def __init__(self, equations: Equations, effects: tuple[Effect, ...], layout: Layout, vehicle: Vehicle) -> None:
         self._equations, self._effects, self._layout, self._vehicle = equations, effects, layout, vehicle
-        self._kind: Any = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
+        self._kind = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
         # Effects whose inner states change from step to step, and those that only use them in the steps.
         self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
         acting = [i for i, one in enumerate(effects) if any(map(one.has, ("wind", "thrusts", "wrench")))]
@@ -288,7 +288,7 @@ class _Parts:
         equations, n = self._equations, self._vehicle.n_rotors
         further = equations.step.size1_in(0) - N_STATE
         sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
-        x, rest, moved, wind, thrusts, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
+        x, rest, moved, wind, thrusts, _ = split(S, sizes)
         end = self.inner_after("end", "t", "x", "own", "parameters", "step")
         own = end(t, x, self.assembled(moved, own), known, step)
         if not equations.end:
@@ -314,7 +314,7 @@ class _Parts:
         further, moving = equations.step.size1_in(0) - N_STATE, self.size(self.moving)
         sizes = [N_STATE, further, moving, WIND + n + 3]
         S, still = symbols(ca.MX, S=sum(sizes), still=self.size(self.still))
-        x, rest, moved, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
+        x, rest, moved, _ = split(S, sizes)
         t, u, step, noise, parameters = symbols(
             ca.MX, t=1, u=n, step=1, noise=equations.step.size1_in(2), parameters=layout.size("parameters")
         )

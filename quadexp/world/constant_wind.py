@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class MeanWind(Effect):
     """Air that moves at one velocity, and what subclasses add to it."""
 
@@ -23,7 +22,7 @@ class MeanWind(Effect):
     velocity: Triple = key((0.0, 0.0, 0.0), "velocity of the air, world", "[-50, 50]", "m/s")
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ConstantWind(MeanWind):
     """The same wind everywhere and at all times. parameters: velocity (3,), world (m/s)."""
 

@@ -9,13 +9,12 @@ does not depend on the step.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -28,14 +27,14 @@ def active_share(t: Expression, step: Expression, start: Expression, end: Expres
     return ca.fmax(ca.fmin(t + step, end) - ca.fmax(t, start), 0) / step
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Disturbance(Effect):
     """A force and a torque from outside.
 
     Parameters: force (3,), world (N); torque (3,), body (N m); onset and end (s).
     """
 
-    prefix: ClassVar[str] = "external."
+    prefix = "external."
 
     force: Triple = key(ZERO, "force at the centre of mass, world", "[-1000, 1000]", "N")
     torque: Triple = key(ZERO, "torque, body", "[-1000, 1000]", "N m")

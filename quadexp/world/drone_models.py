@@ -21,7 +21,6 @@ crazyflow: MIT licence, University of Toronto (utiasDSL/crazyflow). Where its nu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +30,7 @@ from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Triple, key
+from quadexp.parts.settings import REQUIRED, Triple, key, keyed
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rigid_body import body_features, state_derivative
@@ -52,7 +51,7 @@ OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is ano
 Pair = tuple[float, float]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class DroneModels(PlantPart):
     """Rotors and drag of crazyflow's first-principles model."""
 

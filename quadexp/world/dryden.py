@@ -32,7 +32,6 @@ Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <=
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -42,8 +41,8 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Triple, key
-from quadexp.physics.expression import Expression, limited
+from quadexp.parts.settings import Triple, key, keyed
+from quadexp.physics.expression import Expression, limited, split
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
@@ -108,7 +107,7 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
     return intensity * ca.vertcat(filters[0], across, vertical)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Dryden(MeanWind):
     """A mean wind and turbulence after Dryden.
 
@@ -142,8 +141,7 @@ class Dryden(MeanWind):
         when="airspeed=null",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.intensity is not None and self.wind_at_6m is not None:
             raise UsageError(
                 f"wind.wind_at_6m={self.wind_at_6m:g}: wind.intensity is given too; one of the two sets the intensity"
@@ -178,7 +176,7 @@ class Dryden(MeanWind):
         filters = at.inner[:N_FILTER]
         before, winds, times = filters, [_velocity(filters, at.parameters)], []
         for slot in ca.vertsplit(at.draws, 1 + N_NOISE):
-            time, noise = ca.vertsplit(slot, [0, 1, 1 + N_NOISE])
+            time, noise = split(slot, (1, N_NOISE))
             before, filters = filters, F @ filters + root @ noise
             winds.append(_velocity(filters, at.parameters))
             times.append(time)

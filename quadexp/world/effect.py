@@ -23,6 +23,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
 from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.parts.settings import keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.streams import Drawn
@@ -123,7 +124,7 @@ class Readings(NamedTuple):
 Told = dict[str, Any]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Effect(Part):
     """Base of all effects: does nothing. A subclass overrides the hooks that it needs.
 

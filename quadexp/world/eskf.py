@@ -33,9 +33,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -43,9 +43,10 @@ from scipy.spatial.transform import Rotation
 from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.parts.settings import key
-from quadexp.physics.expression import Expression
+from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import Expression, unit
 from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -149,10 +150,9 @@ def update(
 def inject(nominal: Expression, d: Expression) -> Expression:
     """The nominal state with the error d (15,) added."""
     dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
-    q = product(nominal[ATTITUDE], exponential(turned))
     return ca.vertcat(
         nominal[POSITION] + dp,
-        q / ca.norm_2(q),
+        unit(product(nominal[ATTITUDE], exponential(turned))),
         nominal[VELOCITY] + dv,
         nominal[ACCELEROMETER_BIAS] + of_force,
         nominal[GYROSCOPE_BIAS] + of_rate,
@@ -184,14 +184,14 @@ def unpacked(numbers: Expression) -> Expression:
     return ca.triu2symm(ca.horzcat(*columns))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Navigation(Effect):
     """The filter that joins the readings of a world's inertial sensors.
 
     inner states: nominal state (16,), upper triangle of the covariance (120,), queue (e, d): of each reading the IMU's
     and, for each aid, whether there is a fix, and the fix. Readings of before the flight have the interval zero."""
 
-    prefix: ClassVar[str] = "estimator."
+    prefix = "estimator."
 
     process_factor: float = key(
         1.0, "factor on the standard deviations of the IMU's noise that the filter believes", "(0, 1000]"
@@ -285,7 +285,7 @@ class Navigation(Effect):
         """Estimated biases, and the variances of the error, both on the horizon."""
         diagonal = [N_NOMINAL + i * (i + 3) // 2 for i in range(N_ERROR)]
         biases = {f"est_{name}": len(STATE_COLUMNS[: RATE.start]) + i for i, name in enumerate(BIAS_COLUMNS)}
-        return biases | dict(zip(VARIANCES, diagonal, strict=True))
+        return biases | named(VARIANCES, diagonal)
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
         aids, count, behind = self.sensors.aids, self.sensors.readings(at.clock), self.horizon(at.clock)

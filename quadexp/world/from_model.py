@@ -11,7 +11,6 @@ density, held for 0.5 ms whatever the integration step (see Held in streams.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -20,8 +19,8 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, key
-from quadexp.physics.expression import limited
+from quadexp.parts.settings import REQUIRED, key, keyed
+from quadexp.physics.expression import limited, split
 from quadexp.physics.rigid_body import derivative_function, features_function
 from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE
@@ -30,7 +29,7 @@ from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FromModel(PlantPart):
     """A model identified from flights as the truth; see quadexp/world/from_model.py. model: its checkpoint folder."""
 
@@ -92,7 +91,7 @@ def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, nois
     x, command, noise, step, parameters = symbols(
         ca.MX, x=N_STATE, u=n, noise=6 * noisy, step=1, parameters=6 + len(model.theta)
     )
-    density, theta = ca.vertsplit(parameters, [0, 6, 6 + len(model.theta)])
+    density, theta = split(parameters, (6, len(model.theta)))
     held = noise * density / ca.sqrt(step) if noisy else ca.MX.zeros(6)
     thrusts = limited(command, vehicle.thrust_min, vehicle.thrust_max)
 

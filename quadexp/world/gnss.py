@@ -14,12 +14,11 @@ world axes: its east component tells the error of heading at every attitude, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Triple, key
+from quadexp.names import named
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
@@ -29,7 +28,7 @@ from quadexp.world.inertial import OUTAGE, RATE, SHARE, Aid, InertialSensors, In
 PLACES = [*D_POSITION, *D_VELOCITY]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ImuGnss(InertialSensors):
     """An IMU, position (m) and velocity (m/s) from satellites, and north from a magnetometer.
 
@@ -64,7 +63,7 @@ class ImuGnss(InertialSensors):
             deviations=deviations,
             measure=_measure,
             compare=_compare,
-            first_guess=dict(zip(PLACES, deviations.tolist(), strict=True)),
+            first_guess=named(PLACES, deviations.tolist()),
         )
         heading = Aid(
             name="heading",

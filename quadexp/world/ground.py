@@ -9,14 +9,13 @@ for, acts along z_body at the rotor; its speed does not change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION
@@ -46,7 +45,7 @@ def ground_wrench(
     return R @ along_z(ca.sum1(added)), torque
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class GroundEffect(Effect):
     """The ground beneath the rotors.
 
@@ -55,7 +54,7 @@ class GroundEffect(Effect):
     Raises UsageError at the beginning of a flight where no radius is known.
     """
 
-    prefix: ClassVar[str] = "ground."
+    prefix = "ground."
 
     height: float = key(0.0, "height of the ground, world", "[-1000, 1000]", "m")
     height_max: float = key(

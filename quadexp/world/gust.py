@@ -8,13 +8,12 @@ Its integral over the gust is A D / 2. A gust of length l that is met at the spe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
@@ -30,7 +29,7 @@ def one_minus_cosine(t: Expression, start: Expression, duration: Expression, amp
     return amplitude / 2 * (1 - ca.cos(2 * math.pi * share))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Gust(MeanWind):
     """A mean wind and one gust of one-minus-cosine shape.
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.physics.expression import unit
 from quadexp.physics.low_pass import low_pass
 from quadexp.world.effect import Clock
 
@@ -36,8 +37,7 @@ class History(NamedTuple):
 
     def unit_at(self, time: Any) -> ca.MX:
         """Likewise, of unit length: of attitudes."""
-        value = self.at(time)
-        return value / ca.norm_2(value)
+        return unit(self.at(time))
 
     def low_passed(self, first: ca.MX, cutoff: float) -> History:
         """What a low pass makes of it (physics/low_pass.py); first: what it gave as the period began, (k,). cutoff: Hz;

@@ -35,16 +35,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import accumulate
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.parts.settings import Setting, key
-from quadexp.physics.expression import Expression
+from quadexp.parts.settings import Setting, key, keyed
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.rotation import along_z, conjugate, exponential, logarithm, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -147,7 +146,7 @@ def read(
     return reading, bias + spread[N_READING:] * ca.sqrt(duration) * noise[N_READING:]
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class InertialSensors(Effect):
     """An IMU with aids; a subclass says which. Raises UsageError where an aid is asked for more often than the IMU.
 
@@ -155,7 +154,7 @@ class InertialSensors(Effect):
     of each aid when it is read (3,) and its deviations.
     """
 
-    prefix: ClassVar[str] = "sensor."
+    prefix = "sensor."
 
     imu_rate: float = key(200.0, "readings a second; the next whole number of them in a control period", RATE, "Hz")
     accelerometer_noise_density: float = key(2e-3, "white noise of the specific force", "[0, 10]", "m/s^2/sqrt(Hz)")
@@ -186,8 +185,7 @@ class InertialSensors(Effect):
     def aids(self) -> tuple[Aid, ...]:
         raise NotImplementedError
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for aid in self.aids:
             if aid.rate > self.imu_rate:
                 raise UsageError(
@@ -244,7 +242,7 @@ class InertialSensors(Effect):
         before, after = at.states[:, instants[:-1]], at.states[:, instants[1:]]
         durations = at.step * ca.DM(np.diff(instants)).T
         sizes = [N_READING, N_BIAS, *(1 + aid.noise for aid in self.aids)]
-        drawn = ca.vertsplit(at.draws, [0, *accumulate(size * count for size in sizes)])
+        drawn = split(at.draws, (size * count for size in sizes))
         noise = ca.vertcat(*(ca.reshape(one, -1, count) for one in drawn))
         parameters = ca.repmat(at.parameters, 1, count)
         inner, *told_now = self._tick().mapaccum(count)(at.inner, before, after, durations, noise, parameters)

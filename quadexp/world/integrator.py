@@ -24,7 +24,8 @@ from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.integrator import euler_step, rk4_step
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.rotation import with_unit_attitude
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.streams import Drawn, Held, Streams
 
@@ -66,9 +67,7 @@ def integrate(method: str, slope: Callable[[Expression], Expression], s: Express
     """s' = slope(s) over a step (s), its quaternion brought back to unit length; UsageError for an unknown method."""
     if method not in METHODS:
         raise UsageError(f"plant.method={method}: must be one of {', '.join(METHODS)}")
-    s = METHODS[method](slope, s, step)
-    q = s[ATTITUDE]
-    return ca.vertcat(s[: ATTITUDE.start], q / ca.norm_2(q), s[ATTITUDE.stop :])
+    return with_unit_attitude(METHODS[method](slope, s, step))
 
 
 def period(equations: Equations, steps: int) -> ca.Function:

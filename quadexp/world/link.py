@@ -12,13 +12,12 @@ thrusts (n,) (N) and the time of its arrival (s), NEVER where it is lost. Parame
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -27,11 +26,11 @@ from quadexp.world.streams import NEVER, Sampled, on_the_way
 ROUNDING = 1e-11  # s, by which a command may come before or after a step and count as coming with it
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Latency(Effect):
     """Commands that arrive late, or not at all."""
 
-    prefix: ClassVar[str] = "link."
+    prefix = "link."
 
     latency: float = key(0.0, "least time between a command and its thrust", "[0, 0.5]", "s")
     jitter: float = key(0.0, "what a command may take longer, uniform from command to command", "[0, 0.5]", "s")

@@ -8,12 +8,10 @@ A filter compares p_m - p and Log(q* o q_m), which to first order are the errors
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product
 from quadexp.physics.state import ATTITUDE, POSITION
@@ -21,7 +19,7 @@ from quadexp.world.eskf import D_ATTITUDE, D_POSITION, D_VELOCITY
 from quadexp.world.inertial import OUTAGE, RATE, SHARE, Aid, InertialSensors, Innovation
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ImuMocap(InertialSensors):
     """An IMU and motion capture: position (m) and attitude; its first velocity is that between two poses."""
 

@@ -7,14 +7,13 @@ factor of every loss.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.actuator import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
@@ -25,18 +24,17 @@ FAILURE = ("rotor", "t", "factor")
 ROUNDING = 1e-9  # s; a loss at the beginning of a step acts in it
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RotorLoss(Effect):
     """Rotors that lose part of their thrust."""
 
-    prefix: ClassVar[str] = "health."
+    prefix = "health."
 
     losses: tuple[Any, ...] = key(
         (), "{rotor: number from 0, t: s, factor: share of its thrust that it has from then on} each"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         for loss in self.losses:
             if not isinstance(loss, Mapping) or {*loss} != {*FAILURE}:
                 given = sorted(loss) if isinstance(loss, Mapping) else loss

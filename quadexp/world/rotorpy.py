@@ -19,8 +19,6 @@ with Aerodynamics for Education and Research", arXiv 2306.04485.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quadexp.compile.symbolic import ca
@@ -28,13 +26,13 @@ from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
-from quadexp.physics.rotation import along_z
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.rotation import along_z, with_unit_attitude
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant
@@ -46,7 +44,7 @@ SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes th
 # no slope at u = 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RotorPy(PlantPart):
     """Air and motors of RotorPy 3.0's Multirotor (Folk et al. 2023), with the numbers of its Hummingbird."""
 
@@ -178,8 +176,7 @@ def _equations(vehicle: Vehicle) -> Equations:
     begun = ca.vertcat(s[:N_STATE], ca.if_else(lags, s[N_STATE:], command))
     lag = ca.if_else(lags, parameters[LAG], 1)  # s; any, where the speeds are the commanded ones already
     after = lagging_rk4_step(lambda x, w: f(x, w, parameters)[0], begun, command, step, lag)
-    q = after[ATTITUDE]
-    after = ca.vertcat(after[: ATTITUDE.start], q / ca.norm_2(q), after[ATTITUDE.stop :])
+    after = with_unit_attitude(after)
     reading = f(after[:N_STATE], after[N_STATE:], parameters)[1]
     results = ca.cse([after, reading])
     middle = lagging_thrust(begun[N_STATE:], command, step / 2, lag)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
-from quadexp.parts.settings import Setting, Settings, Triple, key
+from quadexp.parts.settings import Setting, Settings, Triple, key, keyed
 
 ZERO = (0.0, 0.0, 0.0)
 RATES = "[0, 8000]"
@@ -20,7 +19,7 @@ DRIFT_STD = "standard deviation of the correlated error, each axis"
 DRIFT_TIME = Setting("over which that error is correlated", "(0, 1e6]", "s")
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class SensorKeys(Settings):
     """One key a quality of a reading; all readings are exact by default."""
 

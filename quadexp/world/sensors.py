@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
@@ -26,7 +26,8 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.parts.settings import declared
+from quadexp.parts.settings import declared, keyed
+from quadexp.physics.expression import unit
 from quadexp.physics.low_pass import group_delay
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -45,7 +46,7 @@ BIASES = {"accelerometer": BIAS_COLUMNS[:3], "gyroscope": BIAS_COLUMNS[3:]}
 AXES = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Sensors(SensorKeys, Effect):
     """Inner states: of each channel that does something, in the order of `channels`: what it keeps of the quantity,
     which are the last force (3,) behind the low pass and before it, and the angles of the rotors (n,) (rad), or the
@@ -288,5 +289,4 @@ def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
 
 def turned(q: Any, error: Any) -> Any:
     """q o [1, e / 2], of unit length: an attitude (4,) with the small error e (3,), about body axes (rad)."""
-    product = left_matrix(q) @ ca.vertcat(1, error / 2)
-    return product / ca.norm_2(product)
+    return unit(left_matrix(q) @ ca.vertcat(1, error / 2))

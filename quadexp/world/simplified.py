@@ -15,7 +15,6 @@ that of Sun et al. 2022, zero by default.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Settings, Triple, key, part
+from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.motor import thrust_loss
@@ -41,7 +40,7 @@ class PlantEffects(Settings):
     an amplitude per step of 0.5 ms; as a spectral density it is amplitude * sqrt(0.0005 s). All zero: the ideal plant.
     """
 
-    prefix: ClassVar[str] = "plant."
+    prefix = "plant."
 
     linear_drag: Triple = key((0.3, 0.3, 0.0), "linear drag coefficients, body axes", "[0, 100]", "N s/m")
     quadratic_drag: Triple = key((0.08, 0.08, 0.08), "quadratic drag coefficients, body axes", "[0, 100]", "N s^2/m^2")
@@ -82,7 +81,7 @@ LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, LIFT 
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Simplified(PlantEffects, PlantPart):
     """Torrente's simplified simulation."""
 

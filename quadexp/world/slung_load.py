@@ -16,14 +16,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -107,7 +106,7 @@ def _vector(values: Any) -> Expression:
     return ca.DM(values) if isinstance(values, tuple) else values
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class SlungLoad(Payload):
     """A point mass on a cable.
 

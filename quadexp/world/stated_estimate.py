@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.sensor_sheet import SensorSheet, Stated, noisier
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
@@ -29,7 +29,7 @@ AXES = 12  # of the noise: position, velocity, attitude, rate
 ROUNDING = 1e-6  # of an integration step, by which a delay may differ from whole steps and count as such
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class StatedEstimate(Effect):
     """The truth with stated noise and delay.
 
@@ -37,7 +37,7 @@ class StatedEstimate(Effect):
     what is told lies. parameters: standard deviations of position, velocity, attitude and rate, (4,).
     """
 
-    prefix: ClassVar[str] = "estimator."
+    prefix = "estimator."
 
     position_noise: float = key(0.0, "standard deviation of the position, per axis", "[0, 10]", "m")
     velocity_noise: float = key(0.0, "standard deviation of the velocity, per axis", "[0, 10]", "m/s")

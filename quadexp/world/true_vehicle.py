@@ -16,14 +16,14 @@ plant itself, experiment/build.py):
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE
@@ -70,14 +70,14 @@ def coefficient_allocation(vehicle: Vehicle, thrust_factor: float, torque_factor
     return np.array([thrust, thrust, thrust, turn])[:, None] * vehicle.allocation
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class TrueVehicle(Effect):
     """The true vehicle, by factors of the one that controllers believe in.
 
     Parameters: coefficient_allocation (4 n,), column by column.
     """
 
-    prefix: ClassVar[str] = "truth."
+    prefix = "truth."
 
     mass: float = key(1.0, "factor on the mass", FACTOR)
     inertia: Triple = key((1.0, 1.0, 1.0), "factors on the moments of inertia about x, y, z", FACTOR)
@@ -112,11 +112,11 @@ class TrueVehicle(Effect):
         return set(factors) == {1.0} and not any(self.center_of_mass)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Payload(Effect):
     """A point mass that the vehicle carries."""
 
-    prefix: ClassVar[str] = "payload."
+    prefix = "payload."
 
     mass: float = key(0.2, "mass of the payload", "[0.001, 100]", "kg")
     point: Triple = key(
@@ -124,7 +124,7 @@ class Payload(Effect):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FixedPayload(Payload):
     """A payload fixed to the airframe."""
 

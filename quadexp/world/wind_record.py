@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
-from quadexp.parts.settings import REQUIRED, key
+from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.world.effect import Effect, Moment
 
@@ -43,14 +42,14 @@ class WindRecord:
         return table(limited(t, self.t[0], self.t[-1]))
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class WindFromFile(Effect):
     """A wind that was recorded.
 
     Raises UsageError for a missing file, DataError for one without wind.
     """
 
-    prefix: ClassVar[str] = "wind."
+    prefix = "wind."
 
     path: str = key(
         REQUIRED, "CSV or Parquet file with the columns t (s), wind_x, wind_y, wind_z (m/s, world); a flight is one"
@@ -91,7 +90,7 @@ def read_wind(path: Path) -> WindRecord:
     for row, (before, now) in enumerate(pairwise(values[0]), 1):
         if now <= before:
             raise DataError(f"{path}: t = {now:g} s in row {row} is not after {before:g} s, time must increase")
-    return WindRecord(values[0], np.stack(values[1:], axis=1))
+    return WindRecord(values[0], np.column_stack(values[1:]))
 
 
 def _columns(path: Path) -> dict[str, np.ndarray]:

@@ -27,6 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.errors import DataError
 from quadexp.log.signal import period_of
+from quadexp.physics.expression import unit
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -191,9 +192,9 @@ def _row(vehicle: Vehicle, period: float) -> ca.Function:
     shapes = {"x_before": 13, "x": 13, "forces": (3, lags + 1), "rates": (3, lags + 1)}
     shapes |= {"thrusts": (3, sizes.all_commands), "t": 1}
     a = named_symbols(ca.SX, shapes)
-    p, q = (a[name][ATTITUDE] / ca.norm_2(a[name][ATTITUDE]) for name in ("x_before", "x"))
+    p, q = (unit(a[name][ATTITUDE]) for name in ("x_before", "x"))
     p = p * ca.sign(ca.dot(p, q))
-    middle = (p + q) / ca.norm_2(p + q)
+    middle = unit(p + q)
     R = rotation_matrix(middle)
     turn = 2 * (p[0] * q[1:] - q[0] * p[1:] - ca.cross(q[1:], p[1:]))
     newest = list(range(sizes.all_commands - 1, -1, -1))

@@ -15,7 +15,6 @@ time at which its command begins to act: phi goes on over the dead time, under t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,8 @@ from quadexp.control.delivered import SETTLED, SentCommands
 from quadexp.control.instant import Instant, Told, call, copy, instant_of, python
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import unit
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
@@ -129,7 +129,7 @@ class Prediction(WrappedController):
         """Parts of the time, and the weights of commands in each."""
         before = np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP  # from the end of the prediction
         ends, starts = (np.minimum(one, late + self.ahead) - self.ahead for one in (before, before + STEP))
-        weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
+        weights = self.commands.weights(-np.column_stack([starts, ends]), self.dead_time, self.lag)
         self._arguments["weights"].reshape(weights.shape)[...] = weights
         self._arguments["dt"][:], self._shown = starts - ends, late
 
@@ -157,12 +157,11 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     state = ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[VELOCITY.stop :])  # in the frame of the air
     for u, h in zip(ca.horzsplit(thrusts), ca.vertsplit(dt), strict=True):
         state = rk4_step_with_input(slope, state, [u] * 3, h)
-    q = state[ATTITUDE]
-    now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
-    return named_function("delay_prediction", arguments, {"now": now})
+    now = state[: ATTITUDE.start], unit(state[ATTITUDE]), state[VELOCITY] + wind, state[VELOCITY.stop :]
+    return named_function("delay_prediction", arguments, {"now": ca.vertcat(*now)})
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class PredictionPart(KnownDelay):
     """A late state is brought to now by the controller's model."""
 

@@ -17,8 +17,7 @@ the part of it that is younger than tau.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -30,16 +29,17 @@ from quadexp.control.built import built
 from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move, python
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import unit
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class KnownDelay(Remedy):
     """How old the state is that the controller is told."""
 
-    prefix: ClassVar[str] = "delay."
+    prefix = "delay."
 
     time: float = key(0.01, "age of the measured state that is made good", "[0, 0.5]", "s")
 
@@ -133,7 +133,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
         p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))
-    now = ca.vertcat(p, q / ca.norm_2(q), v, rates[:, -1])
+    now = ca.vertcat(p, unit(q), v, rates[:, -1])
     return ca.Function("strapdown", [x, rates, forces, late], [now], ["x", "rates", "forces", "late"], ["now"])
 
 
@@ -142,7 +142,7 @@ def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:
     return duration / 2 * (first + last) + duration**2 / 12 * ca.cross(first, last)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class StrapdownPart(KnownDelay):
     """A late state is brought to now by gyroscope and accelerometer."""
 

@@ -35,6 +35,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.compile.symbols import named_function
 from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
 from quadexp.control.delivered import INSTANT, SentCommands, command_weights
+from quadexp.names import named
 from quadexp.physics.vehicle import Vehicle
 
 TINY = 1e-18  # of a mean square: exact data have no noise
@@ -264,7 +265,7 @@ def within_periods(sizes: Sizes, dead_time: float, lag: float) -> np.ndarray:
     """What the mean of the thrust over a period has beyond that of its two ends, as weights on the commands."""
     sent = SentCommands(1, sizes.period, sizes.commands * sizes.period)
     mean, now = sent.weights(np.array([[-sizes.period, 0.0], [0.0, 0.0]]), dead_time, lag)[:, ::-1]
-    return np.asarray(mean - (now + np.append(0.0, now[:-1])) / 2)
+    return mean - (now + np.append(0.0, now[:-1])) / 2
 
 
 @lru_cache(maxsize=8)
@@ -298,4 +299,4 @@ def _evaluate(vehicle: Vehicle, period: float) -> ca.Function:
         square = ca.fmax(ca.dot(left, against_all), 0) / a["count"]
         cost += a["count"] * ca.log(ca.sqrt(square) + LEAST_NOISE)
         lefts += [left, against_all]
-    return named_function("delay_cost", a, {"cost": cost} | dict(zip(LEFT, lefts, strict=True)))
+    return named_function("delay_cost", a, {"cost": cost} | named(LEFT, lefts))

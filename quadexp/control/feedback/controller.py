@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -18,8 +17,9 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.rls import BladeElementRLS, Identification
+from quadexp.names import named
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Backend, key, part
+from quadexp.parts.settings import REQUIRED, Backend, key, keyed, part
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.rotor import THETA
 from quadexp.physics.state import ATTITUDE, VELOCITY
@@ -32,7 +32,7 @@ INNER_TOLERANCE = 1e-10  # rad/s and rad, of the fixed point without delay
 
 def body_velocity(x: np.ndarray) -> np.ndarray:
     """Velocity in the body frame, (3,), FLU (m/s), of a state (13,), neglecting the unmeasured wind."""
-    return np.asarray(air_velocity(x[ATTITUDE], x[VELOCITY]))
+    return air_velocity(x[ATTITUDE], x[VELOCITY])
 
 
 class KnownCoefficients:
@@ -69,7 +69,7 @@ class IdentifiedCoefficients:
         """Begin a flight with the initial values."""
         self.estimator.reset()
         self.reopened, self._wait = 0, FIRST_WAIT
-        self._innovation: float = 1.0
+        self._innovation = 1.0
 
     @property
     def theta(self) -> np.ndarray:
@@ -92,7 +92,7 @@ class IdentifiedCoefficients:
         """The estimate by coefficient; number of clips and of covariance resets so far."""
         estimator = self.estimator
         counts = {"clips": float(estimator.clips.sum()), "reopened": float(self.reopened)}
-        return {**dict(zip(THETA, estimator.theta.tolist(), strict=True)), **counts}
+        return {**named(THETA, estimator.theta.tolist()), **counts}
 
 
 class FeedbackController(InOperations):
@@ -184,7 +184,7 @@ class FeedbackController(InOperations):
             self._law()
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Feedback(FeedbackSettings, ControllerPart):
     """Compensated feedback. variant: what is compensated, and from where."""
 

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,7 +59,7 @@ class FeedbackSettings(Settings):
     a multirotor can hold: an upward demand of at least thrust_share_min m g, tilted by at most tilt_max.
     """
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     rate: float = key(100.0, "control rate", "[1, 1000]", "Hz")
     position_proportional: Triple = key(

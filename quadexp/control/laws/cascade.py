@@ -30,7 +30,6 @@ control_allocator (sequential desaturation); equations taken, code our own. Worl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,7 @@ from quadexp.control.allocation import prioritised
 from quadexp.control.law import Inputs, Law
 from quadexp.control.laws.attitude import attitude_of
 from quadexp.control.laws.explicit import Rate
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
@@ -51,7 +50,7 @@ RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer inte
 SATURATED = 1e-9  # share of a wanted torque that the mixer leaves out, from which on an axis counts as saturated
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Cascade(Law):
     """The cascade of P and PID loops of a flight stack, fed with position, velocity, acceleration and yaw; PX4's
     defaults where they have a physical unit."""

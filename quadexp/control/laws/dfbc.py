@@ -26,7 +26,6 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from quadexp.compile.symbolic import ca
@@ -36,7 +35,7 @@ from quadexp.control.base import N_BELIEF
 from quadexp.control.law import Inputs, Law
 from quadexp.control.part import RESIDUAL
 from quadexp.models.residual import N_OUTPUTS
-from quadexp.parts.settings import Setting, Triple, key
+from quadexp.parts.settings import Setting, Triple, key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -56,7 +55,7 @@ OPPOSITE = 1e-6  # least 1 + r_z: a tilt error of 180 degrees has no axis
 SMALL = 1e-9  # of a length, below which a direction is not determined
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class FlatnessBased(Law):
     """Flatness-based control (Sun et al. 2022), its gains of Table I; it needs position and heading of the reference.
     residual: its model of the air."""

@@ -31,7 +31,6 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -41,7 +40,7 @@ from quadexp.control.allocation import clipped, prioritised
 from quadexp.control.law import Inputs, Law
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.part import RESIDUAL
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -50,7 +49,7 @@ from quadexp.physics.vehicle import Vehicle
 E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Geometric(Law):
     """Geometric tracking on SE(3) (Lee, Leok, McClamroch 2010). residual: its model of the air."""
 

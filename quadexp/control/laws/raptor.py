@@ -18,7 +18,6 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -28,7 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.law import Inputs, Law
 from quadexp.control.laws.attitude import heading_of
 from quadexp.errors import UsageError
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
@@ -41,7 +40,7 @@ SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class Raptor(Law):
     """RAPTOR, a learned policy for all quadrotors (Eschmann et al. 2025), of the package foundation-policy.
 

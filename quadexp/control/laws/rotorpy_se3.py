@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import importlib
 import time
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -21,19 +20,20 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.parts.part import Given
-from quadexp.parts.settings import Settings, Triple, key, part
+from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 AIR = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_flap", "tau_m", "rotor_speed_min", "rotor_speed_max")  # not used
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RotorPySE3Keys(Settings):
     """Gains of RotorPy's SE3 controller, its own defaults; see quadexp/control/laws/rotorpy_se3.py."""
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     rate: Rate = 100.0
     position_proportional: Triple = key((6.5, 6.5, 15.0), "kp_pos", "[0, 1000]", "1/s^2", tuned="2..60:log")
@@ -70,7 +70,7 @@ class RotorPySE3Controller:
         began = time.perf_counter()
         x = measurement.state
         state = {"x": x[POSITION], "v": x[VELOCITY], "q": np.roll(x[ATTITUDE], -1), "w": x[RATE]}
-        path = dict(zip(("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot"), window.position, strict=True))
+        path = named(("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot"), window.position)
         heading = {"yaw": window.yaw[0], "yaw_dot": window.yaw[1]}
         wanted = self._law.update(measurement.t, state, path | heading)["cmd_motor_thrusts"]
         u = np.clip(wanted, self.vehicle.thrust_min, self.vehicle.thrust_max)
@@ -109,7 +109,7 @@ def _controller(given: dict[str, Any]) -> Any:
     return module.SE3Control(given)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RotorPySE3(RotorPySE3Keys, ControllerPart):
     """RotorPy's SE3Control (Folk, Paulos, Kumar 2023), the code of the package rotorpy itself."""
 

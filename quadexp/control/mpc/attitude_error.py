@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, unit
 from quadexp.physics.rotation import left_matrix, right_matrix
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE
@@ -90,7 +90,7 @@ def reference_frames(X_ref: Expression, kind: str) -> list[Expression]:
     matrix = {"body": left_matrix, "world": right_matrix}[kind]
 
     def frame(q: Expression) -> Expression:
-        return matrix(q / ca.norm_2(q))
+        return matrix(unit(q))
 
     return [ca.horzcat(*(as_scalars(frame)(x[ATTITUDE]) for x in ca.horzsplit(X_ref)))]
 

@@ -30,6 +30,7 @@ from quadexp.control.instant import YES, Operation, Told, call, copy, move
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.models.residual import Residual
+from quadexp.names import named
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -86,7 +87,7 @@ class BelievedWorld:
         low, high = mpc.limits
         into = {"disturbance": mpc.disturbance, "low": low, "high": high}
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
-        into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if self._in_place else {}
+        into |= named(("X_in", "U_in"), mpc.reference) if self._in_place else {}
         self._enter = BufferedFunction(function, {"theta": mpc.parameters, "X": solution}, into)
         self._given, self._left = self._enter.arguments, self._enter.results
         given = self._given
@@ -103,8 +104,7 @@ class BelievedWorld:
     @property
     def told(self) -> np.ndarray:
         """The belief for the next step, (11,), where no estimator finds it."""
-        told: np.ndarray = self._given["belief"]
-        return told
+        return self._given["belief"]
 
     def retime(self, node_times: np.ndarray) -> None:
         """Use other times of the reference, (k,) (s) from the measurement on, from the next step on."""
@@ -136,8 +136,7 @@ class BelievedWorld:
     @property
     def settings(self) -> np.ndarray:
         """The numbers of the estimator's update, likewise."""
-        numbers: np.ndarray = self._given["settings"]
-        return numbers
+        return self._given["settings"]
 
     def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the

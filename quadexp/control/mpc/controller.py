@@ -32,7 +32,7 @@ class PredictiveController(InOperations):
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
-        self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
+        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
         self.lead = MotorLead(mpc.limits, mpc.settings, mpc.backend) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
         self.unprepared = np.ones(1)  # whether the reference is to be looked up

@@ -28,9 +28,11 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
+from quadexp.names import named
 from quadexp.physics.expression import limited
 from quadexp.physics.rigid_body import N_DISTURBANCE
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.rotation import with_unit_attitude
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -111,7 +113,7 @@ class MotorLead:
         self, limits: tuple[np.ndarray, np.ndarray], settings: MPCSettings, backend: str = "interpreted"
     ) -> None:
         function = built(backend, inversion_function, len(limits[0]))
-        self._invert = BufferedFunction(function, dict(zip(("low", "high"), limits, strict=True)))
+        self._invert = BufferedFunction(function, named(("low", "high"), limits))
         self.tune(settings)
 
     def tune(self, settings: MPCSettings) -> None:
@@ -152,6 +154,4 @@ def prediction_function(
     x, further = arguments["x"], [arguments[name] for name in ("tau", "disturbance") if name in arguments]
     for u, dt in zip(ca.horzsplit(arguments["U"]), ca.vertsplit(arguments["dt"]), strict=True):
         x = node(x, u, arguments["theta"], dt, *further)
-    q = x[ATTITUDE]
-    x = ca.vertcat(x[: ATTITUDE.start], q / ca.norm_2(q), x[ATTITUDE.stop :])
-    return named_function("mpc_prediction", arguments, {"x_next": x})
+    return named_function("mpc_prediction", arguments, {"x_next": with_unit_attitude(x)})

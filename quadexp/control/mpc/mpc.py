@@ -113,7 +113,7 @@ class ModelPredictiveController:
         self._active_set.reset()
         if changed(former, dead_time=settings.dead_time, motor_lead=settings.motor_lead) != settings:
             before, now = former.node_times, settings.node_times
-            self._X[...] = np.stack([np.interp(now, before, column) for column in self._X.T], axis=1)
+            self._X[...] = np.column_stack([np.interp(now, before, column) for column in self._X.T])
             held = np.clip(np.searchsorted(before, now[:-1] + 1e-9) - 1, 0, settings.nodes - 1)
             self._U[...] = self._U[held]
             self._weigh(settings)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from quadexp.models.online import Adapting, Law, prior_belief, update_function
 from quadexp.models.residual import LEARNED, Residual, sum_residual
 from quadexp.models.rls import Identification
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Settings, key, part
+from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.vehicle import Vehicle
 
 FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters
@@ -41,7 +41,7 @@ FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parame
 class AdaptKeys(Settings):
     """How weights adapt in flight; see quadexp/models/online.py."""
 
-    prefix: ClassVar[str] = "controller.adapt."
+    prefix = "controller.adapt."
 
     law: Literal["bayes", "rls", "composite"] = key(
         "bayes", "bayes: Kalman filter, pulled to the prior; rls: with forgetting; composite: bayes with tracking error"
@@ -170,7 +170,7 @@ class AdaptingController(PredictiveController):
         self.mpc.set_parameters(self._all)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class OnlineMPC(PredictivePart):
     """MPC whose model adapts in flight.
 
@@ -182,8 +182,8 @@ class OnlineMPC(PredictivePart):
     reference_period: float = key(1.0, "time between new references from the adapted model; 0: never", "[0, 3600]", "s")
     adapt: AdaptKeys = key(REQUIRED, "how the weights adapt", tuned=".memory=0.1..100:log .noise=0.03..3:log")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
+        super().check_together()
         check_models("controller.residual", self.residual, FEATURES)
         if "terms" in self.residual[:-1]:
             raise UsageError(
@@ -277,7 +277,7 @@ class IdentifyingController(PredictiveController):
         return self.identified.log()
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class RLSMPC(PredictivePart):
     """MPC whose blade-element model is identified in flight.
     reference_period: s between new references from the identified coefficients; 0: never."""

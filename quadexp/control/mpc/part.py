@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from quadexp.control.mpc.settings import MPCSettings
@@ -10,12 +9,12 @@ from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given
-from quadexp.parts.settings import REQUIRED, Backend, Setting, key, part
+from quadexp.parts.settings import REQUIRED, Backend, Setting, key, keyed, part
 
 PARTS = Setting("models that are added to the rigid body in the prediction, and summed")
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class PredictivePart(MPCSettings, ControllerPart):
     """What every MPC has, whatever its model of the air."""
 
@@ -46,7 +45,7 @@ class PredictivePart(MPCSettings, ControllerPart):
         return given.residual(*self.kinds)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class MPC(PredictivePart):
     """Model predictive control (Torrente et al. 2021). residual: its model of the air."""
 
@@ -64,15 +63,15 @@ class MPC(PredictivePart):
         return given.checkpoint(0).weighed(given.vehicle, model)
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class SumMPC(PredictivePart):
     """MPC with a sum of models; `models` holds one checkpoint folder for each of them."""
 
     former_kind = "sum_mpc"
     residual: tuple[str, ...] = key(REQUIRED, PARTS)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
+        super().check_together()
         check_models("controller.residual", self.residual, LEARNED)
 
 

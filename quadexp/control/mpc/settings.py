@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class MPCSettings(Settings):
     Raises UsageError where control period, first node and mean node period do not fit together.
     """
 
-    prefix: ClassVar[str] = "controller."
+    prefix = "controller."
 
     horizon: float = key(1.0, "length of the prediction horizon", "(0, 10]", "s")
     nodes: int = key(10, "number of intervals of the horizon", "[2, 200]", "nodes")
@@ -74,8 +74,7 @@ class MPCSettings(Settings):
         10.0, "largest position error that the MPC acts on; a larger one is reduced to this length", "(0, 1e6]", "m"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check_together(self) -> None:
         if self.control_period > self.node_period + 1e-12:
             raise UsageError(
                 f"controller.rate={self.rate:g}: a control period of {self.control_period:g} s must not exceed the node"
@@ -144,7 +143,7 @@ class MPCSettings(Settings):
         if self.samples == 1:
             return times
         middles = (times[:-1] + times[1:]) / 2
-        return np.append(np.stack([times[:-1], middles], axis=1).ravel(), times[-1])
+        return np.append(np.column_stack([times[:-1], middles]).ravel(), times[-1])
 
     @property
     def node_share(self) -> np.ndarray:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, unit
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -61,8 +61,7 @@ def held_targets(
         sure = ca.fmin(1, size / (LEAST * vehicle.gravity))
         towards = sure * force / size + (1 - sure) * axis
         towards = towards / ca.sqrt(ca.sumsqr(towards) + SMALL**2)
-        turn = ca.vertcat(1 + ca.dot(axis, towards), ca.cross(axis, towards))
-        turn = turn / ca.norm_2(turn)
+        turn = unit(ca.vertcat(1 + ca.dot(axis, towards), ca.cross(axis, towards)))
         torque = inertia @ disturbance[3:] + air[3:]
         change = allocate @ ca.vertcat(vehicle.mass * size - thrust, -torque)
         return [product(turn, x[ATTITUDE]), 2 * turn[1:], change]

@@ -18,7 +18,6 @@ with both poles of the error at z = exp(-b T). The torque: control.observers.fil
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -42,7 +41,7 @@ from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
-from quadexp.parts.settings import key
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -79,7 +78,7 @@ def disturbance_function(
     y = ca.densify(y)
     force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
     q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
-    known: Any = along_z(thrust) + y[:3]
+    known = along_z(thrust) + y[:3]
     if scaled:
         by_scale = along_z(thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
         unexplained, turned = R @ (a["reading"] - known), R @ by_scale
@@ -107,7 +106,7 @@ def disturbance_function(
     return named_function("disturbance_observer", a, {"s_next": ca.vertcat(state, rates), "belief": belief})
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class DisturbanceObserver(ObserverPart):
     """Force and torque beyond the model."""
 

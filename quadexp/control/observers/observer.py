@@ -11,7 +11,6 @@ it finds by other sensors goes on. It runs from the second instant on: before th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,8 @@ from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, no_residual
-from quadexp.parts.settings import key
+from quadexp.names import named
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.vehicle import Vehicle
 
 COLUMNS = (
@@ -41,7 +41,7 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class ObserverPart(Remedy):
     """What every observer has."""
 
@@ -97,7 +97,7 @@ class Observer(WrappedController):
             self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
             self._belief = self._world.numbers
             return
-        self.delivered: Any = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
+        self.delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
         shared = {"theta": parameters_of(innermost(inner))}
         self._update = BufferedFunction(realise(update.function, inner.backend), shared)
         self._given, self._result = self._update.arguments, self._update.results
@@ -107,14 +107,12 @@ class Observer(WrappedController):
     @property
     def estimate(self) -> np.ndarray:
         """The state of the update, which may be changed between two steps."""
-        state: np.ndarray = self._given["s"] if self._world is None else self._world.estimate
-        return state
+        return self._given["s"] if self._world is None else self._world.estimate
 
     @property
     def settings(self) -> np.ndarray:
         """The numbers of the update, likewise."""
-        numbers: np.ndarray = self._given["settings"] if self._world is None else self._world.settings
-        return numbers
+        return self._given["settings"] if self._world is None else self._world.settings
 
     @property
     def numbers(self) -> np.ndarray:
@@ -157,7 +155,7 @@ class Observer(WrappedController):
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
-        return self.inner.log() | dict(zip(COLUMNS, self._belief.tolist(), strict=True))
+        return self.inner.log() | named(COLUMNS, self._belief.tolist())
 
 
 def believer(controller: Controller, name: str) -> Any:

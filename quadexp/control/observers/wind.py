@@ -18,7 +18,6 @@ what can be done.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,7 @@ from quadexp.control.observers.observer import (
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
-from quadexp.parts.settings import Triple, key
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import limited
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -113,7 +112,7 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     return named_function("wind_observer", a, {"s_next": ca.vertcat(air, ca.vec(P), force, rates), "belief": belief})
 
 
-@dataclass(frozen=True, kw_only=True)
+@keyed
 class WindObserver(ObserverPart):
     """Wind from the drag that it causes."""
 

@@ -181,7 +181,7 @@ def _attitudes(present: frozenset[str]) -> Iterator[Row]:
 def clock_candidate(gain: float) -> Candidate:
     """The clock runs `gain` times too fast, so that every rate of change is too small by that factor."""
     unit = next((unit for unit, size in UNITS["time"].items() if size < 1 and abs(gain * size - 1) < 0.05), None)
-    lines: Correction = {"time": {"unit": unit} if unit else {"scale": float(f"{1 / gain:.5g}")}}
+    lines = {"time": {"unit": unit} if unit else {"scale": float(f"{1 / gain:.5g}")}}
     text = f"{unit}, not s" if unit else f"the clock runs {gain:.4g} times as fast as the motion"
     return Candidate("units" if unit else "clock_scale", "t", text, lines)
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.log.signal import runs
-
 # What mends bad samples.
 LEAVE_OUT = "`import --bad-rows drop` leaves them out, `--bad-rows gap` makes them gaps"
 SEVERITIES = ("info", "warning", "blocking")
@@ -49,11 +47,6 @@ class Finding:
 def worst_first(findings: list[Finding]) -> list[Finding]:
     """Blocking ones first; the order among equals is kept."""
     return sorted(findings, key=lambda finding: -SEVERITIES.index(finding.severity))
-
-
-def longest(mask: np.ndarray) -> tuple[int, int]:
-    """The longest run of True, (start, stop)."""
-    return max(runs(mask), key=lambda run: run[1] - run[0])
 
 
 def of_rows(

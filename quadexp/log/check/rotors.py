@@ -17,9 +17,9 @@ from itertools import permutations
 
 import numpy as np
 
-from quadexp.log.check.finding import Finding, longest, of_rows
+from quadexp.log.check.finding import Finding, of_rows
 from quadexp.log.schema import Flight
-from quadexp.log.signal import finite_rows, period_of, runs
+from quadexp.log.signal import finite_rows, longest, period_of, runs
 from quadexp.names import distinct
 from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
@@ -77,7 +77,7 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Findin
         low, high, unit = allowed
         finite = np.where(np.isfinite(values), values, low)
         slack = ROUNDING * (high - low)
-        outside = np.asarray((finite < low - slack) | (finite > high + slack))
+        outside = (finite < low - slack) | (finite > high + slack)
         if outside.any():
             mask, of_rotor = np.asarray(outside.any(axis=1)), np.asarray(outside.any(axis=0))
             impossible |= mask
@@ -225,7 +225,7 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
         return smooth - gaussian_filter1d(smooth, scale / SLOWEST, axis=0)
 
     def at(x: np.ndarray, lag: float = 0.0) -> np.ndarray:
-        return np.stack([np.interp(grid - lag, t, column) for column in x.T], axis=1)
+        return np.column_stack([np.interp(grid - lag, t, column) for column in x.T])
 
     rate = at(w)
     smooth = gaussian_filter1d(rate, scale / BAND, axis=0)
@@ -283,7 +283,7 @@ class Fit:
         along = np.einsum("lan,an->la", self.cross, pattern)
         size = np.einsum("an,lnm,am->la", pattern, self.gram, pattern)
         share = np.where(along > 0, along**2 / np.maximum(size, 1e-300), 0.0) / self.power
-        return np.asarray(share.max(axis=0))
+        return share.max(axis=0)
 
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Torque of each rotor's signal, (3, n), by regression at the lag that explains most, and the share of each

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from quadexp.log.check.candidates import COLUMNS, KEYS
-from quadexp.log.check.finding import Finding, longest, of_rows
-from quadexp.log.signal import period_of, runs
+from quadexp.log.check.finding import Finding, of_rows
+from quadexp.log.signal import longest, period_of, runs
 from quadexp.log.signal.windows import STREAMS, attitude_rate
 from quadexp.physics.state import norms
 
@@ -168,7 +168,7 @@ def check_spikes(
         finite = np.where(np.isfinite(values), values, 0)
         size = norms(finite)
         beyond = size > limit.get(name, np.inf)
-        apart = np.abs(finite - np.stack([median_filter(column, 7, mode="nearest") for column in finite.T], axis=1))
+        apart = np.abs(finite - np.column_stack([median_filter(column, 7, mode="nearest") for column in finite.T]))
         threshold = np.maximum(SPIKE * 1.4826 * np.median(apart, axis=0), SPIKE_FLOOR[name])
         bad = beyond | (apart > threshold).any(axis=1)
         if not bad.any():

@@ -355,7 +355,7 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
         bad = size > limit
         if bad.mean() < 0.005 or bad.mean() > 0.4:  # a knock, or something else than a stretch
             continue
-        ends = np.stack([windows.t[:, 0], windows.t[:, -1]], axis=1)
+        ends = np.column_stack([windows.t[:, 0], windows.t[:, -1]])
         when = (np.concatenate([ends, ends]) if len(size) == 2 * len(ends) else ends)[bad]
         low, high = float(when[:, 0].min()), float(when[:, 0].max())
         text = f"off by up to {size.max():.4g} {pair.relation.unit} in {bad.mean():.1%} of the windows"

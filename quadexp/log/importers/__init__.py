@@ -25,6 +25,7 @@ from quadexp.log.signal import GAP_PERIODS, Stream, derivative, period_of, runs
 from quadexp.log.signal.offset import find_offsets
 from quadexp.log.signal.resample import interpolate
 from quadexp.log.units import mounting_matrix
+from quadexp.names import named
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 
@@ -135,7 +136,7 @@ def _offsets(log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
 
 def _metadata(path: Path, log: RawLog, vehicle: Vehicle | None, offsets: dict[str, Any]) -> dict[str, Any]:
     source = {"file": path.name, "sha256": digest(path), "format": log.format, "mapping": log.mapping}
-    metadata: dict[str, Any] = {
+    metadata = {
         "name": path.stem, "outcome": "ok", "recorded": True, "source": source | {"offsets": offsets} | log.about,
         "versions": versions(), "provenance": provenance(),
     }  # fmt: skip
@@ -213,7 +214,7 @@ def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Fligh
         velocity = derivative(
             shorter.t, shorter.stack(["p_x", "p_y", "p_z"]), segment=shorter["segment"], window=window
         ).values
-        columns |= dict(zip(("v_x", "v_y", "v_z"), velocity.T, strict=True))
+        columns |= named(("v_x", "v_y", "v_z"), velocity.T)
     return shorter
 
 
@@ -231,5 +232,5 @@ def _bridged(flight: Flight, bad: np.ndarray, filled: np.ndarray) -> dict[str, n
         sphere, held = len(names) == 4, names[0].startswith(HELD) or values.dtype.kind != "f"
         bridge = interpolate(t[good], values[good].astype(float), t[filled], sphere=sphere, held=held)
         values[filled] = bridge
-        columns |= dict(zip(names, values.T, strict=True))
+        columns |= named(names, values.T)
     return columns

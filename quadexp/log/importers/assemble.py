@@ -14,6 +14,7 @@ from quadexp.log.importers.mapping import PLACES, ROTORS, Crop, columns_of
 from quadexp.log.importers.raw import RawLog
 from quadexp.log.signal import GAP_PERIODS, Stream, continuous, derivative, runs
 from quadexp.log.signal.resample import resample
+from quadexp.names import named
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 
@@ -73,11 +74,11 @@ def assemble(
     columns = {"t": t}
     for name in [*CORE[::-1], *(n for n in values if n not in CORE)]:
         if name in values:
-            columns |= dict(zip(columns_of(name, values[name].shape[1]), values[name].T, strict=True))
+            columns |= named(columns_of(name, values[name].shape[1]), values[name].T)
     derived = "velocity" not in streams and "position" in streams
     if derived:
         velocity = derivative(t, values["position"], segment=segment, window=max(0.1, 5 / rate))
-        columns |= dict(zip(columns_of("velocity", 3), velocity.values.T, strict=True))
+        columns |= named(columns_of("velocity", 3), velocity.values.T)
         notes.append(f"velocity: derivative of the position, to {velocity.bandwidth:.3g} Hz")
     columns["segment"] = segment
     kept = _cropped(t, values, log.crop if cropping else Crop("none"), notes) & ~between

@@ -185,7 +185,7 @@ class Table:
         self.times, self.windows = self.t[rows], self.x[rows]
         self.means, self.slopes = means(self.times, self.windows), changes(self.times, self.windows)
         usable = {i for i in range(len(names)) if i != clock and np.isfinite(self.x[:, i]).all()}
-        self.named: Groups = {q: [g for g in each if set(g) <= usable] for q, each in groups(names).items()}
+        self.named = {q: [g for g in each if set(g) <= usable] for q, each in groups(names).items()}
 
     def attitude(self) -> list[int] | None:
         """Four columns that are a unit quaternion that moves."""

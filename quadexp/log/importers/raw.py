@@ -88,7 +88,7 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
         t = columns[clock.column]
         if clock.factor != 1.0:
             t = t * clock.factor
-        values = np.stack([columns[column] for column in entry.columns], axis=1)
+        values = np.column_stack([columns[column] for column in entry.columns])
         stream = clean_stream(table.path, f"{name} ({', '.join(entry.columns)})", t, values, notes)
         log.streams[name] = _convert(name, entry, stream)
         later = {mapping.clock.column}
@@ -129,7 +129,7 @@ def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
     """Quaternion FLU to ENU, (k, 4), w first; as logged where nothing has to be turned."""
     if entry.order == "rpy":
         roll, pitch, yaw = (values * entry.factor).T
-        q = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_quat(scalar_first=True)
+        q = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_quat(scalar_first=True)
     else:
         values = values if (entry.factor == 1.0).all() else values * entry.factor
         q = values if entry.order == "wxyz" else values[:, [entry.order.index(axis) for axis in "wxyz"]]

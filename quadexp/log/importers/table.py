@@ -233,7 +233,7 @@ def numbers(table: Table) -> tuple[list[str], np.ndarray]:
         raise DataError(f"{table.path}: no column of numbers")
     ((length, _),) = Counter(map(len, columns.values())).most_common(1)
     names = [name for name in names if len(columns[name]) == length]
-    return names, np.stack([columns[name] for name in names], axis=1)
+    return names, np.column_stack([columns[name] for name in names])
 
 
 # ------------------------------------------------------------------------------------------------------------ HDF5

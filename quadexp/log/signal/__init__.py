@@ -73,6 +73,11 @@ def runs(mask: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
+def longest(mask: np.ndarray) -> tuple[int, int]:
+    """The longest of them."""
+    return max(runs(mask), key=lambda run: run[1] - run[0])
+
+
 def continuous(q: np.ndarray) -> np.ndarray:
     """Quaternions (k, 4) with the sign of each chosen to lie on the side of the one before."""
     flips = np.sum(q[1:] * q[:-1], axis=1) < 0

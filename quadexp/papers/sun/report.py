@@ -27,6 +27,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.names import named
 from quadexp.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Published, ellipses, published
 from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
@@ -218,7 +219,7 @@ def compared(flights: Iterable[Row]) -> Table:
         ours = errors.get((OURS + plus + remedies, world), {})
         if who != OURS and (both := [ellipse for ellipse in found if ellipse in ours]):
             pairs[name, world] = paired_permutation(np.array([found[one] - ours[one] for one in both]))
-    differs = dict(zip(pairs, holm(np.array([*pairs.values()])) < ALPHA, strict=True))
+    differs = named(pairs, holm(np.array([*pairs.values()])) < ALPHA)
     own = {OURS + "".join(name.partition("+")[1:]) for name, _ in pairs}
     names = [name for name in dict.fromkeys(name for name, _ in errors) if name in own | {who for who, _ in pairs}]
 

@@ -314,7 +314,7 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
         raise UsageError(f"--baseline {baseline}: did not fly here; there are {', '.join(sorted(flown))}")
     asked = record.get("baseline")
     usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
-    chosen: str = baseline or usual
+    chosen = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
     digest = sha256_of((root / RESULTS if Path(path).is_dir() else Path(path)).read_bytes())
     return Comparison(

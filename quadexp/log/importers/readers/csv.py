@@ -48,7 +48,7 @@ def _under_own_names(table: Table) -> RawLog:
         if quantity in ROTORS:
             names = columns_of(quantity, sum(c.startswith(names[0].format("")) for c in columns))
         if names and set(names) <= set(columns):
-            values = np.stack([columns[name] for name in names], axis=1)
+            values = np.column_stack([columns[name] for name in names])
             log.streams[quantity] = clean_stream(table.path, quantity, columns["t"], values, log.notes)
     return log
 

@@ -151,7 +151,7 @@ def _take(found: _Found, fields: _Fields, topic: str, t: float, message: Any) ->
 
 def _values(message: Any, place: str) -> list[float]:
     """Numbers at a place of a message, quaternions w first, speeds in rad/s; empty where there are none."""
-    item: Any = message
+    item = message
     for name in place.split("."):
         item = [getattr(part, name, 0.0) for part in item] if isinstance(item, list) else getattr(item, name, None)
     if item is not None and hasattr(item, "x"):
