@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections import Counter
 from collections.abc import Generator
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 
 from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
+from quadexp.parts import crazyflies
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
@@ -37,21 +39,24 @@ def pytest_terminal_summary(terminalreporter) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup() -> Generator[None, None, None]:
-    return (yield from _skipped_where_it_cannot_compile())
+    return (yield from _skipped_where_something_lacks())
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call() -> Generator[None, None, None]:
-    return (yield from _skipped_where_it_cannot_compile())
+    return (yield from _skipped_where_something_lacks())
 
 
-def _skipped_where_it_cannot_compile() -> Generator[None, None, None]:
-    """Without a compiler a test that asks for compiled code is skipped, by what refuses it."""
+def _skipped_where_something_lacks() -> Generator[None, None, None]:
+    """Without a compiler a test that asks for compiled code is skipped, without their package one that flies a
+    Crazyflie: by what refuses it."""
     try:
         return (yield)
     except QuadexpError as error:
         if compiler() is None and "no C compiler found" in str(error):
             pytest.skip("no C compiler")
+        if "numbers of the package crazyflow" in str(error) and not any(map(find_spec, crazyflies.FILES)):
+            pytest.skip("the extra `drone-models` is not installed")
         raise
 
 

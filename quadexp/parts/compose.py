@@ -53,13 +53,14 @@ class Node(NamedTuple):
 class Composer:
     """Composes configurations from conf/ and a user's own folders (extra); use `session`.
 
-    options(group): names of its options. option, part: see OptionFiles.
+    options(group): names of its options. option, part, parts: see OptionFiles.
     """
 
     def __init__(self, extra: Folders = None) -> None:
         self._files = OptionFiles(extra)
         self._folders = own_folders()
         self.options, self.option, self.part = self._files.options, self._files.option, self._files.part_of
+        self.parts = self._files.parts
         self._overrides = OverrideReader(self._files)
         self._trees: dict[tuple[str, ...], dict[str, Node]] = {}
         self._nodes: dict[tuple[str, ...], Node] = {}

@@ -5,6 +5,7 @@ It is read from the files and the parts' classes.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -78,8 +79,9 @@ def _all_keys(files: OptionFiles) -> list[Record]:
     for group in files.groups:
         options = sorted(files.options(group), key=lambda option: option != CHOSEN.get(group))
         for option in options if files.parts(group) else ():
-            for record in _keys(files, group, option):
-                records.setdefault(record["key"], record)
+            with contextlib.suppress(UsageError):  # of an option whose package is not installed
+                for record in _keys(files, group, option):
+                    records.setdefault(record["key"], record)
     return list(records.values())
 
 

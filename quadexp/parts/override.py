@@ -92,7 +92,8 @@ class OverrideReader:
         key, _, value = text.partition("=")
         parsed = self._parsed(text)
         signs = re.search(r"['\"(]", value)  # a quoted text, or what the grammar calculates
-        if (parsed is None or not signs) and self._is_text(key):  # 2024_01 is not the number 202401
+        named = key in GROUPS and " " not in value  # options: 2024_01 is not the number 202401
+        if (parsed is None or not signs) and (named or self._is_text(key)):
             parsed = self._parsed(f"{key}={_literal(value)}") or parsed
         if parsed is None and (several := [word for word in text.split() if re.match(r"[\w.]+=", word)])[1:]:
             raise UsageError(f"{text!r}: {len(several)} settings within one pair of quotes; give each by itself")
@@ -114,9 +115,7 @@ class OverrideReader:
         return Override(name, None, text, tuple(parsed.sweep_string_iterator()))
 
     def _is_text(self, key: str) -> bool:
-        """Whether a key holds a text, or texts, in every part that has it, or the name of an option."""
-        if key in GROUPS:
-            return True
+        """Whether a key holds a text, or texts, in every part that has it."""
         group, _, name = key.partition(".")
         parts = self._files.parts(group).values() if group in PARTS else [Config]
         keys = [about for part in parts if (about := find(part, name if group in PARTS else key))]

@@ -54,9 +54,8 @@ def _option(composer: Composer, group: str, record: Mapping[str, Any], recorded:
 
     recorded: name of the class, "" where it is not known."""
     classes: dict[str, type[Part]] = {}
-    for option in composer.options(group):
-        part = composer.part(group, option)
-        if part is None or part.former_kind != record.get("kind", ""):
+    for option, part in composer.parts(group).items():  # not those whose package is not installed
+        if part.former_kind != record.get("kind", ""):
             continue
         if recorded not in ("", f"{part.__module__}.{part.__qualname__}"):
             continue

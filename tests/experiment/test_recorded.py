@@ -10,7 +10,9 @@ from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import describe
 from quadexp.experiment.identity import flight_record
 from quadexp.experiment.vehicle_of import config_for
-from quadexp.parts.compose import compose, session
+from quadexp.parts import crazyflies
+from quadexp.parts.compose import Composer, compose, session
+from quadexp.parts.options import given_folders
 from quadexp.parts.recorded import recorded_words
 from tests.cli.command import run
 
@@ -102,3 +104,14 @@ def test_the_vehicle_of_a_flight_has_a_name_of_its_own(here):
     config = config_for([Path("a.parquet")])
     assert config.vehicle.mass == 1.1
     assert config_for([Path("a.parquet")], named).vehicle.name == "my quad"
+
+
+def test_settings_are_found_without_the_packages_that_other_options_need(monkeypatch):
+    """Not those of the Crazyflies, whose numbers a package has; such an option itself says which."""
+    monkeypatch.setattr(crazyflies, "FILES", {})
+    composer = Composer(given_folders(None))  # which has read nothing before
+    record = flight_record(composer.compose(["trajectory=hover", "truth.mass=1.1"]))
+    words = recorded_words(composer, record)
+    assert flight_record(composer.compose(words)) == record
+    with pytest.raises(UsageError, match="pip install crazyflow"):
+        composer.compose(["vehicle=cf2x_L250"])

@@ -6,6 +6,7 @@ import pytest
 
 from quadexp.cli.fly import _controllers
 from quadexp.errors import UsageError
+from quadexp.parts import crazyflies
 from quadexp.parts.compose import compose
 from quadexp.parts.listing import candidates, key_words, listed
 from quadexp.parts.options import OptionFiles, groups
@@ -129,3 +130,14 @@ def test_every_key_offered_can_be_set_with_some_option():
 
 def test_controllers_of_the_leaderboard_are_completed():
     assert _controllers(SimpleNamespace(params={"conf": None}), "gp_") == ["gp_mpc", "gp_mpc_tuned"]
+
+
+def test_what_is_there_is_listed_without_the_packages_that_an_option_needs(monkeypatch):
+    """By name and meaning; its keys are those of the others, and asked for itself it says which package."""
+    monkeypatch.setattr(crazyflies, "FILES", {})
+    options = {record.get("option") for record in listed("vehicle")}
+    assert {"vehicle=cf2x_L250", "vehicle=torrente"} <= options
+    assert {"vehicle.mass", "plant.linear_drag"} <= {record.get("key") for record in listed("vehicle") + listed("plant")}
+    assert "vehicle=cf2x_L250" in candidates(["simulate"], "vehicle=cf")
+    with pytest.raises(UsageError, match="pip install crazyflow"):
+        listed("vehicle=cf2x_L250")
