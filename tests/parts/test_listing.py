@@ -137,7 +137,8 @@ def test_what_is_there_is_listed_without_the_packages_that_an_option_needs(monke
     monkeypatch.setattr(crazyflies, "FILES", {})
     options = {record.get("option") for record in listed("vehicle")}
     assert {"vehicle=cf2x_L250", "vehicle=torrente"} <= options
-    assert {"vehicle.mass", "plant.linear_drag"} <= {record.get("key") for record in listed("vehicle") + listed("plant")}
+    keys = {record.get("key") for record in listed("vehicle") + listed("plant")}
+    assert {"vehicle.mass", "plant.linear_drag"} <= keys
     assert "vehicle=cf2x_L250" in candidates(["simulate"], "vehicle=cf")
     with pytest.raises(UsageError, match="pip install crazyflow"):
         listed("vehicle=cf2x_L250")
