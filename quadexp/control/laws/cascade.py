@@ -35,7 +35,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import dense_function, named_symbols
 from quadexp.control.allocation import held, prioritised
 from quadexp.control.base import Window
 from quadexp.control.built import built
@@ -44,7 +43,7 @@ from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, Triple, key, keyed, part
-from quadexp.physics.expression import Expression, limited, unit
+from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, unit
 from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY

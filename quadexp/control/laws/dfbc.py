@@ -32,7 +32,6 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
@@ -41,7 +40,7 @@ from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Setting, Settings, Triple, key, keyed, part
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

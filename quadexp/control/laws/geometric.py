@@ -37,7 +37,6 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import clipped, held, prioritised
 from quadexp.control.base import N_BELIEF
 from quadexp.control.built import built
@@ -48,7 +47,7 @@ from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.names import named
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, Triple, key, keyed, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, named_function, named_symbols, symbols
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

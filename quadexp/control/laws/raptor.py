@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import dense_function, named_symbols
 from quadexp.control.allocation import held
 from quadexp.control.base import Window
 from quadexp.control.built import built
@@ -34,7 +33,7 @@ from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, Settings, key, keyed, part
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, dense_function, limited, named_symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
