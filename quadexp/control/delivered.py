@@ -23,10 +23,9 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.built import built
 from quadexp.control.instant import Operation, Told, call, copy, move
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, named_function, named_symbols, symbols
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
 

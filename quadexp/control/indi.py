@@ -25,7 +25,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
@@ -39,7 +38,7 @@ from quadexp.errors import UsageError
 from quadexp.parts.part import Given
 from quadexp.parts.sensor_sheet import later_speeds
 from quadexp.parts.settings import Backend, Settings, key, keyed, part
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 

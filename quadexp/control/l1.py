@@ -27,7 +27,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.control.allocation import prioritised
 from quadexp.control.base import Controller, Window, no_belief
 from quadexp.control.instant import YES, Instant, Operation, Told, believing, call, copy, instant_of, move
@@ -39,7 +38,7 @@ from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.names import named
 from quadexp.parts.settings import Settings, key, keyed, part
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
 from quadexp.physics.rigid_body import features_function
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY

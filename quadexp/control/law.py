@@ -29,7 +29,6 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, symbols
 from quadexp.control.allocation import held
 from quadexp.control.base import N_BELIEF, Belief
 from quadexp.control.built import built
@@ -39,6 +38,7 @@ from quadexp.errors import UsageError
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, keyed
+from quadexp.physics.expression import named_function, split, symbols
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -155,7 +155,7 @@ def _outputs(law: Law, vehicle: Vehicle, inputs: Inputs) -> dict[str, Any]:
     """The outputs of `law_function`, which reads inputs."""
     sizes = [*law.memory.values()]
     memory = inputs.symbol("memory", (sum(sizes), 1)) if sizes else ca.DM(0, 1)
-    pieces = ca.vertsplit(memory, np.cumsum([0, *sizes]).tolist()) if sizes else []
+    pieces = split(memory, sizes) if sizes else []
     try:
         found = law.equations(vehicle, inputs, SimpleNamespace(**dict(zip(law.memory, pieces, strict=True))))
         found = {name: ca.densify(law.symbols(value)) for name, value in found.items()}

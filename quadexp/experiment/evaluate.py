@@ -32,11 +32,11 @@ from quadexp.experiment.identity import (
 )
 from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.schema import Flight
-from quadexp.log.signal import finite_rows, longest
+from quadexp.log.signal import longest
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
-from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS
+from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, finite_rows
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics

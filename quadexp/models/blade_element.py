@@ -45,7 +45,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
@@ -55,7 +54,7 @@ from quadexp.models.rls import SLOWEST, BladeElementRLS, RLSSettings
 from quadexp.models.samples import READINGS, check_columns
 from quadexp.names import named
 from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
 from quadexp.physics.rotation import along_z
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients

@@ -40,17 +40,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
-from quadexp.log.signal import finite_rows
 from quadexp.log.store import read_table
 from quadexp.models.residual import AXES, OUTPUTS, THRUST
 from quadexp.names import named
+from quadexp.physics.expression import symbols
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import rigid_body_function
 from quadexp.physics.rotation import air_velocity
-from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns, norms
+from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, finite_rows, input_columns, norms
 from quadexp.physics.vehicle import Vehicle
 
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive

@@ -37,7 +37,6 @@ from msgspec.structs import replace
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import (
     AXIS,
@@ -73,7 +72,7 @@ from quadexp.models.residual import (
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, Settings, key, keyed, lists, made
-from quadexp.physics.expression import Expression, split
+from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
 
 LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")  # that a fit depends on

@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError
 from quadexp.models.dataset import evaluate_rows
 from quadexp.models.terms import ITERATIONS, TERMS, Z_TERMS, Inflow, OperatingPoint
+from quadexp.physics.expression import symbols
 from quadexp.physics.induced_velocity import safe_newton
 from quadexp.physics.vehicle import Vehicle
 

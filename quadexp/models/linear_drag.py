@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
@@ -32,7 +31,7 @@ from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_na
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.drag import linear_drag_force
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.rotation import along_z
 from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle

@@ -33,7 +33,6 @@ import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.base import (
     AXIS,
@@ -54,7 +53,7 @@ from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places, residual_function
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key, keyed
-from quadexp.physics.expression import Expression, split
+from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -51,10 +51,9 @@ import numpy as np
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names
-from quadexp.physics.expression import Expression, split
+from quadexp.physics.expression import Expression, named_function, named_symbols, split, symbols
 from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

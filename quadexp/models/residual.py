@@ -26,9 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
-from quadexp.physics.expression import Expression, split
+from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.rigid_body import FEATURES, N_OUTPUTS, OUTPUTS
 from quadexp.physics.vehicle import Vehicle
 

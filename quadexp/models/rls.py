@@ -40,11 +40,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
 from quadexp.physics.vehicle import Vehicle

@@ -70,7 +70,6 @@ import msgspec
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
@@ -78,7 +77,7 @@ from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.regression import Regression, half_width, regress
 from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.physics.blade_element import TINY_SPEED
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.induced_velocity import Balance, safe_newton
 from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle

@@ -34,7 +34,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.base import Model, outside_shares, rms
 from quadexp.models.checkpoint import record_of
@@ -46,6 +45,7 @@ from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.models.terms import TermModel
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.vehicle_model import VehicleModel
+from quadexp.physics.expression import symbols
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import state_derivative
 from quadexp.physics.rotation import air_velocity

@@ -21,9 +21,8 @@ from functools import cache
 from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.physics.blade_element import ADOPTED, TINY_SPEED, CrossTerms, thrust_loss_per_flow, unloaded_thrust
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.rotor import STANDING, RotorGeometry
 
 SAFE_ITERATIONS = 60  # halving alone reaches 1e-12 m/s from any bracket in 50

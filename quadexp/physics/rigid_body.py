@@ -15,8 +15,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols, symbols
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, named_function, named_symbols, symbols
 from quadexp.physics.rotation import air_velocity, along_z, quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

@@ -23,9 +23,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, symbols
 from quadexp.names import named
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, named_function, symbols
 from quadexp.physics.motor import lagging_thrust
 from quadexp.physics.rigid_body import (
     N_DISTURBANCE,

@@ -38,3 +38,8 @@ def norms(vectors: np.ndarray) -> np.ndarray:
 def root_mean_square(values: np.ndarray) -> float:
     """Of all numbers, whatever their shape."""
     return float(np.sqrt(np.mean(values**2)))
+
+
+def finite_rows(values: np.ndarray) -> np.ndarray:
+    """Mask of the rows, (k,), whose values (k, m) are all finite."""
+    return np.isfinite(values).all(axis=1)

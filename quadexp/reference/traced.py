@@ -16,8 +16,8 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise_together
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.models.residual import FEATURES, N_OUTPUTS
+from quadexp.physics.expression import symbols
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_step import AirModel, AirResponse, outputs_and_gradients, predicted_and_next
 from quadexp.reference.flat_map import Tilt, tilt

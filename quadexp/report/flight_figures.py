@@ -17,10 +17,9 @@ from matplotlib.colors import LogNorm, Normalize
 from quadexp.errors import UsageError
 from quadexp.log.check import Finding
 from quadexp.log.schema import Flight
-from quadexp.log.signal import finite_rows
 from quadexp.log.signal.windows import Pair, cut, pairs, streams_of
 from quadexp.names import distinct
-from quadexp.physics.state import norms
+from quadexp.physics.state import finite_rows, norms
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import grouped
 from quadexp.report.style import COLOURS, ERROR_COLOURS, HUES, Figure, entries, error_bar, looks, plain_log, styled

@@ -29,7 +29,6 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.models.blade_element import blade_element_correction
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
@@ -43,7 +42,7 @@ from quadexp.physics.blade_element import (
     rotor_flow,
     static_coefficients,
 )
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.induced_velocity import (
     REASONS,
     Balance,

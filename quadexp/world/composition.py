@@ -19,8 +19,7 @@ from functools import partial
 from typing import Any
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
-from quadexp.physics.expression import split
+from quadexp.physics.expression import split, symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

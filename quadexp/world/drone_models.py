@@ -26,13 +26,12 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Triple, key, keyed
 from quadexp.physics.drag import linear_drag_force
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE

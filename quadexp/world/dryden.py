@@ -39,10 +39,9 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Triple, key, keyed
-from quadexp.physics.expression import Expression, limited, split
+from quadexp.physics.expression import Expression, limited, split, symbols
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind

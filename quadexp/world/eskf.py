@@ -41,12 +41,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.names import named
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import key, keyed
-from quadexp.physics.expression import Expression, unit
+from quadexp.physics.expression import Expression, symbols, unit
 from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.physics.vehicle import Vehicle

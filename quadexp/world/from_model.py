@@ -16,11 +16,10 @@ from typing import Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key, keyed
-from quadexp.physics.expression import limited, split
+from quadexp.physics.expression import limited, split, symbols
 from quadexp.physics.rigid_body import derivative_function, features_function
 from quadexp.physics.rotation import along_z
 from quadexp.physics.state import N_STATE

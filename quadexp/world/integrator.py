@@ -20,9 +20,8 @@ import numpy.typing as npt
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.integrator import euler_step, rk4_step
 from quadexp.physics.rotation import with_unit_attitude
 from quadexp.physics.state import N_STATE

@@ -22,13 +22,12 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.blade_element import TINY_SPEED
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.rotation import along_z, with_unit_attitude

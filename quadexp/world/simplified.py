@@ -19,12 +19,11 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.motor import thrust_loss
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.rotation import along_z

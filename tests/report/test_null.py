@@ -63,8 +63,9 @@ def table(rng, seeds, pattern="balanced", shape="normal", *, ways=3, conditions=
 
 
 def at_most(hits, tables, level):
-    """Whether a level is held, by three standard errors."""
-    return hits / tables <= level + 3 * math.sqrt(level * (1 - level) / tables)
+    """Whether a level is held, by 3.7 standard errors: of 240 tests in which it is held, 3 % have one that says no. By
+    three it was 27 %; what said no then, 7.1 % of 1,000 tables, had 5.2 % of 6,000."""
+    return hits / tables <= level + 3.7 * math.sqrt(level * (1 - level) / tables)
 
 
 def cases(default, every):

@@ -24,10 +24,9 @@ from scipy.linalg.blas import dger
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.errors import DataError
 from quadexp.log.signal import period_of
-from quadexp.physics.expression import unit
+from quadexp.physics.expression import named_function, named_symbols, unit
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

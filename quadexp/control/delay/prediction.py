@@ -21,7 +21,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.delay.strapdown import KnownDelay
@@ -30,7 +29,7 @@ from quadexp.control.instant import Instant, Told, call, copy, instant_of, pytho
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import key, keyed
-from quadexp.physics.expression import unit
+from quadexp.physics.expression import named_function, named_symbols, unit
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY

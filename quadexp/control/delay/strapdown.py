@@ -23,14 +23,13 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move, python
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
 from quadexp.parts.settings import key, keyed
-from quadexp.physics.expression import unit
+from quadexp.physics.expression import symbols, unit
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 

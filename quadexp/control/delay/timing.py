@@ -32,10 +32,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function
 from quadexp.control.delay.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
 from quadexp.control.delivered import INSTANT, SentCommands, command_weights
 from quadexp.names import named
+from quadexp.physics.expression import named_function
 from quadexp.physics.vehicle import Vehicle
 
 TINY = 1e-18  # of a mean square: exact data have no noise

@@ -38,12 +38,11 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import dense_function, symbols
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles, rotation_euler, yaw_ned
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, dense_function, limited, symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA

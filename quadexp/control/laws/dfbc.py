@@ -29,14 +29,13 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
 from quadexp.control.law import Inputs, Law
 from quadexp.control.part import RESIDUAL
 from quadexp.models.residual import N_OUTPUTS
 from quadexp.parts.settings import Setting, Triple, key, keyed
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

@@ -22,7 +22,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_by_commands
@@ -31,6 +30,7 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.models.residual import Residual
 from quadexp.names import named
+from quadexp.physics.expression import named_function, named_symbols
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 

@@ -20,7 +20,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, commands_function
 from quadexp.control.instant import Operation, call, copy, run
@@ -29,7 +28,7 @@ from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
 from quadexp.names import named
-from quadexp.physics.expression import limited
+from quadexp.physics.expression import limited, named_function, named_symbols
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.rotation import with_unit_attitude
 from quadexp.physics.state import N_STATE

@@ -20,13 +20,13 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import held_deviation, node_function
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.control.mpc.step import Step
 from quadexp.models.residual import Residual
+from quadexp.physics.expression import named_function, named_symbols
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle

@@ -19,10 +19,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.integrator import rk4_step, rk4_step_with_input
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import N_DISTURBANCE, corrected_function, disturbed_derivative

@@ -22,8 +22,7 @@ from pathlib import Path
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import symbols
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, symbols
 
 N_PLACE = 3  # first states, the position: the dynamics do not depend on it, so A's first columns are [I; 0]
 Node = tuple[list[Expression], Expression, Expression, Expression]  # cost to go, K, k, factor

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 from quadexp.compile.backend import BufferedFunction, array_for
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.mpc.attitude_error import AttitudeError, attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes
@@ -33,7 +32,7 @@ from quadexp.control.mpc.subproblem import (
 )
 from quadexp.models.residual import Residual
 from quadexp.names import without
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.sensitivity import rk4_sensitivity_function
 from quadexp.physics.state import ATTITUDE, N_STATE

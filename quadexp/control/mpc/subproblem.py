@@ -13,10 +13,9 @@ from pathlib import Path
 
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function, named_symbols
 from quadexp.control.mpc.attitude_error import attitude_error_in
 from quadexp.control.mpc.riccati import Passes, line_length
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols
 from quadexp.physics.state import ATTITUDE
 
 KERNEL = Path(__file__).with_name("active_set.c")

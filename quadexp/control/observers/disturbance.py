@@ -23,7 +23,6 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.filters import (
     APART,
@@ -42,6 +41,7 @@ from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.part import Given
 from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import named_function
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY

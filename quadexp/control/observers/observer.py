@@ -17,7 +17,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_symbols
 from quadexp.control.base import Belief, Controller, Window, belief_of, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
 from quadexp.control.instant import YES, Instant, Told, believing, call, copy, instant_of, move
@@ -30,6 +29,7 @@ from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, no_residual
 from quadexp.names import named
 from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import named_symbols
 from quadexp.physics.vehicle import Vehicle
 
 COLUMNS = (

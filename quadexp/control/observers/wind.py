@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.compile.symbols import named_function
 from quadexp.control.observers.filters import N_TORQUE_SETTINGS, N_TORQUE_STATE, inverse, torque_settings, torque_update
 from quadexp.control.observers.observer import (
     Observer,
@@ -38,7 +37,7 @@ from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Triple, key, keyed
-from quadexp.physics.expression import limited
+from quadexp.physics.expression import limited, named_function
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

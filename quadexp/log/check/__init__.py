@@ -17,9 +17,10 @@ from quadexp.log.check.duplicates import check_duplicates
 from quadexp.log.check.finding import Finding, worst_first
 from quadexp.log.check.rotors import check_commands, check_flown, check_voltage
 from quadexp.log.schema import Flight
-from quadexp.log.signal import Stream, finite_rows, increasing
+from quadexp.log.signal import Stream, increasing
 from quadexp.log.signal.offset import find_offsets, turning_offset
 from quadexp.log.signal.windows import Windows, cut, streams_of
+from quadexp.physics.state import finite_rows
 from quadexp.physics.vehicle import Vehicle
 
 __all__ = ["Finding", "check_flight", "check_flights", "inspect_flight"]

@@ -19,9 +19,9 @@ import numpy as np
 
 from quadexp.log.check.finding import Finding, of_rows
 from quadexp.log.schema import Flight
-from quadexp.log.signal import finite_rows, longest, period_of, runs
+from quadexp.log.signal import longest, period_of, runs
 from quadexp.names import distinct
-from quadexp.physics.state import norms, root_mean_square
+from quadexp.physics.state import finite_rows, norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 # Of commands and battery:

@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from quadexp.errors import DataError
 from quadexp.log.importers.mapping import IN_BODY, Crop, Entry, Mapping
 from quadexp.log.importers.table import Table
-from quadexp.log.signal import Stream, finite_rows, increasing
+from quadexp.log.signal import Stream, increasing
 from quadexp.log.signal.windows import multiply
-from quadexp.physics.state import norms
+from quadexp.physics.state import finite_rows, norms
 from quadexp.physics.vehicle import GRAVITY
 
 MOST_LATE = 0.01  # share of the rows that may lie out of order

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.physics.state import finite_rows
 
 GAP_PERIODS = 5.0
 ORDER = 3  # of the polynomial whose derivative is taken
@@ -55,11 +56,6 @@ def increasing(t: np.ndarray) -> np.ndarray:
 def period_of(t: np.ndarray) -> float:
     """The stream's own period: the median step of its clock (s)."""
     return float(np.median(np.diff(t)))
-
-
-def finite_rows(values: np.ndarray) -> np.ndarray:
-    """Mask of the rows, (k,), whose values (k, m) are all finite."""
-    return np.isfinite(values).all(axis=1)
 
 
 def stretches(t: np.ndarray, gap: float) -> list[slice]:

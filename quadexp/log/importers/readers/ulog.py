@@ -15,9 +15,10 @@ import numpy as np
 
 from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.importers.raw import RawLog, sorted_stream, turn_attitude, with_attitude
-from quadexp.log.signal import Stream, finite_rows
+from quadexp.log.signal import Stream
 from quadexp.log.store import first_line
 from quadexp.log.units import UNITS, axes_matrix
+from quadexp.physics.state import finite_rows
 
 ABOUT = "PX4"
 LARGEST = 4 << 30  # bytes
