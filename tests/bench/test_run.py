@@ -147,6 +147,15 @@ def test_the_table_says_what_was_set_by_hand_and_on_which_seeds(entry, settings)
     assert found.settings == settings
 
 
+@pytest.mark.parametrize("option", ["gp_mpc", "my_gp_mpc"])
+def test_an_option_of_a_users_is_not_as_shipped(option, tmp_path):
+    (tmp_path / "controller").mkdir()
+    (tmp_path / "controller" / f"{option}.yaml").write_text("defaults: [gp_mpc, _self_]\nnodes: 12\n")
+    with session(tmp_path) as composer:
+        (found,) = read_entries([option], composer, read_protocol(), tmp_path)
+    assert found.settings == "set by hand"
+
+
 def test_an_entry_of_the_field_that_cannot_fly_somewhere_is_a_note(protocol, monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "field", lambda: ["rls_feedback", "nominal_mpc"])
     made, flown = run(tmp_path / "b", [], only=False)
