@@ -80,6 +80,15 @@ def test_entries_by_name_with_settings_and_from_a_folder_of_the_users_own(protoc
     assert none == 0 and len({row["entry"] for row in both.rows}) == 6
 
 
+def test_rows_of_another_contestant_of_the_same_name_are_said_to_be_left_out(protocol, tmp_path):
+    run(tmp_path / "a", ["nominal_mpc"])
+    (tmp_path / "mine" / "controller").mkdir(parents=True)
+    (tmp_path / "mine" / "controller" / "nominal_mpc.yaml").write_text("defaults: [nominal_mpc, _self_]\nnodes: 12\n")
+    for conf, said in ((tmp_path / "mine", ["nominal_mpc: flown otherwise in "]), (None, [])):
+        made, _ = run(tmp_path / "b", ["nominal_mpc"], conf, add=[tmp_path / "a" / "leaderboard.parquet"])
+        assert [note[: len(said[0])] for note in made.notes] == said
+
+
 def test_a_protocol_without_a_rule_for_networks_flies_none(monkeypatch, tmp_path):
     without = small("\n".join(line for line in SMALL.splitlines() if "network" not in line))
     monkeypatch.setattr(bench, "read_protocol", lambda: without)
