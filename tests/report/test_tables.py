@@ -171,3 +171,9 @@ def test_a_value_with_blanks_and_signs_is_one_value():
     table = error_table(rows)
     assert [*table.columns] == ["trajectory", "m/s", "path", "nominal_mpc models=[x y=z] horizon=robust"]
     assert [[*line][:3] for line in table.rows[1:]] == [["circle", "8", path] for path in paths]
+
+
+@pytest.mark.parametrize("names", [("pid", "gp_mpc"), ("nominal_mpc", "nominal_mpc")])
+def test_why_nothing_is_compared_is_true_of_several_baselines_too(names):
+    rows = [row(name, variant=f"controller.nodes={5 + i}", seed=s) for i, name in enumerate(names) for s in range(2)]
+    assert any("none of these contestants, or several of them" in note for note in error_table(rows).notes)
