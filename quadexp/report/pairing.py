@@ -46,7 +46,10 @@ World = tuple[str, str]  # plant, vehicle
 BASELINE = "nominal_mpc"
 BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked
 
-_BEFORE_KEY = re.compile(rf" (?=(?:{'|'.join((*CHOSEN, 'evaluate'))})(?:\.[\w./@]+)?=)")  # values may hold " a=b"
+SOURCE = "results"  # key of the folder that a flight of several results comes from
+_BEFORE_KEY = re.compile(
+    rf" (?=(?:{'|'.join((*CHOSEN, 'evaluate', SOURCE))})(?:\.[\w./@]+)?=)"
+)  # values may hold " a=b"
 _KEYS_ABOVE = re.compile(r"^[^=]*\.(?=[^=.]*=)")
 
 
