@@ -382,6 +382,8 @@ def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
             from quadexp.parts.recorded import recorded_words
 
             about = read_metadata(words[0], "flight")
-            words = recorded_words(composer, about.get("config") or {}, words[1:], about.get("classes") or {})
+            if "config" not in about:
+                raise UsageError(f"{words[0]}: a flight without a record of its settings (a recorded one?): give these")
+            words = recorded_words(composer, about["config"], words[1:], about.get("classes") or {})
         config = composer.compose(words)
     return path_margins(config, find_model(config))

@@ -20,7 +20,7 @@ from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import MODEL_FILE, digest, find_model, identity_with
 from quadexp.log.store import read_text
 from quadexp.parts.compose import Composer
-from quadexp.parts.options import Folders
+from quadexp.parts.options import Folders, OptionFiles
 from quadexp.parts.schema import REMEDIES, Config, remedies
 from quadexp.tune.preset import BY_HAND, provenance_of
 from quadexp.writer import write_text
@@ -73,15 +73,20 @@ def _rule(config: Config) -> str:
 def _settings(given: Sequence[str], protocol: Protocol, extra: Folders) -> str:
     """Where its settings come from; raises UsageError where they were tuned on flights of the protocol.
 
-    A bundle without provenance counts as set by hand, as keys do: no publication has its values.
+    A bundle without provenance, and an option of a user's, count as set by hand, as keys do: no publication has their
+    values.
     """
     last = max(family.chosen(size)[0] for family in protocol.families.values() for size in family.sizes)
+    known = OptionFiles(extra)
     flights, by_hand, watched = 0, any(word.partition("=")[0].count(".") for word in given), set[int]()
     for word in given:
         group, _, option = word.partition("=")
         about = provenance_of(option, extra, group) if group in ("controller", "remedies", *REMEDIES) else None
         if about is None:
-            by_hand |= group == "remedies"
+            own = any(
+                each.place < len(known.folders) - 1 for each in known.definitions.get(f"{group}/{option}", [])[:1]
+            )
+            by_hand |= group == "remedies" or own
         elif BY_HAND in about:
             watched |= {*about["seeds"]}
         elif common := {*about.get("seeds", [])} & {*protocol.seeds(last)}:

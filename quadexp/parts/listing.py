@@ -5,7 +5,6 @@ It is read from the files and the parts' classes.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -77,11 +76,9 @@ def _all_keys(files: OptionFiles) -> list[Record]:
     """Every key once, with the value that it has by default, else that of the first option that has it."""
     records = {name: _key(name, key, key.default) for name, key in _walk(Config)}
     for group in files.groups:
-        options = sorted(files.options(group), key=lambda option: option != CHOSEN.get(group))
-        for option in options if files.parts(group) else ():
-            with contextlib.suppress(UsageError):  # of an option whose package is not installed
-                for record in _keys(files, group, option):
-                    records.setdefault(record["key"], record)
+        for option in sorted(files.parts(group), key=lambda option: option != CHOSEN.get(group)):
+            for record in _keys(files, group, option):
+                records.setdefault(record["key"], record)
     return list(records.values())
 
 

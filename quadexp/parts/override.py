@@ -29,6 +29,7 @@ _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}", re.ASCII)
 _DECIMAL = re.compile(r"-?(?:0|[1-9]\d{0,14})\.\d{1,15}", re.ASCII)
 _WORD = re.compile(r"(?:\.{0,2}/)*[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
 _RANGE = re.compile(r"range\((?:(\d{1,9}), ?)?(\d{1,9})\)", re.ASCII)
+_QUOTED = re.compile(r"""\s*(["'])(?:\\.|(?!\1).)*\1\s*""")
 ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
 _SAFE = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
 _NO_WORDS = {"null", "true", "false", "nan", "inf"}  # in any case of their letters
@@ -91,9 +92,9 @@ class OverrideReader:
         """An override by Hydra's grammar."""
         key, _, value = text.partition("=")
         parsed = self._parsed(text)
-        signs = re.search(r"['\"(]", value)  # a quoted text, or what the grammar calculates
+        calculated = "(" in _QUOTED.sub("", value)
         named = key in GROUPS and " " not in value  # options: 2024_01 is not the number 202401
-        if (parsed is None or not signs) and (named or self._is_text(key)):
+        if (parsed is None or not calculated) and (named or self._is_text(key)):
             parsed = self._parsed(f"{key}={_literal(value)}") or parsed
         if parsed is None and (several := [word for word in text.split() if re.match(r"[\w.]+=", word)])[1:]:
             raise UsageError(f"{text!r}: {len(several)} settings within one pair of quotes; give each by itself")
@@ -181,8 +182,10 @@ def _plain_value(text: str) -> int | float | str | list[Any] | None:
 
 def _literal(value: str) -> str:
     """A value whose words stand for themselves, whatever the grammar makes of them; null stays what it is."""
-    words = r"[^\[\],]+" if value.startswith("[") else r"[^,]+"
-    return re.sub(words, lambda word: "null" if word[0] == "null" else quoted(word[0]), value)
+    words = rf"{_QUOTED.pattern}|{'[^][,]+' if value.startswith('[') else '[^,]+'}"
+    return re.sub(
+        words, lambda word: word[0] if word[1] or word[0].strip() == "null" else quoted(word[0].strip()), value
+    )
 
 
 def _text(value: Any) -> str:

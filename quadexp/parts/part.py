@@ -151,7 +151,7 @@ def imported(key: str, target: str) -> Any:
         module = load(module_name)
     except (ImportError, UsageError) as error:
         raise ModuleError(f"{said}: {error}") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise UsageError(f"{said}: importing {module_name} raised {type(error).__name__}: {error}") from error
     named = getattr(module, attribute, None)
     if named is None:

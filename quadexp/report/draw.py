@@ -31,6 +31,7 @@ from quadexp.names import named
 from quadexp.report.compare import names_of
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, read_results
+from quadexp.report.pairing import SOURCE
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,
@@ -49,7 +50,6 @@ from quadexp.report.text import significant
 from quadexp.report.view import SUCCESS, Axis, Place, Point, View, value_text, view
 from quadexp.writer import check_output, write_text
 
-SOURCE = "results"  # key of the folder that a flight of several results comes from
 SUFFIXES = ("png", "pdf", "svg", "html")
 ON_PAPER: Any = {"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2}
 LEAST_PANEL = 2.2  # inches, of the width of a panel on paper

@@ -45,7 +45,7 @@ def table_notes(
     line += "; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else ""
     lines = [line, *tests.notes]
     if not any(s.baseline for s in statistics) and len({s.contestant for s in statistics}) > 1:
-        lines.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
+        lines.append("no comparison: the baseline (evaluate.baseline) is none of these contestants, or several of them")
     lines += [RULE] if lost else []
     if any(s.n > s.common for s in statistics):
         lines.append("own: mean over all own completed flights, and their number")

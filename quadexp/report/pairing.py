@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from quadexp.names import distinct
-from quadexp.parts.schema import of_contestant
+from quadexp.parts.schema import CHOSEN, of_contestant
 
 Who = TypeVar("Who", bound=Hashable)
 What = TypeVar("What", bound=Hashable)
@@ -47,7 +47,10 @@ World = tuple[str, str]  # plant, vehicle
 BASELINE = "nominal_mpc"
 BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked
 
-_BEFORE_KEY = re.compile(r" (?=[\w./@]+=)")  # values may hold blanks
+SOURCE = "results"  # key of the folder that a flight of several results comes from
+_BEFORE_KEY = re.compile(
+    rf" (?=(?:{'|'.join((*CHOSEN, 'evaluate', SOURCE))})(?:\.[\w./@]+)?=)"
+)  # values may hold " a=b"
 _KEYS_ABOVE = re.compile(r"^[^=]*\.(?=[^=.]*=)")
 
 

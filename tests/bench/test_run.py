@@ -80,6 +80,15 @@ def test_entries_by_name_with_settings_and_from_a_folder_of_the_users_own(protoc
     assert none == 0 and len({row["entry"] for row in both.rows}) == 6
 
 
+def test_rows_of_another_contestant_of_the_same_name_are_said_to_be_left_out(protocol, tmp_path):
+    run(tmp_path / "a", ["nominal_mpc"])
+    (tmp_path / "mine" / "controller").mkdir(parents=True)
+    (tmp_path / "mine" / "controller" / "nominal_mpc.yaml").write_text("defaults: [nominal_mpc, _self_]\nnodes: 12\n")
+    for conf, said in ((tmp_path / "mine", ["nominal_mpc: flown otherwise in "]), (None, [])):
+        made, _ = run(tmp_path / "b", ["nominal_mpc"], conf, add=[tmp_path / "a" / "leaderboard.parquet"])
+        assert [note[: len(said[0])] for note in made.notes] == said
+
+
 def test_a_protocol_without_a_rule_for_networks_flies_none(monkeypatch, tmp_path):
     without = small("\n".join(line for line in SMALL.splitlines() if "network" not in line))
     monkeypatch.setattr(bench, "read_protocol", lambda: without)
@@ -145,6 +154,15 @@ def test_the_table_says_what_was_set_by_hand_and_on_which_seeds(entry, settings)
     with session() as composer:
         (found,) = read_entries([entry], composer, read_protocol())
     assert found.settings == settings
+
+
+@pytest.mark.parametrize("option", ["gp_mpc", "my_gp_mpc"])
+def test_an_option_of_a_users_is_not_as_shipped(option, tmp_path):
+    (tmp_path / "controller").mkdir()
+    (tmp_path / "controller" / f"{option}.yaml").write_text("defaults: [gp_mpc, _self_]\nnodes: 12\n")
+    with session(tmp_path) as composer:
+        (found,) = read_entries([option], composer, read_protocol(), tmp_path)
+    assert found.settings == "set by hand"
 
 
 def test_an_entry_of_the_field_that_cannot_fly_somewhere_is_a_note(protocol, monkeypatch, tmp_path):

@@ -10,11 +10,13 @@ from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import describe
 from quadexp.experiment.identity import flight_record
 from quadexp.experiment.vehicle_of import config_for
+from quadexp.log.store import write_flight
 from quadexp.parts import crazyflies
 from quadexp.parts.compose import Composer, compose, session
 from quadexp.parts.options import given_folders
 from quadexp.parts.recorded import recorded_words
 from tests.cli.command import run
+from tests.log.flights import straight_flight
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SETTINGS = {
@@ -96,6 +98,13 @@ def test_margins_of_a_file_with_any_name(here):
     shutil.copy("a.parquet", "my runs/a=b.parquet")
     first, second = (run("show", "--margins", path) for path in ("a.parquet", "my runs/a=b.parquet"))
     assert first[0] == 0 and first[1] == second[1], first[2] + second[2]
+
+
+def test_a_flight_without_a_record_of_settings_has_no_margins(here):
+    """They were those of the settings that hold where none is given."""
+    write_flight(Path("recorded.parquet"), straight_flight())
+    code, out, err = run("show", "--margins", "recorded.parquet")
+    assert code == 2 and "without a record of its settings" in err and not out
 
 
 def test_the_vehicle_of_a_flight_has_a_name_of_its_own(here):

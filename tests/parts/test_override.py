@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadexp.errors import UsageError
-from quadexp.parts.compose import session
+from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.override import plain_override
 
 WORDS = [
@@ -107,3 +107,18 @@ def test_what_is_suggested_exists():
         for key, options in composer._files.having("velocity").items():
             for option in options:
                 assert composer.compose([option, f"{key}=[1,0,0]"])
+
+
+TEXTS = {
+    "2024_01,'a b',1e3,1.10": ["2024_01", "a b", "1e3", "1.10"],
+    "'1,0' , 1_0": ["1,0", "1_0"],
+    "'it\\'s (a)',1_0": ["it's (a)", "1_0"],
+}
+
+
+@pytest.mark.parametrize("values", TEXTS)
+def test_texts_beside_a_quoted_one_stay_what_they_are(values):
+    """2024_01 was 202401, and 1e3 1000.0, where another one of the values had quotes."""
+    cells = expand([f"controller.name={values}"])
+    assert [cell.config.controller.name for cell in cells] == TEXTS[values]
+    assert compose([f"controller.models=[{values}]"]).controller.models == tuple(TEXTS[values])

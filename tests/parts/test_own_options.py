@@ -205,6 +205,16 @@ def test_the_same_folder_twice_covers_nothing(folder):
         assert composer.compose(["controller=mine"]).controller.name == "mine"
 
 
+def test_a_wrong_option_is_told_to_who_takes_it_and_to_nobody_else(folder):
+    """A module that ends Python ended the command without a word; and no key at all was listed beside it."""
+    mine = folder("controller/mine", "_target_: ends_of_a_test.Own\n")
+    (mine / "ends_of_a_test.py").write_text("raise SystemExit(3)\n")
+    folder("controller/other", "_target_: ends_of_a_test.Own\n")
+    code, out, err = run("simulate", "--conf", mine, "controller=mine")
+    assert code == 2 and "importing ends_of_a_test raised SystemExit: 3" in err and not out
+    assert "wind.velocity" in {record.get("key") for record in listed("velocity", mine)}
+
+
 @pytest.mark.parametrize("helper", ["", "from shared_of_a_test import Shared as Own\n"])
 def test_a_module_name_of_two_folders_is_refused_unless_it_is_one_text(helper, folder):
     """The option of the second folder flew the class of the first."""

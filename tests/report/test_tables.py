@@ -162,3 +162,18 @@ class TestIntervals:
         assert error_table(rows).notes[1] == (
             "5 seeds cannot show p < 0.05, so that nothing is bold, * or called best: at least 6 are needed"
         )
+
+
+def test_a_value_with_blanks_and_signs_is_one_value():
+    """ "hover, 1 2.csv" was the name of a row, and its wind "w/wind,"."""
+    paths = ["w ö/wind, 1=2.csv", "a b=c.csv"]
+    rows = [row(variant=f"wind.path={path} controller.models=[x y=z] horizon=robust") for path in paths]
+    table = error_table(rows)
+    assert [*table.columns] == ["trajectory", "m/s", "path", "nominal_mpc models=[x y=z] horizon=robust"]
+    assert [[*line][:3] for line in table.rows[1:]] == [["circle", "8", path] for path in paths]
+
+
+@pytest.mark.parametrize("names", [("pid", "gp_mpc"), ("nominal_mpc", "nominal_mpc")])
+def test_why_nothing_is_compared_is_true_of_several_baselines_too(names):
+    rows = [row(name, variant=f"controller.nodes={5 + i}", seed=s) for i, name in enumerate(names) for s in range(2)]
+    assert any("none of these contestants, or several of them" in note for note in error_table(rows).notes)
