@@ -30,7 +30,7 @@ from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose
 from quadexp.parts.schema import Config
 from quadexp.provenance import sources
-from quadexp.report.beliefs import BAND, beliefs, truths
+from quadexp.report.beliefs import beliefs, truths
 from quadexp.report.metrics import position_error
 from quadexp.world.true_vehicle import with_factors
 
@@ -131,8 +131,7 @@ def _flown(common: list[str], untold: list[str], told: list[str]) -> dict[str, A
         record[name]["error"] = float(position_error(flight).mean()) if len(flight) else None
         record[name]["change"] = float(np.sqrt(np.mean(np.square(np.diff(flight.input, axis=0)))))  # N, of a command
     record["beliefs"] = {
-        belief.name: [belief.value[-1], BAND * belief.deviation[-1], belief.true[-1], belief.identifiable]
-        for belief in beliefs(auto)
+        belief.name: [belief.low[-1], belief.high[-1], belief.true[-1], belief.identifiable] for belief in beliefs(auto)
     }
     return record
 
@@ -145,12 +144,13 @@ def inside(records: list[dict[str, Any]]) -> Iterator[tuple[str, int, int, int]]
     """Of each quantity: in the band, identifiable with a truth, not identifiable."""
     counts: dict[str, Counter] = {}
     for record in (record for record in records if record["auto"]["outcome"] == "ok"):
-        for name, (value, half, true, identifiable) in record["beliefs"].items():
-            count = counts.setdefault(name.split(",")[0], Counter())
+        for name, (low, high, true, identifiable) in record["beliefs"].items():
+            zero = ", which is 0" if true == 0 and name.startswith("age") else ""  # the edge of what can be
+            count = counts.setdefault(name.split(",")[0] + zero, Counter())
             count["unknown"] += not identifiable
             if identifiable and np.isfinite(true):
                 count["all"] += 1
-                count["inside"] += abs(value - true) <= half
+                count["inside"] += low <= true <= high
     for name, count in counts.items():
         yield name, count["inside"], count["all"], count["unknown"]
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.auto.settings import BANK, DECISION
 from quadexp.control.built import built
 from quadexp.control.delay.prediction import STEP, prediction
 from quadexp.control.delivered import SETTLED, SentCommands
@@ -24,13 +25,11 @@ from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
-LARGEST = 0.08  # s, of an age and of a dead time
-LARGEST_LAG = 0.08  # s
-
 
 def sent_commands(vehicle: Vehicle, period: float) -> SentCommands:
     """For all that is here. period: of control (s)."""
-    return SentCommands(vehicle.n_rotors, period, 2 * LARGEST + SETTLED * LARGEST_LAG + period)
+    reach = BANK.largest_age + DECISION.largest_wait + SETTLED * BANK.largest_lag + period
+    return SentCommands(vehicle.n_rotors, period, reach)
 
 
 class Ahead:
@@ -42,7 +41,7 @@ class Ahead:
 
     def __init__(
         self, vehicle: Vehicle, residual: Residual, backend: str, commands: SentCommands,
-        shared: Mapping[str, np.ndarray], longest: float = LARGEST,
+        shared: Mapping[str, np.ndarray], longest: float = BANK.largest_age,
     ) -> None:  # fmt: skip
         self._commands, self._parts = commands, math.ceil(longest / STEP - 1e-9)
         function = built(backend, prediction, vehicle, residual, self._parts, len(commands.values))
@@ -123,7 +122,7 @@ class CommandsAhead:
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self._sent = sent_commands(mpc.vehicle, mpc.settings.control_period)
         shared = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"push": mpc.disturbance})
-        self._ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self._sent, shared)
+        self._ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self._sent, shared, DECISION.largest_wait)
         self._delivered = Delivered(self._sent, mpc.backend)
         self._full = np.zeros(N_STATE + mpc.vehicle.n_rotors)
         self.tune(0.0, 0.0, self._sent.values)
