@@ -176,6 +176,12 @@ def summary(records: list[dict[str, Any]]) -> str:
         "ratio to without: geometric mean": f"{np.exp(np.log(ratios).mean()):.3f}",
         "largest": f"{ratios.max():.3g}",
     }
+    changes = [r["auto"]["change"] / r["none"]["change"] for r in both if r["none"].get("change")]
+    if changes:
+        rows["change of a command from step to step, to without: median, nine in ten"] = (
+            f"{np.median(changes):.2f}, {np.quantile(changes, 0.9):.2f}"
+        )
+        rows["more than twice that without"] = f"{np.mean(np.array(changes) > 2):.2f}"
     lines = ["| | |", "|---|--:|", *(f"| {name} | {value} |" for name, value in rows.items()), ""]
     lines += [
         "| 95 % band at the end | contains the truth | interval | of | not identifiable |",

@@ -20,7 +20,8 @@ from quadexp.report.table import Table
 
 BAND = 1.96  # deviations
 MS = 1e3
-LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 2.0, "1": 0.05}  # half of a band from which on a quantity was not identifiable
+# Half of a band from which on a quantity was not identifiable; of a force in weights of the vehicle
+LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 0.25, "1": 0.05}
 FINE = 20  # steps of a period, in which the lag of the thrusts is followed
 ROUNDED = 1e-3  # of half a band, below which a value is none
 RECENT = 4.0  # time constants
@@ -37,7 +38,8 @@ QUANTITIES = {  # column: name, unit, factor, column of the deviation; "": there
 
 class Belief(NamedTuple):
     """One quantity over a flight, with its 95 % interval. value, low, high: (k,), NaN as long as nothing is believed;
-    high is infinite where the value is one "at least". true: (k,), or NaN where the world does not say."""
+    high is infinite where the value is one "at least". true: (k,), or NaN where the world does not say. scale: of
+    LIMITS."""
 
     name: str
     unit: str
@@ -45,11 +47,12 @@ class Belief(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     true: np.ndarray
+    scale: float = 1.0
 
     @property
     def identifiable(self) -> bool:
         """Whether it is known at the end."""
-        return bool(len(self.value) and self.high[-1] - self.low[-1] < 2 * LIMITS[self.unit])
+        return bool(self.high[-1] - self.low[-1] < 2 * LIMITS[self.unit] * self.scale)
 
     @property
     def covers(self) -> np.ndarray:
@@ -59,10 +62,12 @@ class Belief(NamedTuple):
 
 
 def beliefs(flight: Flight) -> list[Belief]:
-    """Those of a flight with remedies=auto; DataError for another one."""
-    columns = flight.columns
+    """Those of a flight with remedies=auto; DataError for another one, and for one that was lost at once."""
+    columns, vehicle = flight.columns, flight.metadata["config"]["vehicle"]
     if "auto_age" not in columns:
         raise DataError("this flight believed nothing: it was not flown with remedies=auto")
+    if len(flight) < 2:
+        raise DataError(f"this flight believed nothing: it was {flight.outcome} at once")
     true, unknown, quantities = truths(flight), np.full(len(flight), np.nan), []
     for column, (name, unit, factor, deviation) in QUANTITIES.items():
         if column not in columns:
@@ -80,8 +85,9 @@ def beliefs(flight: Flight) -> list[Belief]:
         known = np.isfinite(low)
         if known.any():
             value = np.where(known, value, np.nan)
-            of = (factor * one for one in (value, low, high, true.get(column, unknown)))
-            quantities.append(Belief(name, unit, *of))
+            value, low, high, truth = (factor * one for one in (value, low, high, true.get(column, unknown)))
+            scale = vehicle["mass"] * vehicle["gravity"] if unit == "N" else 1.0
+            quantities.append(Belief(name, unit, value, low, high, truth, scale))
     return quantities
 
 
@@ -218,8 +224,6 @@ def beliefs_table(flight: Flight) -> Table:
     """At the end of the flight."""
     rows = []
     for belief in beliefs(flight):
-        if not len(belief.value):
-            continue
         value, low, high, true = (float(x[-1]) for x in (belief.value, belief.low, belief.high, belief.true))
         said = "" if np.isnan(true) else "in the band" if belief.covers[-1] else "outside"
         verdict = said if belief.identifiable else "not identifiable on this path"

@@ -69,7 +69,8 @@ def test_a_disturbance_without_other_evidence_ends_the_softest_grid():
 
 def test_no_grid_is_softer_than_what_was_asked_for():
     asked = MPCSettings(rate=50.0, nodes=10, position_weight=(200.0, 1.0, 500.0))
-    for settings, grid in zip(grids(asked), GRIDS, strict=True):
+    assert grids(asked)[0] == asked  # the controller's own
+    for settings, grid in zip(grids(asked)[1:], GRIDS, strict=True):
         assert settings.position_weight == (200.0, grid.position_weight, 500.0)
 
 
@@ -77,14 +78,14 @@ def test_a_position_weighs_as_much_beside_the_other_weights_whatever_these_are()
     """A cost twenty times as large has the same optimum; one other weight that is not larger keeps the position's."""
     asked = MPCSettings(rate=100.0, nodes=20, attitude_weight=(0.0, 5.0, 5.0, 200.0), velocity_weight=(1.0,) * 3)
     asked = replace(asked, rate_weight=(1.0,) * 3, input_weight=433.5)
-    for settings, grid in zip(grids(asked)[1:], GRIDS[1:], strict=True):
+    for settings, grid in zip(grids(asked)[1:], GRIDS, strict=True):
         assert settings.position_weight == pytest.approx((20 * grid.position_weight,) * 3)
     assert grids(asked)[0].position_weight == asked.position_weight  # while nothing is known, as asked
     damped = replace(asked, input_weight=0.03)
-    assert [one.position_weight[0] for one in grids(damped)] == [grid.position_weight for grid in GRIDS]
+    assert [one.position_weight[0] for one in grids(damped)[1:]] == [grid.position_weight for grid in GRIDS]
 
 
 def test_grids_fit_any_rate_and_number_of_nodes():
     for rate, nodes in ((50.0, 10), (100.0, 20), (20.0, 5)):
         fitting = grids(MPCSettings(rate=rate, nodes=nodes, input_hold="deviation"))
-        assert len(fitting) == len(GRIDS) and {settings.nodes for settings in fitting} == {nodes}
+        assert len(fitting) == 1 + len(GRIDS) and {settings.nodes for settings in fitting} == {nodes}

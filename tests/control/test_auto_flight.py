@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -446,3 +447,51 @@ def test_a_lag_is_inverted_within_bounds_at_a_high_rate():
 def test_a_rate_below_that_of_decisions_is_flown():
     words = ["controller=geometric", "controller.rate=4", "trajectory=hover", "controller.allow_unstable=true"]
     assert len(fly_one(compose([*words, "trajectory.duration=2", "remedies=auto"]))) > 1
+
+
+@pytest.mark.parametrize("words", [["controller.horizon=1.5"], ["controller.first_node=0.03"], ["horizon=robust"]])
+def test_a_horizon_that_is_asked_for_is_the_softest_one(words):
+    """It had no effect, and stood in the record."""
+    settings = ["controller=perfect_mpc", "remedies=auto", "trajectory=circle", "trajectory.speed=5", *words]
+    own, asked = (qx.controller(*settings[:count]).controller for count in (-len(words), len(settings)))
+    assert asked._grids[0] != own._grids[0] and asked._grids[1:] == own._grids[1:]
+
+
+def test_remedies_of_which_nothing_is_left_are_refused():
+    with pytest.raises(UsageError, match="remedies=auto: nothing of it is left beside delay=prediction"):
+        compose(["controller=perfect_mpc", "remedies=auto", "delay=prediction"])
+
+
+def test_a_flight_that_is_lost_at_once_has_nothing_to_show():
+    flight = flown("perfect_mpc", "world=everything", "remedies=auto")
+    lost = replace(flight, columns={name: values[:1] for name, values in flight.columns.items()})
+    with pytest.raises(DataError, match="at once"):
+        beliefs_table(lost)
+
+
+def test_an_age_beyond_the_grid_is_shown_as_one_at_least():
+    flight = flown("perfect_mpc", "world=clean", "remedies=auto", "estimator=late", "estimator.delay=0.1")
+    row = beliefs_table(flight).rows[0]
+    assert row[3].startswith("at least") and row[-1].startswith("not identifiable")
+    assert flight["auto_grid"][-1] == 0 and len(beliefs_figure(flight).axes)
+
+
+def test_a_flight_without_any_motion_has_a_posterior():
+    """Exact sensors in hover: a singular matrix was inverted."""
+    words = "horizon=precise motor=none plant=ideal trajectory=hover trajectory.duration=0.4 seed=2 remedies=auto"
+    assert fly_one(compose(words.split())).outcome == "ok"
+
+
+@pytest.mark.parametrize("rate", [4, 10, 15])
+def test_intervals_at_low_rates_contain_the_truth(rate):
+    late = ["estimator=late", "estimator.delay=0.02", "wind=gusty", "trajectory=circle", "trajectory.speed=2", "seed=3"]
+    words = [
+        "controller=geometric",
+        f"controller.rate={rate}",
+        "controller.allow_unstable=true",
+        "remedies=auto",
+        *late,
+    ]
+    flight = fly_one(compose(words))
+    delays = [belief for belief in beliefs(flight) if belief.unit == "ms"] if len(flight) > 2 else []
+    assert all(belief.covers[-1] for belief in delays if np.isfinite(belief.low[-1]))

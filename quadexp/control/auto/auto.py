@@ -85,7 +85,7 @@ class Auto(WrappedController):
         # By which age and delays cannot be told apart: by readings that are old, or as old as nobody says, as far as a
         # data sheet may be wrong; and within a period of the bank a faster law answers to noise.
         self._apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
-        self._apart += self._bank.period - period
+        self._apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
         self._unsaid = turn.delay is None and bool(attitude.delay)
         self._lately = max(2, round(DECISION.saturation_memory / period))
         self._prompt, self._soon, self._later = np.zeros(1), np.ones(1), np.zeros(1)

@@ -9,6 +9,7 @@ stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted 
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from quadexp.control.mpc.settings import MPCSettings
 
 class Decision(NamedTuple):
     """What is acted on. age, dead_time, lag, timing (s): timing is the uncertainty of the commands' delay. prompt: the
-    told rates are of now. grid: which of DECISION.grids."""
+    told rates are of now. grid: which of DECISION.grids, from 1 on; 0: the controller's own."""
 
     age: float = 0.0
     dead_time: float = 0.0
@@ -48,7 +49,7 @@ class Senses(NamedTuple):
 
 def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
     """What to act on from now on; found: None before there is evidence."""
-    s, stiffest = DECISION, len(DECISION.grids) - 1
+    s, stiffest = DECISION, len(DECISION.grids)
     if found is None:  # the softest grid would let the error stand for a second
         return last._replace(grid=max(last.grid, int(senses.acts)))
     age, total, lag = found.mean.tolist()
@@ -58,7 +59,7 @@ def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
     if abs(age - last.age) < s.least_change and abs(acted - last.total) < s.least_change:
         age, acted, lag = last.age, last.total, last.lag
     timing = float(found.deviation[1] + abs(total - acted) + found.deviation[0] / 2)
-    grid = max(i for i, one in enumerate(s.grids) if timing < one.timing)
+    grid = sum(timing < one.timing for one in s.grids)
     if acted >= s.stiff_total or senses.position > s.large_noise or senses.saturates > s.saturates:
         grid = min(grid, stiffest - 1)
     grid = min(grid, last.grid + 1)
@@ -72,7 +73,7 @@ def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
 def known(age: float, dead_time: float, lag: float) -> Decision:
     """What is acted on once these delays (s) are known, as far as they are looked for, in the stiffest grid."""
     delays, largest = (age, dead_time, lag), (BANK.largest_age, BANK.largest_dead_time, BANK.largest_lag)
-    grid = len(DECISION.grids) - 1 - (dead_time + lag >= DECISION.stiff_total)
+    grid = len(DECISION.grids) - (dead_time + lag >= DECISION.stiff_total)
     if any(delay > most for delay, most in zip(delays, largest, strict=True)):
         grid = 0
     age, dead_time, lag = map(min, delays, largest)
@@ -80,19 +81,18 @@ def known(age: float, dead_time: float, lag: float) -> Decision:
 
 
 def grids(settings: MPCSettings) -> list[MPCSettings]:
-    """Settings of each of the grids, the softest first, for the nodes and control period of an MPC.
+    """Settings of each grid, the softest first, for the nodes and control period of an MPC.
 
     Where all its other weights are k times the usual ones or more, so is that of the position: a cost that is scaled
-    has the same optimum. Not in the softest grid, while nothing is known.
+    has the same optimum.
     """
-    of_grids, usual, factors = [], MPCSettings(), []
+    of_grids, usual, factor = [settings], MPCSettings(), math.inf
     for name in ("attitude_weight", "velocity_weight", "rate_weight", "input_weight"):
         asked, least = (np.atleast_1d(getattr(one, name)) for one in (settings, usual))
-        factors.append(float((asked[least > 0] / least[least > 0]).min()))
+        factor = min(factor, float((asked[least > 0] / least[least > 0]).min()))
     for grid in DECISION.grids:
-        first = max(grid.first_node, settings.control_period) if grid.first_node else 0.0
-        horizon = max(grid.horizon, settings.nodes * max(first, settings.control_period))
-        weight = grid.position_weight * (max(min(factors), 1.0) if first else 1.0)
-        x, y, z = (max(weight, asked) for asked in settings.position_weight)
+        first = max(grid.first_node, settings.control_period)
+        horizon = max(grid.horizon, settings.nodes * first)
+        x, y, z = (max(grid.position_weight * max(factor, 1.0), asked) for asked in settings.position_weight)
         of_grids.append(replace(settings, first_node=first, horizon=horizon, position_weight=(x, y, z)))
     return of_grids

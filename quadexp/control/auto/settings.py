@@ -57,6 +57,7 @@ class IntervalSettings:
     inexact: float = 0.03  # of a delay: messages take unlike times
     # of a lag: motors lag unlike up and down, by a third to either side (RotorS); which counts within a fifth of that
     unlike: float = 0.07
+    longest_period: float = 0.05  # s, of control: readings further apart tell no delays within what is beyond it
     scale_share: float = 0.2  # of the thrust scale's distance from 1: by a wrong mass the drag is off as well
     untimed_noise: float = 3.0  # m/s^2, along the thrust where the time of the thrusts is not known
     speed_scale: float = 0.1  # of the thrust scale by rotor speeds, whose readings are behind low passes
@@ -115,7 +116,7 @@ class SpeedSettings:
 class Grid:
     """A horizon of the MPC, and up to which timing uncertainty it flies."""
 
-    first_node: float  # s; 0: all nodes alike
+    first_node: float  # s
     horizon: float  # s
     position_weight: float
     timing: float  # s
@@ -130,7 +131,7 @@ class DecisionSettings:
     latest: float = 0.5  # s, and at most
     checks: float = 0.1  # s, between looks at saturation
     begins: float = 0.02  # s, of evidence for the first posterior
-    early: float = 1.0  # s, of looks every `soonest`
+    early: float = 0.6  # s, of looks every `soonest`: a push or a late pose is found by then
     age_odds: float = 5.0  # log Bayes factor against no age: very strong (Kass & Raftery 1995)
     total_odds: float = 2.0  # log Bayes factor against no dead time and lag: positive
     least_age: float = 0.001  # s, worth a prediction
@@ -147,13 +148,13 @@ class DecisionSettings:
     largest_lead: float = 2.0  # gain of an inverted lag on a change of thrust; the rest of the lag is predicted: 1.12
     largest_wait: float = 0.1  # s, over which an MPC predicts
     samples: int = 4  # of the reference in a control period, so that an MPC may ask for later ones
-    # margins of a nominal MPC at 50 Hz in hover: 67, 40, 35, 29, 13 ms; the softest only: 1.64
+    # Beside the controller's own, which is the softest: 1.64 with that alone. Margins of a nominal MPC at 50 Hz in
+    # hover: 67 ms with its own, then 40, 35, 29, 13 ms
     grids: tuple[Grid, ...] = (
-        Grid(0.0, 1.0, 10.0, math.inf),
         Grid(0.06, 0.8, 40.0, math.inf),
         Grid(0.06, 0.8, 100.0, 0.008),
         Grid(0.04, 0.8, 50.0, 0.005),
-        Grid(0.02, 0.8, 200.0, 0.0025),
+        Grid(0.02, 0.8, 200.0, 0.0025),  # a horizon of 0.6 s is too short for corners
     )
 
 
