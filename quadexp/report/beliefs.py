@@ -62,12 +62,12 @@ class Belief(NamedTuple):
 
 
 def beliefs(flight: Flight) -> list[Belief]:
-    """Those of a flight with remedies=auto; DataError for another one, and for one that was lost at once."""
+    """Those of a flight with remedies=auto, none of one that was over at once; DataError for another one."""
     columns, vehicle = flight.columns, flight.metadata["config"]["vehicle"]
     if "auto_age" not in columns:
         raise DataError("this flight believed nothing: it was not flown with remedies=auto")
     if len(flight) < 2:
-        raise DataError(f"this flight believed nothing: it was {flight.outcome} at once")
+        return []
     true, unknown, quantities = truths(flight), np.full(len(flight), np.nan), []
     for column, (name, unit, factor, deviation) in QUANTITIES.items():
         if column not in columns:
@@ -220,10 +220,18 @@ def _text(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.3g}"
 
 
+def _to_show(flight: Flight) -> list[Belief]:
+    """Its beliefs; DataError where there are none."""
+    quantities = beliefs(flight)
+    if not quantities:
+        raise DataError("this flight believed nothing: it was over at once")
+    return quantities
+
+
 def beliefs_table(flight: Flight) -> Table:
-    """At the end of the flight."""
+    """At the end of the flight. DataError where it believed nothing."""
     rows = []
-    for belief in beliefs(flight):
+    for belief in _to_show(flight):
         value, low, high, true = (float(x[-1]) for x in (belief.value, belief.low, belief.high, belief.true))
         said = "" if np.isnan(true) else "in the band" if belief.covers[-1] else "outside"
         verdict = said if belief.identifiable else "not identifiable on this path"
@@ -235,8 +243,8 @@ def beliefs_table(flight: Flight) -> Table:
 
 @styled
 def beliefs_figure(flight: Flight) -> Figure:
-    """A panel for each quantity: what was believed, its band, and what was true."""
-    quantities = beliefs(flight)
+    """A panel for each quantity: what was believed, its band, and what was true. DataError where there is none."""
+    quantities = _to_show(flight)
     figure = Figure(figsize=(9.0, 1.5 * len(quantities) + 0.6), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(quantities), sharex=True))
     for panel, belief in zip(panels, quantities, strict=True):
@@ -262,5 +270,5 @@ def beliefs_figure(flight: Flight) -> Figure:
 def read_beliefs(path: Path) -> Flight:
     """A flight from its file; DataError where it believed nothing."""
     flight = read_flight(path)
-    beliefs(flight)
+    _to_show(flight)
     return flight

@@ -465,8 +465,9 @@ def test_remedies_of_which_nothing_is_left_are_refused():
 def test_a_flight_that_is_lost_at_once_has_nothing_to_show():
     flight = flown("perfect_mpc", "world=everything", "remedies=auto")
     lost = replace(flight, columns={name: values[:1] for name, values in flight.columns.items()})
-    with pytest.raises(DataError, match="at once"):
-        beliefs_table(lost)
+    for shown in (beliefs_table, beliefs_figure):
+        with pytest.raises(DataError, match="at once"):
+            shown(lost)
 
 
 def test_an_age_beyond_the_grid_is_shown_as_one_at_least():
