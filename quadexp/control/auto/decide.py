@@ -59,7 +59,7 @@ def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
     if abs(age - last.age) < s.least_change and abs(acted - last.total) < s.least_change:
         age, acted, lag = last.age, last.total, last.lag
     timing = float(found.deviation[1] + abs(total - acted) + found.deviation[0] / 2)
-    grid = sum(timing < one.timing for one in s.grids)
+    grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
     if acted >= s.stiff_total or senses.position > s.large_noise or senses.saturates > s.saturates:
         grid = min(grid, stiffest - 1)
     grid = min(grid, last.grid + 1)

@@ -10,8 +10,8 @@ one is believed, and whether any, is decided at every instant for the part acros
 torque apart. Any is where the log likelihood ratio of one against none, fading in noise_memory and never below zero,
 so that a quiet past does not count, is above evidence_on, until it is back at zero (generalised likelihood ratio,
 Willsky & Jones 1976; cumulative sum, Page 1954). Likelihoods are -(e' S^-1 e + log det S) / 2 of innovations e, S with
-sheet_factor^2 of the noise, since models are never exact. The walk is that with the least mean squared innovation. A
-missing reading is a prediction without an update.
+sheet_factor^2 of the noise, since models are never exact. The walk is the likeliest, across the thrust that with the
+least mean squared innovation. A missing reading is a prediction without an update.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
 
     # what is believed
     found = [ca.vertcat(e, ca.vec(P)) for e, P in zip(estimates, covariances, strict=True)]
-    level, lift = (_likeliest(-squares[i::2], found) for i in (0, 1))
+    level, lift = _likeliest(-squares[::2], found), _likeliest(evidence[1::2], found)
     torque = _likeliest(torque_evidence, torques[1:])
     odds = ca.vertcat(*(ca.mmax(one) for one in (evidence[::2], evidence[1::2], torque_evidence)))
     needed = s.evidence_on * (1 - kept["acts"])
