@@ -23,14 +23,16 @@ def found(age=0.0, total=0.0, lag=0.0, *, sd=0.0005, age_odds=0.0, total_odds=0.
 
 def test_delays_act_from_their_bayes_factors_on():
     """An age from very strong evidence on, a dead time and lag from positive evidence on (Kass & Raftery 1995)."""
-    for odds, acted in ((DECISION.age_odds - 1, 0.0), (DECISION.age_odds + 1, 0.01)):
-        assert decide(found(age=0.01, age_odds=odds), Decision(), Senses()).age == acted
+    for age in (0.005, 0.03):  # a short one looks like how forces go between readings
+        needed = DECISION.age_odds * (1 + DECISION.between / age)
+        for odds, acted in ((needed - 1, 0.0), (needed + 1, age)):
+            assert decide(found(age=age, age_odds=odds), Decision(), Senses()).age == acted
     for odds, acted in ((DECISION.total_odds - 1, 0.0), (DECISION.total_odds + 1, 0.04)):
         assert decide(found(total=0.04, lag=0.03, total_odds=odds), Decision(), Senses()).total == pytest.approx(acted)
 
 
 def test_a_decision_is_a_pure_function_of_what_is_known():
-    known, last, senses = found(age=0.01, total=0.02, lag=0.01, age_odds=9, total_odds=9), Decision(grid=2), Senses()
+    known, last, senses = found(age=0.01, total=0.02, lag=0.01, age_odds=20, total_odds=9), Decision(grid=2), Senses()
     first = decide(known, last, senses)
     decide(found(age=0.05, age_odds=20), Decision(), Senses(saturated=0.9))
     assert decide(known, last, senses) == first

@@ -53,7 +53,8 @@ def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
     if found is None:  # the softest grid would let the error stand for a second
         return last._replace(grid=max(last.grid, int(senses.acts)))
     age, total, lag = found.mean.tolist()
-    age = age if found.age_odds > s.age_odds and age > s.least_age else 0.0
+    needed = s.age_odds * (1 + s.between / max(age, s.least_age))
+    age = age if found.age_odds > needed and age > s.least_age else 0.0
     acted = total if found.total_odds > s.total_odds else 0.0
     lag = min(lag, acted)
     if abs(age - last.age) < s.least_change and abs(acted - last.total) < s.least_change:

@@ -133,6 +133,7 @@ class DecisionSettings:
     begins: float = 0.02  # s, of evidence for the first posterior
     early: float = 0.6  # s, of looks every `soonest`: a push or a late pose is found by then
     age_odds: float = 5.0  # log Bayes factor against no age: very strong (Kass & Raftery 1995)
+    between: float = 0.015  # s, of an age that needs twice as much: how a force goes between readings is not known
     total_odds: float = 2.0  # log Bayes factor against no dead time and lag: positive
     least_age: float = 0.001  # s, worth a prediction
     least_change: float = 0.0005  # s, of age and total, worth another plan
