@@ -27,7 +27,7 @@ class BankSettings:
     gyro_models: tuple[tuple[float, float], ...] = ((3e-4, 0.3), (5e-3, 0.3), (5e-2, 0.3))
     # of a reading (rad/s) and of a walk of the torque (rad/s^2/sqrt(s)): exact, good and poor gyroscopes; nine: 1.03
     rate_walk: float = 0.05  # rad/s/sqrt(s), white torques as of turbulence: 1.08 without
-    velocity_models: tuple[float, ...] = (3e-4, 1e-2)  # m/s, of an estimated velocity: filtered, and raw
+    velocity_models: tuple[float, ...] = (1e-4, 3e-3, 3e-2)  # m/s, of a told velocity: exact, filtered, raw; two: 1.08
     thrust_noise: float = 0.28  # m/s^2, of the model along the thrust: 3 % of gravity
     thrust_walk: float = 1.0  # m/s^2/sqrt(s), of a vertical disturbance
     least_turn: float = 3e-4  # rad/s, of a gyroscope against the model
