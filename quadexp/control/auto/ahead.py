@@ -19,7 +19,7 @@ from quadexp.control.auto.settings import BANK, DECISION
 from quadexp.control.built import built
 from quadexp.control.delay.prediction import STEP, prediction
 from quadexp.control.delivered import SETTLED, SentCommands
-from quadexp.control.instant import Operation, Told, call, copy, run
+from quadexp.control.instant import Operation, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
@@ -87,7 +87,7 @@ class Delivered:
 
 
 class CommandedThrust:
-    """A DeliveredThrust by the commands alone, whose delays may change in flight."""
+    """Thrusts now and over the last period by the commands alone, (n,) each (N), whose delays may change in flight."""
 
     def __init__(self, commands: SentCommands, period: float, backend: str) -> None:
         self._now, self._mean, self._period = Delivered(commands, backend), Delivered(commands, backend), period
@@ -98,16 +98,9 @@ class CommandedThrust:
         self._now.tune(0.0, 0.0, dead_time, lag)
         self._mean.tune(-self._period, 0.0, dead_time, lag)
 
-    def reset(self, thrust: np.ndarray) -> None:
-        """See DeliveredThrust. The commands are shared: their owner resets them."""
-
-    def before(self, told: Told) -> list[Operation]:
-        """See DeliveredThrust."""
+    def before(self) -> list[Operation]:
+        """Leaves `thrust` and `mean`."""
         return [*self._now.before(), *self._mean.before()]
-
-    def after(self, command: np.ndarray) -> list[Operation]:
-        """See DeliveredThrust."""
-        return []
 
 
 def weighted(count: int, rotors: int) -> ca.Function:

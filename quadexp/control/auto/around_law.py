@@ -59,7 +59,7 @@ class AutoLaw(Auto):
     def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
         """See Auto."""
         known = {"x": now, "reading": told.force, "thrust": self._thrust.thrust, "mean": self._thrust.mean}
-        return self._thrust.before(told), known, told.read
+        return self._thrust.before(), known, told.read
 
     def _plan(self, decision: Decision) -> None:
         """See Auto."""

@@ -60,7 +60,7 @@ class AutoMPC(Auto):
         """See Auto. Rotor speeds are compared with the state and reading of their time."""
         if not self._by_speeds:
             known = {"x": now, "reading": told.force, "thrust": self._thrust.thrust, "mean": self._thrust.mean}
-            return self._thrust.before(told), known, told.read
+            return self._thrust.before(), known, told.read
         seen, earlier, thrust = np.zeros(N_STATE + 4), self._earlier, np.zeros(self.vehicle.n_rotors)
         operations = [copy(seen[:N_STATE], now), copy(seen[N_STATE:-1], told.force), copy(seen[-1:], told.read)]
         coefficient = self.vehicle.thrust_coefficient or 0.0
