@@ -28,7 +28,7 @@ from quadexp.control.auto.settings import DISTURBANCE, INTERVAL, SPEEDS
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
 from quadexp.control.instant import YES, Operation, call, copy, move
-from quadexp.control.observers.filters import inverse
+from quadexp.control.observers.filters import STATED, inverse
 from quadexp.control.observers.observer import callable_air
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
@@ -195,6 +195,10 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         trust = ca.fmin(1, s.surprise / ca.fmax(surprise, TINY))  # what sets in at once is not to be learned as a scale
         trusted = ca.diag(ca.vertcat(1, 1, 1, trust, 1, 1, 1, trust))
         K = read * ca.mtimes([trusted, P, H.T, information])
+        # what a noise of the thrust, which is in y and in H, takes off the scale (observers/filters.py)
+        sure = ca.fmin(1, ca.fmax(0, 1 - estimate[SCALE] / STATED))
+        taken = sure * along * (1 + estimate[SCALE]) * information[2, 2]
+        estimate = estimate + read * taken * ca.mtimes(trusted, P[:, SCALE])
         estimate = estimate + ca.mtimes(K, innovation)
         reduction = ca.DM.eye(N_ESTIMATE) - ca.mtimes(K, H)
         P = ca.mtimes([reduction, P, reduction.T]) + ca.mtimes([K, N, K.T])  # Joseph's form
