@@ -219,6 +219,6 @@ def _operation(o: Operation, kept: np.ndarray | None) -> ctypes.Structure:
     shape = {"count": count, "factor": o.factor}
     if o.kind == "window" and o.source is not None:
         shape["factor"] = len(o.source)
-    elif o.kind in ("fade", "gather") and o.source is not None:
-        shape["rows"], shape["columns"] = (o.source[0] if o.other is None else o.other).shape
+    elif o.kind == "gather" and o.source is not None:
+        shape["rows"], shape["columns"] = o.source[0].shape
     return OPERATION(kind=KINDS.index(o.kind), every=o.every, **shape, **places)

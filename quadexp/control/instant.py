@@ -26,8 +26,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import N_STATE
 
 KINDS = (
-    "call", "copy", "move", "window", "square", "divide", "mix", "add", "fade", "gather", "finite", "near", "plan",
-    "python",
+    "call", "copy", "move", "window", "square", "divide", "mix", "add", "gather", "finite", "near", "plan", "python",
 )  # fmt: skip
 YES = np.ones(1)
 
@@ -44,8 +43,7 @@ class Operation(NamedTuple):
     divide  to = source / other[0]
     mix     to = factor source + (1 - factor) other
     add     to = source + other
-    fade    to (b, r, c) = factor to + source (b, 1, c) other (r, c)
-    gather  to (b, r, 2 r) = to + sum over the rows s of source, (b, k, 2 r), of s[:r]' s
+    gather  to (b, c, c) = factor to + sum over the rows s of source, (b, k, c), of s' s
     finite  left to Python where a number of source is not
     near    left to Python where positions at the beginning of source and other are further apart than factor
     plan    the MPC's step on its own arrays; in Python `act`
@@ -73,10 +71,6 @@ def copy(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> 
 
 def move(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
     return Operation("move", to, source, when=when)
-
-
-def gather(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
-    return Operation("gather", to, source, when=when)
 
 
 def python(act: Callable[[], Any], when: np.ndarray | None = None) -> Operation:
@@ -163,11 +157,10 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
             to[...] = factor * source + (1 - factor) * other
         elif kind == "add":
             np.add(source, other, out=to)
-        elif kind == "fade":
-            to[...] = factor * to + source[:, None] * other
         elif kind == "gather":
+            to *= factor
             for row in np.moveaxis(source, 1, 0):
-                to += row[:, : to.shape[1], None] * row[:, None]
+                to += row[:, :, None] * row[:, None]
 
 
 class Running:

@@ -12,7 +12,7 @@
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
 /* KINDS of instant.py */
-enum { CALL, COPY, MOVE, WINDOW, SQUARE, DIVIDE, MIX, ADD, FADE, GATHER, FINITE, NEAR, PLAN, PYTHON };
+enum { CALL, COPY, MOVE, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
 typedef long long integer;
@@ -31,7 +31,7 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
 } function;
 
 typedef struct { /* see instant.py; kept: of a MOVE, what was there before; count: of a WINDOW, length of to's rows,
-   factor: how many, where source says which; rows, columns: of a FADE's other, a GATHER's block */
+   factor: how many, where source says which; rows, columns: of a GATHER's block */
     integer kind, every, count, rows, columns;
     real factor;
     real *to, *kept, *other;
@@ -162,28 +162,15 @@ static void look_ahead(const reference *r, integer at, const operation *o, integ
     }
 }
 
-static void fade(real *restrict to, const operation *o) {
-    const real factor = o->factor, *by = o->source, *last = to + o->count;
-    for (; to < last; by += o->columns) {
-        const real *row = o->other;
-        for (integer i = 0; i < o->rows; i++, to += o->columns, row += o->columns)
-            for (integer j = 0; j < o->columns; j++) to[j] = factor * to[j] + by[j] * row[j];
-    }
-}
-
-/* Every number is summed up in the order of the rows, two of them at once. */
+/* Every number is summed up in the order of the rows. */
 static void gather(real *restrict to, const operation *o) {
     const integer n = o->columns, block = o->rows * n;
-    const real *last = to + o->count;
+    const real factor = o->factor, *last = to + o->count;
     for (const real *source = o->source; to < last; source += block)
-        for (integer i = 0; i < n / 2; i++, to += n) {
-            const real *row = source;
-            if (o->rows % 2) {
+        for (integer i = 0; i < n; i++, to += n) {
+            for (integer j = 0; j < n; j++) to[j] = factor * to[j];
+            for (const real *row = source; row < source + block; row += n)
                 for (integer j = 0; j < n; j++) to[j] += row[i] * row[j];
-                row += n;
-            }
-            for (; row < source + block; row += 2 * n)
-                for (integer j = 0; j < n; j++) to[j] = (to[j] + row[i] * row[j]) + row[n + i] * row[n + j];
         }
 }
 
@@ -200,7 +187,6 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
     case MIX:
         for (integer i = 0; i < n; i++) o->to[i] = o->factor * o->source[i] + (1 - o->factor) * o->other[i];
         return 1;
-    case FADE: fade(o->to, o); return 1;
     case GATHER: gather(o->to, o); return 1;
     case FINITE: return ordinary(o->source, n, HUGE_NUMBER);
     case NEAR: return distance(o->source, o->other) <= o->factor;

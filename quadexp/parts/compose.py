@@ -185,7 +185,15 @@ class Composer:
         of_experiment = self._files.option("experiment", experiment).chosen if experiment else {}
         options = {**CHOSEN, **of_experiment, **given}
         for bundle in BUNDLES:
-            for group, option in self._files.option(bundle, options[bundle]).chosen.items():
+            chosen = self._files.option(bundle, options[bundle]).chosen
+            others = [
+                f"{group}={given[group]}" for group, option in chosen.items() if given.get(group, option) != option
+            ]
+            if bundle in given and len(others) == len(chosen) > 0:
+                raise UsageError(
+                    f"{bundle}={options[bundle]}: nothing of it is left beside {' '.join(others)}; give one of them"
+                )
+            for group, option in chosen.items():
                 if group not in given and group not in of_experiment:
                     options[group], chosen_by[group] = option, f"{bundle}={options[bundle]}"
         layers: dict[str, list[Layer]] = {}

@@ -20,14 +20,16 @@ from quadexp.report.table import Table
 
 BAND = 1.96  # deviations
 MS = 1e3
-LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 2.0, "1": 0.05}  # half of a band from which on a quantity was not identifiable
+# Half of a band from which on a quantity was not identifiable; of a force in weights of the vehicle
+LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 0.25, "1": 0.05}
 FINE = 20  # steps of a period, in which the lag of the thrusts is followed
 ROUNDED = 1e-3  # of half a band, below which a value is none
 RECENT = 4.0  # time constants
+TINY = 1e-9  # so that an axis has a height
 LAST = 2.0  # s, over which the scale of the thrust is taken
-QUANTITIES = {  # column: name, unit, factor, column of the deviation
-    "auto_age": ("age of the state", "ms", MS, "auto_age_sd"),
-    "auto_delay": ("dead time and lag of commands", "ms", MS, "auto_delay_sd"),
+QUANTITIES = {  # column: name, unit, factor, column of the deviation; "": there are those of both ends of an interval
+    "auto_age": ("age of the state", "ms", MS, ""),
+    "auto_delay": ("dead time and lag of commands", "ms", MS, ""),
     "observer_thrust_scale": ("scale of the thrust", "1", 1.0, "auto_thrust_scale_sd"),
     **{f"observer_wind_{a}": (f"wind, {a}", "m/s", 1.0, f"auto_wind_{a}_sd") for a in "xyz"},
     **{f"observer_force_{a}": (f"force, {a}", "N", 1.0, f"auto_force_{a}_sd") for a in "xyz"},
@@ -35,36 +37,57 @@ QUANTITIES = {  # column: name, unit, factor, column of the deviation
 
 
 class Belief(NamedTuple):
-    """One quantity over a flight. value, deviation: (k,), NaN as long as nothing is believed. true: (k,), or NaN where
-    the world does not say."""
+    """One quantity over a flight, with its 95 % interval. value, low, high: (k,), NaN as long as nothing is believed;
+    high is infinite where the value is one "at least". true: (k,), or NaN where the world does not say. scale: of
+    LIMITS."""
 
     name: str
     unit: str
     value: np.ndarray
-    deviation: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
     true: np.ndarray
+    scale: float = 1.0
 
     @property
     def identifiable(self) -> bool:
         """Whether it is known at the end."""
-        return bool(BAND * self.deviation[-1] < LIMITS[self.unit])
+        return bool(self.high[-1] - self.low[-1] < 2 * LIMITS[self.unit] * self.scale)
+
+    @property
+    def covers(self) -> np.ndarray:
+        """Whether the interval contains the truth, (k,)."""
+        inside: np.ndarray = (self.low <= self.true) & (self.true <= self.high)
+        return inside
 
 
 def beliefs(flight: Flight) -> list[Belief]:
-    """Those of a flight with remedies=auto; DataError for another one."""
-    columns = flight.columns
+    """Those of a flight with remedies=auto, none of one that was over at once; DataError for another one."""
+    columns, vehicle = flight.columns, flight.metadata["config"]["vehicle"]
     if "auto_age" not in columns:
         raise DataError("this flight believed nothing: it was not flown with remedies=auto")
+    if len(flight) < 2:
+        return []
     true, unknown, quantities = truths(flight), np.full(len(flight), np.nan), []
     for column, (name, unit, factor, deviation) in QUANTITIES.items():
-        spread = factor * columns.get(deviation, unknown)
-        if column in columns and np.isfinite(spread).any():
+        if column not in columns:
+            continue
+        value = columns[column]
+        if deviation:
+            spread = columns.get(deviation, unknown)
             if deviation.startswith("auto_force"):
                 if "thinned" in flight.metadata:  # what moves between samples is not known
                     continue
                 spread = np.sqrt(spread**2 + force_variance(flight, column))
-            value = np.where(np.isfinite(spread), factor * columns[column], np.nan)
-            quantities.append(Belief(name, unit, value, spread, factor * true.get(column, unknown)))
+            low, high = value - BAND * spread, value + BAND * spread
+        else:
+            low, high = columns[f"{column}_low"], columns[f"{column}_high"]
+        known = np.isfinite(low)
+        if known.any():
+            value = np.where(known, value, np.nan)
+            value, low, high, truth = (factor * one for one in (value, low, high, true.get(column, unknown)))
+            scale = vehicle["mass"] * vehicle["gravity"] if unit == "N" else 1.0
+            quantities.append(Belief(name, unit, value, low, high, truth, scale))
     return quantities
 
 
@@ -74,10 +97,11 @@ def force_variance(flight: Flight, column: str) -> np.ndarray:
     columns, axis = flight.columns, "xyz".index(column[-1])
     lag = columns["auto_force_lag"]
     variance = behind(flight.t, columns[column], lag) ** 2
-    if np.isfinite(columns["auto_thrust_scale_sd"]).any():  # by rotor speeds
+    if by_rotor_speeds(flight):
         return variance
     acts = columns["auto_acts_dead_time"] + columns["auto_acts_lag"]
-    timing = np.hypot(columns["auto_delay_sd"], columns["auto_delay"] - acts)  # NaN: nothing is known yet
+    half = (columns["auto_delay_high"] - columns["auto_delay_low"]) / 2  # NaN: nothing is known yet
+    timing = np.hypot(half / BAND, columns["auto_delay"] - acts)
     thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
     late = timing / lag * behind(flight.t, thrust, lag)
     return variance + late**2
@@ -96,7 +120,7 @@ def behind(t: np.ndarray, value: np.ndarray, lag: np.ndarray) -> np.ndarray:
 def truths(flight: Flight) -> dict[str, np.ndarray]:
     """What the world of a simulated flight states, by column of QUANTITIES, (k,)."""
     columns, config, timing = flight.columns, flight.metadata["config"], flight.metadata.get("timing")
-    true, unknown = {}, np.full(len(flight), np.nan)
+    true: dict[str, np.ndarray] = {}
     if timing is not None:
         ways = [config.get("actuator", {}).get(f"time_constant_{way}", 0.0) for way in ("up", "down")]
         lag = timing["lag"] - max(ways) + lag_of(*ways)  # the slower way is stated
@@ -106,8 +130,7 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
         true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
     whole = len(flight) > 1 and "thinned" not in flight.metadata
     if timing is not None and flight.metadata["residual"]["name"] == "none" and whole:
-        by_speeds = all(np.isfinite(columns.get(f"auto_{of}_sd", unknown)[-1]) for of in ("force_x", "thrust_scale"))
-        force = true_force(flight, timing["dead_time"], lag, by_speeds=by_speeds)
+        force = true_force(flight, timing["dead_time"], lag)
         true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
     return true
 
@@ -146,20 +169,25 @@ def _age(flight: Flight, stated: float) -> float:
     return float(ages.mean()) if len(ages) else stated
 
 
-def true_force(flight: Flight, dead_time: float, lag: float, *, by_speeds: bool = False) -> np.ndarray:
+def by_rotor_speeds(flight: Flight) -> bool:
+    """Whether rotor speeds told the thrusts: with them alone the air is scaled."""
+    return bool(np.ptp(flight.columns.get("observer_air_scale", np.ones(1))) > 0)
+
+
+def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     """What acts beside gravity and the thrusts that are believed, on a model without air: m (a + g e_z) - T R e_z,
     world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period. T: of the commands
-    after dead time and lag; by_speeds: at the instants that of the rotors' speeds, times the scale that is believed."""
+    after dead time and lag, or at the instants that of the rotors' speeds, times the scale that is believed."""
     vehicle, up, period = flight.metadata["config"]["vehicle"], _up(flight), float(flight.t[1] - flight.t[0])
     followed = commanded_thrust(flight, dead_time, lag)
-    thrust = followed.mean(axis=1)
-    if by_speeds:
+    thrust, scale = followed.mean(axis=1), flight.columns.get("observer_thrust_scale", 1.0)
+    if by_rotor_speeds(flight):
         squares = sum(flight.columns[f"rotor_speed_{i}"] ** 2 for i in range(flight.input.shape[1]))
         off = vehicle["thrust_coefficient"] * squares - followed[:, -1]
-        thrust = flight.columns["observer_thrust_scale"] * (thrust + (off + np.roll(off, 1)) / 2)
+        thrust = thrust + (off + np.roll(off, 1)) / 2
     acceleration = np.diff(flight.state[:, VELOCITY], axis=0, prepend=np.nan) / period
     middle = (up + np.roll(up, 1, axis=0)) / 2
-    return vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
+    return vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - (scale * thrust)[:, None] * middle
 
 
 def commanded_thrust(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
@@ -185,39 +213,46 @@ def _text(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.3g}"
 
 
+def _to_show(flight: Flight) -> list[Belief]:
+    """Its beliefs; DataError where there are none."""
+    quantities = beliefs(flight)
+    if not quantities:
+        raise DataError("this flight believed nothing: it was over at once")
+    return quantities
+
+
 def beliefs_table(flight: Flight) -> Table:
-    """At the end of the flight."""
+    """At the end of the flight. DataError where it believed nothing."""
     rows = []
-    for belief in beliefs(flight):
-        value, half, true = (float(x[-1]) for x in (belief.value, BAND * belief.deviation, belief.true))
-        said = "" if np.isnan(true) else "in the band" if abs(value - true) <= half else "outside"
+    for belief in _to_show(flight):
+        value, low, high, true = (float(x[-1]) for x in (belief.value, belief.low, belief.high, belief.true))
+        said = "" if np.isnan(true) else "in the band" if belief.covers[-1] else "outside"
         verdict = said if belief.identifiable else "not identifiable on this path"
-        low = max(value - half, 0.0) if belief.unit == "ms" else value - half  # no time is less than nothing
-        band = "" if np.isnan(half) else f"{low:.3g} .. {value + half:.3g}"
-        value = 0.0 if abs(value) < ROUNDED * half else value
+        band = "" if np.isnan(low) else f"at least {low:.3g}" if np.isinf(high) else f"{low:.3g} .. {high:.3g}"
+        value = 0.0 if abs(value) < ROUNDED * (high - low) else value
         rows.append((belief.name, belief.unit, _text(value), band, _text(true), verdict))
     return Table(("believed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
 
 
 @styled
 def beliefs_figure(flight: Flight) -> Figure:
-    """A panel for each quantity: what was believed, its band, and what was true."""
-    quantities = beliefs(flight)
+    """A panel for each quantity: what was believed, its band, and what was true. DataError where there is none."""
+    quantities = _to_show(flight)
     figure = Figure(figsize=(9.0, 1.5 * len(quantities) + 0.6))
     panels = np.atleast_1d(figure.subplots(len(quantities), sharex=True))
     for panel, belief in zip(panels, quantities, strict=True):
-        t, half = flight.columns["t"], BAND * belief.deviation
-        least = 0.0 if belief.unit == "ms" else -np.inf  # no time is less than nothing
-        panel.fill_between(
-            t, np.maximum(belief.value - half, least), belief.value + half, color=HUES["blue"], alpha=0.2, linewidth=0
+        t, low = flight.columns["t"], belief.low
+        high = np.where(
+            np.isinf(belief.high), np.nanmax(np.maximum(belief.value, belief.low), initial=0.0), belief.high
         )
+        panel.fill_between(t, low, high, color=HUES["blue"], alpha=0.2, linewidth=0)
         panel.plot(t, belief.value, color=HUES["blue"], label="believed, 95 % band")
         if np.isfinite(belief.true).any():
             panel.plot(t, belief.true, color=HUES["vermillion"], linestyle=":", label="true")
-        late = np.isfinite(half) & (t > t[-1] / 10)
+        late = np.isfinite(high) & (t > t[-1] / 10)
         if late.any():
-            ends = np.concatenate([(belief.value + side * half)[late] for side in (-1, 1)] + [belief.true[late]])
-            panel.set_ylim(max(np.nanmin(ends), least), np.nanmax(ends) + 1e-9)
+            ends = np.concatenate([low[late], high[late], belief.true[late]])
+            panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + TINY)
         unit = "" if belief.unit == "1" else f", {belief.unit}"
         panel.set_title(f"{belief.name}{unit}" + ("" if belief.identifiable else ": not identifiable on this path"))
     panels[0].legend(loc="best", ncols=2)
@@ -228,5 +263,5 @@ def beliefs_figure(flight: Flight) -> Figure:
 def read_beliefs(path: Path) -> Flight:
     """A flight from its file; DataError where it believed nothing."""
     flight = read_flight(path)
-    beliefs(flight)
+    _to_show(flight)
     return flight

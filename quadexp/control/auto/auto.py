@@ -1,118 +1,104 @@
-"""One setting for a vehicle that nobody measured: what is late, off or blown, made good as far as the evidence goes.
+"""One setting for a vehicle that nobody measured: a controller inside a multiple-model adaptive estimator.
 
-    told state, readings -> as of now, by what is known of the age -> observer -> MPC or law -> command
-                        bank (bank.py) -> posterior (posterior.py), every DECIDES -> what acts (decide.py)
+    told state, readings -> state of now -> disturbance filter (disturbance.py) -> belief -> MPC or law -> command
+    every period of the bank (bank.py): moments;  from time to time: posterior (posterior.py) -> decision (decide.py)
 
-It is told the vehicle, which sensors there are and the noise of the accelerometer; nothing of delays, lags, air, load,
-battery or wind. A flight begins as if nothing were known. Columns: COLUMNS, delays in s, each with its standard
-deviation; what is believed of the world is in the columns of the observer.
+It is told the vehicle, which sensors there are and their noise; nothing of delays, lags, air, load, battery or wind. A
+flight begins as if nothing were known. What is remembered: the bank's memory and moments, that of the filter, the sent
+commands, the last decision. Columns: COLUMNS, delays in s with their 95 % intervals.
 """
 
 from __future__ import annotations
 
-import copy as copying
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from quadexp.control.auto.ahead import LARGEST, Ahead
-from quadexp.control.auto.bank import SHEET, SPINS, Bank
-from quadexp.control.auto.decide import GATE, Acting, Decision, Senses, found_at
-from quadexp.control.auto.following import (
-    DEVIATIONS,
-    LEAST_NOISE,
-    UNKNOWN,
-    ForceFollowing,
-    SpeedFollowing,
-    WindFollowing,
-)
-from quadexp.control.auto.posterior import Posterior
-from quadexp.control.auto.senses import WALKS
+from quadexp.control.auto.ahead import Ahead
+from quadexp.control.auto.bank import Bank
+from quadexp.control.auto.decide import Decision, Senses, decide, known
+from quadexp.control.auto.disturbance import DEVIATIONS, DisturbanceFilter, sources, speeds_tell
+from quadexp.control.auto.posterior import Posterior, posterior
+from quadexp.control.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 from quadexp.control.base import Controller, Window
 from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import Operation, Told, copy, python
+from quadexp.control.instant import Instant, Operation, Told, copy, instant_of, python
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.observers.observer import COLUMNS as BELIEVED
 from quadexp.control.observers.observer import air_of, parameters_of
+from quadexp.control.observers.wind import WindObserver, wind_bandwidth
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.models.residual import Residual
-from quadexp.parts.sensor_sheet import SensorSheet
-from quadexp.physics.state import N_STATE, VELOCITY
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.physics.state import N_STATE
 
-LAST, AT_LIMIT = 0.3, 0.999  # s, of commands that may be at their limits, and from where on they are
-# s: the beginning of a flight, between looks before there is a decision, and between looks at what pushes, in the
-# beginning and for the rest of the flight
-BEGINS, LOOKS, SOON, DECIDES = 1.0, 0.02, 0.1, 0.1
-# s of readings that are few: no decision yet, and a push has to stand out against a noise as far off as a sheet may be
-FEW = 0.2
-GOOD_SPEED = 0.005, 0.002  # relative noise and age (s) of rotor speeds that tell thrusts better than the commands
-INEXACT = 0.03  # of a delay: messages take unlike times
-# Of a lag: motors lag unlike up and down, by a third of the mean to either side (RotorS); which of both counts by how
-# thrusts change, within a fifth of that. Where thrusts stand in a period is off as much, and so an age.
-UNLIKE = 0.07
-BAND = 1.96  # deviations of half a 95 % band
-LATER, LATEST = 1.04, 1.0  # how much longer a flight has to be until delays are looked at again, and at most (s)
+QUANTITIES = "age", "delay", "lag"
 KNOWN = (
-    "age", "age_sd", "delay", "delay_sd", "lag", "lag_sd", "rates_fresh", "acts_age", "acts_dead_time", "acts_lag",
-    "grid", "acts_lateral", "acts_vertical", "acts_torque", *DEVIATIONS,
+    *(f"{name}{of}" for of in ("", "_low", "_high") for name in QUANTITIES),
+    "rates_fresh", "acts_age", "acts_dead_time", "acts_lag", "grid",
 )  # fmt: skip
-COLUMNS = tuple(f"auto_{name}" for name in KNOWN)
-NOTHING_KNOWN = np.array([*([0.0, np.nan] * 3), *np.zeros(8), *UNKNOWN])
+ACTS = "acts_lateral", "acts_vertical", "acts_torque"
+COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 
 
 class Auto(WrappedController):
     """A controller that finds out in flight what makes its model wrong.
 
-    inner: what is told, the Observer first. core: the controller itself. sheet: of the sensors. believed: arrays of the
-    believed world, for Ahead. commands: for all that needs them. observer: what follows the world; None where the core
-    takes no belief.
-    A subclass says how it plans (`_plan`), and what its instant is.
+    inner: what is told. core: the controller itself. sheet: of the sensors. residual: for the prediction to now.
+    believed: arrays of the believed world, for Ahead. commands: for all that needs them.
+    A subclass says how it plans (`_plan`), and what delivered thrusts its filter compares (`_compared`).
     """
 
     delay = 0.0  # of a flight that begins
 
     def __init__(
         self, inner: Controller, core: Any, sheet: SensorSheet, residual: Residual, believed: dict[str, np.ndarray],
-        observer: WindFollowing | SpeedFollowing | ForceFollowing | None, commands: SentCommands,
+        commands: SentCommands,
     ) -> None:  # fmt: skip
         super().__init__(inner)
-        self._core, self._observer, vehicle, period = core, observer, inner.vehicle, self.control_period
-        self._commands = commands
-        self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
-        self._strapdown = Strapdown(inner, 0.0, LARGEST)
-        noise = LEAST_NOISE if sheet.accelerometer is None else max(sheet.accelerometer.noise, LEAST_NOISE)
-        rate, attitude = (0.0 if sensor is None else sensor.noise for sensor in (sheet.gyroscope, sheet.attitude))
-        inertial = (sensor.delay or 0.0 for sensor in (sheet.accelerometer, sheet.gyroscope) if sensor is not None)
-        speeds = sheet.rotor_speed
-        self._turns = speeds is not None and speeds.noise < GOOD_SPEED[0] and (speeds.delay or 0.0) < GOOD_SPEED[1]
-        self._sheet = sheet
-        force, turn = (
-            0.0 if sensor is None else sensor.within(period) for sensor in (sheet.accelerometer, sheet.gyroscope)
+        self._core, self._sheet, self._commands, vehicle, period = (
+            core,
+            sheet,
+            commands,
+            inner.vehicle,
+            self.control_period,
         )
-        of = {"turning": (rate, attitude), "spans": (force, turn)}
-        self._bank = Bank(vehicle, air_of(core), parameters_of(core), period, noise, inner.backend, **of)
+        self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
+        self._strapdown = Strapdown(inner, 0.0, BANK.largest_age)
+        force, turn, attitude = (
+            Stated() if one is None else one for one in (sheet.accelerometer, sheet.gyroscope, sheet.attitude)
+        )
+        air, theta = air_of(core), parameters_of(core)
+        noise, spans = (force.noise, turn.noise, attitude.noise), (force.within(period), turn.within(period))
+        self._bank = Bank(vehicle, air, theta, period, inner.backend, noise, spans)
+        predictive, self.believes = isinstance(core, PredictiveController), hasattr(core, "believed_numbers")
+        self._by_speeds, wind = predictive and speeds_tell(vehicle, sheet), WindObserver()
+        bandwidth = wind_bandwidth(vehicle, air, theta, wind, period) if predictive else 0.0
+        slope = bandwidth * wind.noise[0] * math.sqrt(period) / wind.wind_walk
+        self._has_drag = bandwidth >= DISTURBANCE.least_drag_bandwidth and not self._by_speeds
+        of = sources(vehicle, sheet, slope * self._has_drag, by_speeds=self._by_speeds)
+        self._filter = DisturbanceFilter(vehicle, air, theta, period, inner.backend, of)
         # By which age and delays cannot be told apart: by readings that are old, or as old as nobody says, as far as a
         # data sheet may be wrong; and within a period of the bank a faster law answers to noise.
-        self._apart = SHEET / BAND * max(inertial, default=0.0) + self._bank.period - period
-        unsaid = sheet.gyroscope is not None and sheet.gyroscope.delay is None
-        self._unsaid = unsaid and sheet.attitude is not None and bool(sheet.attitude.delay)
-        self._few = round(FEW / self._bank.period)
-        self._lately = round(LAST / period)
-        self._begins = np.ones(1)  # whether there is no other evidence yet
-        self._soon, self._seldom = np.ones(1), np.ones(1)  # which of the paces of decisions counts
-        # What rotor speeds tell is believed from the first reading on: a force waits neither for a push nor for a grid.
-        self._waits = not isinstance(observer, SpeedFollowing)
-        self._posterior, self._decision = Posterior(self._bank), Decision(0.0 if self._waits else BEGINS)
-        self._fresh, self._unbiased, self._minus_bias = np.zeros(1), np.zeros(3), np.zeros(3)
-        self._beliefs = NOTHING_KNOWN.copy()
-        self._begin, self._judged = Acting(), False  # with what a flight begins, and whether it stays at that
-        self._rows = np.zeros(len(core.node_times))
+        self._apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
+        self._apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
+        self._unsaid = turn.delay is None and bool(attitude.delay)
+        self._lately = max(2, round(DECISION.saturation_memory / period))
+        self._prompt, self._soon, self._later = np.zeros(1), np.ones(1), np.zeros(1)
+        self._beliefs, self._judged, self._begin = np.zeros(len(KNOWN)), False, Decision()
+        self._decision, self._rows = Decision(), np.zeros(len(core.node_times))
+        self._found: Posterior | None = None
 
-    def _plan(self, acting: Acting, dead_time: float, lag: float) -> None:
+    def _plan(self, decision: Decision) -> None:
         """Plan with these delays, and with what else is acted on, from now on; sets `_rows`, of the reference."""
+        raise NotImplementedError
+
+    def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
+        """What leaves state, reading, thrust and mean of one time, see DisturbanceFilter, and whether it was read."""
         raise NotImplementedError
 
     def forget(self) -> None:
@@ -130,149 +116,107 @@ class Auto(WrappedController):
         self._strapdown.reset(x, inside)
         self._commands.reset(thrust)
         self._bank.reset(x, thrust)
-        self._posterior.reset()
-        self._decision.reset()
-        self._bank.weights[...] = self._posterior.weights(*self._posterior.best)
-        self._beliefs[...], self._minus_bias[...] = NOTHING_KNOWN, 0.0
-        self._time, self._again, self._begins[0] = 0.0, 0.0, 1.0
-        self._soon[0], self._seldom[0] = self._waits, not self._waits
-        self._observe(Acting(), Acting(), Senses())
+        self._filter.reset(x)
+        self._filter.timing[0] = self._begin.timing
+        self._found, self._next, self._saturates = None, DECISION.begins, 0.0
+        self._soon[0], self._later[0] = 1.0, 0.0
+        self._beliefs[...] = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
 
     @contextmanager
     def settled(self, age: float, dead_time: float, lag: float) -> Iterator[None]:
         """Meanwhile it flies as it does once these delays (s) have been found, with the stiffest grid that it then may
         choose: what margins are taken of."""
-        self._begin, self._judged = found_at(age, dead_time, lag), True
+        self._begin, self._judged = known(age, dead_time, lag), True
         try:
             yield
         finally:
-            self._begin, self._judged = Acting(), False
+            self._begin, self._judged = Decision(), False
             self.forget()
 
-    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], Told, np.ndarray]:
-        """What stands before the controller: decisions, and what it is told, its state in an array of its own."""
-        inside = copying.copy(told)
-        inside.force = self._unbiased
-        inside.turning = told.turning if self._turns else np.zeros(1)
-        look = python(self._look, self._begins)._replace(every=max(2, round(LOOKS / self.control_period)))
-        decide = [
-            python(lambda: self._decide(told), when)._replace(every=max(1, round(each / self.control_period)))
-            for each, when in ((DECIDES, self._seldom), (SOON, self._soon))
-        ]
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        now, belief = np.zeros(N_STATE), self._filter.belief
         predicted, by_model = self._to_now.before(state)
-        propagated, by_readings = self._strapdown.before(inside, state)
-        now = np.zeros(N_STATE)
+        propagated, by_readings = self._strapdown.before(told, state)
         operations = [
-            look,
-            *decide,
-            Operation("add", self._unbiased, told.force, self._minus_bias),
-            *predicted,
-            *propagated,
+            python(self._decide, when)._replace(every=max(2, round(each / self.control_period)))
+            for each, when in ((DECISION.soonest, self._soon), (DECISION.checks, self._later))
         ]
-        operations += [copy(now, by_model), copy(now, by_readings, self._fresh)]
-        return operations, inside, now
+        operations += [*predicted, *propagated, copy(now, by_model), copy(now, by_readings, self._prompt)]
+        if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
+            compared, of_one_time, read = self._compared(told, now)
+            operations += [*compared, *self._filter.before(of_one_time, read)]
+            operations.append(copy(self._told_belief, belief))
+        inner = instant_of(self.inner, told, now)
+        after = [*self._bank.after(told, state, inner.command), *self._commands.after(inner.command)]
+        logged = (*inner.logged, belief, self._beliefs, self._filter.acts, self._filter.deviations)
+        return inner._replace(operations=[*operations, *inner.operations, *after], logged=logged)
 
-    def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
-        """What stands behind it."""
-        return [*self._bank.after(told, state, command), *self._commands.after(command)]
+    @property
+    def _told_belief(self) -> np.ndarray:
+        """Where the inner controller is told of a belief, (11,)."""
+        inner: Any = self.inner
+        numbers: np.ndarray = inner.believed_numbers
+        return numbers
 
     @property
     def lacking(self) -> list[str]:
         """What it lacks here, and what that leaves undone; a line each."""
-        by_speeds = self._turns or isinstance(self._observer, SpeedFollowing)
         missing = {
             "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
-            "no speeds of rotors that tell thrusts: these follow from the commands": not by_speeds,
-            "a law that takes no belief: a late state alone is made good": not self._observer,
-            "no drag in the model that shows a wind: it is a force": isinstance(self._observer, ForceFollowing),
+            "no speeds of rotors that tell thrusts: these follow from the commands": not self._by_speeds,
+            "a law that takes no belief: a late state alone is made good": not self.believes,
+            "no drag in the model that shows a wind: it is a force": self.believes
+            and not (self._has_drag or self._by_speeds),
         }
         return [line for line, holds in missing.items() if holds]
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
-        return {**self.inner.log(), **dict(zip(COLUMNS, self._beliefs.tolist(), strict=True))}
+        believed = dict(zip(BELIEVED, self._filter.belief.tolist(), strict=True))
+        own = [*self._beliefs, *self._filter.acts, *self._filter.deviations]
+        return {**self.inner.log(), **believed, **dict(zip(COLUMNS, map(float, own), strict=True))}
 
-    def _decide(self, told: Told) -> None:
+    def _decide(self) -> None:
         """Look at the evidence so far, and act on it from this instant on."""
+        if self._judged:
+            return
         bank = self._bank
-        if self._judged:
-            return
-        self._time = float(bank.part("count")[0]) * bank.period
-        self._soon[0] = self._waits and self._time < BEGINS
-        self._seldom[0] = not self._soon[0]
-        senses, before = self._senses(), self._decision.acting
-        softer = self._decision.soften(senses)
-        if softer != before:
-            self._use(softer)
-        before, acting = softer, self._decision.shown(senses)
-        if bank.count < self._few or self._time < self._again:
-            self._observe(acting, before, senses)
-            return
-        self._again, self._begins[0] = min(self._time * LATER, self._time + LATEST), 0.0
-        evidence = self._posterior.evidence()
-        acting = self._decision.take(evidence, senses, self._time)
-        late = 0.0 if evidence.fresh else evidence.mean[0]
-        bank.weights[...] = self._posterior.weights(late, *evidence.mean[1:])
-        bank.follow(evidence.spin)
-        bias, deviation = evidence.bias
-        bank.bias[...] = bias * (np.abs(bias) > GATE * deviation)
-        self._minus_bias[...] = -bank.bias
-        if replace(acting, timed=before.timed, push=before.push) != before:
-            self._use(acting)
-        self._observe(acting, before, senses)
-        age, total, lag = evidence.mean
-        apart = math.hypot(self._apart, self._unsaid * age / BAND, UNLIKE * lag)
-        known = (age, total, lag, *np.hypot(evidence.deviation, np.hypot(INEXACT * evidence.mean, apart)))
-        about = [known[i + j] for i in range(3) for j in (0, 3)]
-        self._beliefs[: len(about) + 1] = *about, evidence.fresh
-
-    def _look(self) -> None:
-        """Act on a push, and on an age that attitude and rates show, before there is other evidence."""
-        acting = before = self._decision.acting
-        if self._judged:
-            return
-        senses, few = self._senses(), self._bank.part("count")[0] < self._few
-        if self._waits:
-            acting = self._decision.begin(senses, SHEET if few else 1.0)
-        if self._bank.turns:
-            acting = self._decision.at_once(*self._posterior.early())
-        if acting != before:
-            self._use(acting)
-            self._observe(acting, before, senses)
+        elapsed = bank.elapsed
+        self._filter.lateral[...], self._filter.noise[...] = bank.part("lateral"), bank.part("noise")
+        self._soon[0] = elapsed < DECISION.early
+        self._later[0] = 1 - self._soon[0]
+        if elapsed >= self._next and bank.part("weights")[1]:
+            self._found = posterior(bank)
+            self._next = elapsed + min(max(DECISION.pace * elapsed, DECISION.soonest), DECISION.latest)
+            self._report(self._found)
+        decision = decide(self._found, self._decision, self._senses())
+        if decision != self._decision:
+            self._use(decision)
+        self._beliefs[-4:] = decision.age, decision.dead_time, decision.lag, decision.grid
 
     def _senses(self) -> Senses:
-        """What the bank has measured beside the delays."""
-        part = self._bank.part
-        walk, variance, likelihood = (
-            part(name).reshape(-1, 3) for name in ("walk", "walk_variance", "walk_likelihood")
-        )
-        best = likelihood.argmax(0), np.arange(3)
-        away = np.abs(walk[best]) / np.sqrt(variance[best])
-        shares = np.exp(likelihood - likelihood.max(0))
-        strength = np.sqrt(np.square(WALKS) @ shares / shares.sum(0))
-        torque = float(np.abs(part("torque")[2:]).max()) / self._bank.torque_deviation
-        (position, attitude), (rate, twist) = self._bank.pose_noise, SPINS[self._bank.spin]
-        pushes = float(away[:2].max()), float(away[2]), torque
-        velocity, swing = part("x")[VELOCITY].copy(), float(part("sent")[2::3].std())
         sent, low, high = self._commands.values[-self._lately :], self.vehicle.thrust_min, self.vehicle.thrust_max
-        limited = float((np.abs(sent - (low + high) / 2) > AT_LIMIT * (high - low) / 2).mean())
-        noise = self._bank.reading_noise
-        return Senses(pushes, strength, noise, position, attitude, rate, twist, velocity, swing, limited)
+        saturated = float((np.abs(sent - (low + high) / 2) > DECISION.at_limit * (high - low) / 2).mean())
+        share = (DECISION.soonest if self._soon[0] else DECISION.checks) / DECISION.corners_memory
+        self._saturates += share * (saturated - self._saturates)
+        acts = bool(self._filter.acts.any())
+        return Senses(self._bank.position_noise, saturated, self._saturates, acts)
 
-    def _use(self, acting: Acting) -> None:
-        """Act on these delays from now on."""
-        age, dead_time, lag = (min(getattr(acting, name), LARGEST) for name in ("age", "dead_time", "lag"))
-        by_readings = age if acting.fresh else 0.0
-        self._to_now.tune(by_readings - age, 0.0, dead_time, lag)
+    def _use(self, decision: Decision) -> None:
+        """Act on this from now on."""
+        self._decision, self._filter.timing[0] = decision, decision.timing
+        by_readings = decision.age if decision.prompt else 0.0
+        self._to_now.tune(by_readings - decision.age, 0.0, decision.dead_time, decision.lag)
         self._strapdown.tune(by_readings)
-        self._fresh[0] = by_readings > 0
-        self._plan(acting, dead_time, lag)
+        self._prompt[0] = by_readings > 0
+        self._plan(decision)
 
-    def _observe(self, acting: Acting, before: Acting, senses: Senses) -> None:
-        """Gains of the observer: by the noise of what it compares; nothing of what has not shown itself."""
-        doing = acting.age, acting.dead_time, acting.lag, acting.grid, *acting.push
-        self._beliefs[KNOWN.index("acts_age") : -len(UNKNOWN)] = doing
-        if self._observer is not None:
-            inner: Any = self.inner
-            inner.settings[...] = self._observer.follow(inner.estimate, acting, before, senses)
-            self._beliefs[-len(UNKNOWN) :] = self._observer.deviations(inner.estimate)
+    def _report(self, found: Posterior) -> None:
+        """Columns: beside the posterior's quantiles, what the model of all hypotheses leaves out."""
+        age, _, lag = found.mean
+        apart = math.hypot(self._apart, self._unsaid * age / INTERVAL.band, INTERVAL.unlike * lag)
+        beside = INTERVAL.band * np.hypot(INTERVAL.inexact * found.mean, apart)
+        low, high = np.hypot(found.mean - found.lower, beside), np.hypot(found.upper - found.mean, beside)
+        bounds = [*found.mean, *np.maximum(found.mean - low, 0.0), *(found.mean + high)]
+        self._beliefs[: len(bounds) + 1] = *bounds, found.prompt

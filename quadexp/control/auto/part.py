@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from quadexp.control.auto.ahead import sent_commands
 from quadexp.control.auto.around_law import AutoLaw
 from quadexp.control.auto.around_mpc import AutoMPC
 from quadexp.control.auto.auto import Auto
 from quadexp.control.auto.decide import grids
-from quadexp.control.auto.following import speeds_tell
+from quadexp.control.auto.disturbance import speeds_tell
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.part import Remedy
@@ -43,7 +42,7 @@ class AutoPart(Remedy):
         if type(controller) is PredictiveController:
             return AutoMPC(controller, given.sheet)
         if isinstance(controller, ExplicitController):
-            return AutoLaw(controller, given.sheet, sent_commands(controller.vehicle, controller.control_period))
+            return AutoLaw(controller, given.sheet)
         others = [remedy.prefix.rstrip(".") for remedy in given.remedies if remedy.prefix != self.prefix]
         here = f"; set {' and '.join(f'{group}=none' for group in others)}" if others else ", which this one is not"
         raise UsageError(
