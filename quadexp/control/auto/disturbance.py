@@ -155,7 +155,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     tilt = s.tilt_to_acceleration**2 * ca.fmax(a["noise"][2], 0)
     across = ca.fmax(ca.fmax(a["lateral"], s.reading_noise**2) + tilt, known.reading**2 * known.by_speeds)
     timing = 0 if known.by_speeds else ca.fmin(a["timing"], s.unknown_timing)
-    along = known.thrust**2 + timing**2 * slope
+    misdated = timing**2 * slope
+    along = known.thrust**2 + misdated
     # no force is followed faster than most_force_bandwidth, which is q / (r sqrt(T)) of a random walk
     fastest = SPEEDS.most_force_bandwidth if known.by_speeds else s.most_force_bandwidth
     least = (max(known.walk[FORCE]) / fastest) ** 2 / period
@@ -196,7 +197,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         K = read * ca.mtimes([trusted, P, H.T, information])
         # what a noise of the thrust, which is in y and in H, takes off the scale (observers/filters.py)
         sure = ca.fmin(1, ca.fmax(0, 1 - estimate[SCALE] / STATED))
-        taken = sure * along * (1 + estimate[SCALE]) * information[2, 2]
+        unsure = known.thrust**2 if known.by_speeds else misdated
+        taken = sure * unsure * (1 + estimate[SCALE]) * information[2, 2]
         estimate = estimate + read * taken * ca.mtimes(trusted, P[:, SCALE])
         estimate = estimate + ca.mtimes(K, innovation)
         reduction = ca.DM.eye(N_ESTIMATE) - ca.mtimes(K, H)
