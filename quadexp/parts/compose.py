@@ -189,7 +189,7 @@ class Composer:
             others = [
                 f"{group}={given[group]}" for group, option in chosen.items() if given.get(group, option) != option
             ]
-            if bundle in given and len(others) == len(chosen) > 0:
+            if bundle == "remedies" in given and len(others) == len(chosen) > 0:
                 raise UsageError(
                     f"{bundle}={options[bundle]}: nothing of it is left beside {' '.join(others)}; give one of them"
                 )

@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 
 from quadexp.experiment import evaluate as flying
+from quadexp.experiment.build import unshared
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import Composer, session
 from quadexp.report.style import Figure
@@ -75,6 +76,8 @@ def reduced(models, here, monkeypatch, unmeasured):
     monkeypatch.setattr(Figure, "savefig", lambda figure, file, **_: file.write(b"made, and not drawn"))
     drawn = figures.SweepFigures
     monkeypatch.setattr(figures, "SweepFigures", lambda out, processes, *about: drawn(out, None, *about))
+    with unshared():  # a reference of the first part of a path is nobody else's
+        yield
 
 
 def no_processes(run_sweep, *cells, **options):
