@@ -182,6 +182,7 @@ def missing_readings(share: float) -> Iterator[None]:
         measurement = admit(gate, measurement)
         return measurement._replace(specific_force=None) if rng.random() < share else measurement
 
+    # The gate of every flight loses readings meanwhile, and no flight goes into C, which has a gate of its own.
     ReadingGate.admit, rollout.covers = some, lambda *about: False  # type: ignore[method-assign]
     try:
         yield

@@ -125,7 +125,8 @@ def test_a_force_beside_the_thrusts_of_rotor_speeds_is_within_its_band():
 
 
 @pytest.mark.parametrize(
-    ("controller", "said"), [("pid", ["takes no belief"]), ("dfbc", ["it is a force"]), ("perfect_mpc", [])]
+    ("controller", "said"),
+    [("pid", ["only a late state is corrected"]), ("dfbc", ["it is a force"]), ("perfect_mpc", [])],
 )
 def test_what_is_missing_is_said_in_the_flights_lines(controller, said):
     lines = flight_lines(flown(controller, "world=everything", "remedies=auto").metadata)

@@ -2,7 +2,7 @@
 
     late -> now -> observer of the force, told to the law -> in dead time and lag (Sooner) -> law
 
-A law that takes no belief is told of the delays only.
+A law that cannot be told a force or wind is told of the delays only.
 
 Where the velocity of the path jumps, a law would ask for more than the vehicle has, tilt it beyond the horizontal and
 fall. So what is told goes over to the path behind the jump already before it, with an offset e that makes both ends

@@ -48,8 +48,8 @@ COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 class Auto(WrappedController):
     """A controller that finds out in flight what makes its model wrong.
 
-    inner: what is told. core: the controller itself. sheet: of the sensors. residual: for the prediction to now.
-    believed: arrays of the believed world, for Ahead. commands: for all that needs them.
+    inner: the controller that it stands around. core: the MPC or law inside. sheet: of the sensors. residual: of the
+    prediction to now. believed: arrays of the believed world, for Ahead. commands: those that were sent.
     A subclass says how it plans (`_plan`), and what delivered thrusts its filter compares (`_compared`).
     """
 
@@ -165,7 +165,7 @@ class Auto(WrappedController):
         missing = {
             "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
             "no speeds of rotors that tell thrusts: these follow from the commands": not self._by_speeds,
-            "a law that takes no belief: a late state alone is made good": not self.believes,
+            "a law that cannot be told a force or wind: only a late state is corrected": not self.believes,
             "no drag in the model that shows a wind: it is a force": self.believes
             and not (self._has_drag or self._by_speeds),
         }

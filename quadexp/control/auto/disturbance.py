@@ -31,6 +31,7 @@ from quadexp.control.instant import YES, Operation, call, copy, move
 from quadexp.control.observers.filters import STATED, inverse
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.physics.expression import limited
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -208,7 +209,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         by = ca.diag(ca.vertcat(shrink, shrink, shrink, ca.DM.ones(N_ESTIMATE - 3)))
         most = SPEEDS.most_force if known.by_speeds else s.most_force
         force = estimate[FORCE] * ca.fmin(1, most / ca.fmax(ca.norm_2(estimate[FORCE]), TINY))
-        scales = (_within(estimate[SCALE], s.scale_limits), _within(estimate[AIR], SPEEDS.air_limits))
+        scales = (limited(estimate[SCALE], *s.scale_limits), limited(estimate[AIR], *SPEEDS.air_limits))
         estimates.append(ca.vertcat(estimate[WIND], scales[0], force, scales[1]))
         covariances.append(ca.mtimes([by, P, by]))
     squares = kept["squares"] + read * (fading - 1) * kept["squares"] + read * ca.vertcat(*squares)
@@ -297,7 +298,3 @@ def _likeliest(score: ca.MX, models: list[ca.MX]) -> ca.MX:
         chosen = ca.if_else(score[i] > most, model, chosen)
         most = ca.fmax(most, score[i])
     return chosen
-
-
-def _within(value: ca.MX, limits: tuple[float, ...]) -> ca.MX:
-    return ca.fmin(ca.fmax(value, limits[0]), limits[1])

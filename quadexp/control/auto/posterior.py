@@ -149,8 +149,8 @@ def _by_commands(bank: Bank, name: str, model: int, total: np.ndarray, lag: np.n
 def _by_readings(
     bank: Bank, name: str, model: int, ages: np.ndarray, reading: float, noise: float, prior: float
 ) -> np.ndarray:
-    """Log likelihood of ages (a,) of a filter that readings drive. reading, noise: deviations of what a reading adds in
-    a period, and of what is told. prior: deviation of the readings' bias."""
+    """Log likelihood of ages (a,), by a filter that integrates readings. reading: deviation of what a reading adds in a
+    period. noise: of the state that it is compared with. prior: of the readings' bias."""
     velocity = name == "velocity"
     n = (2 if velocity else AXES) * max(float(bank.part("weights")[1 if velocity else 2]), 1.0)
     c, r = bank.layout.columns, bank.layout.readings

@@ -95,9 +95,8 @@ class ExplicitController(InOperations):
         """See Controller.log."""
         columns: dict[str, float] = {}
         for name, values in self._logged.items():
-            ends = (
-                [""] if values.size == 1 else [f"_{end}" for end in ("xyz" if values.size == 3 else range(values.size))]
-            )
+            axes = "xyz" if values.size == 3 else range(values.size)
+            ends = [""] if values.size == 1 else [f"_{axis}" for axis in axes]
             columns |= {f"{name}{end}": value for end, value in zip(ends, values.ravel().tolist(), strict=True)}
         return columns
 
