@@ -254,7 +254,7 @@ class BufferedFunction:
             self.results[name] = fresh = array_for(function.sparsity_out(i))
             if into is not None and name in into:
                 self.results[name] = into[name].reshape(fresh.shape)
-                if not np.shares_memory(self.results[name], into[name]):
+                if fresh.size and not np.shares_memory(self.results[name], into[name]):
                     raise ValueError(f"{function.name()}: the array for {name} must be contiguous")
             if self.results[name].size:
                 self._buffer.set_res(i, self.results[name].reshape(-1).data)

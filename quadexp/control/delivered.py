@@ -24,7 +24,8 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
-from quadexp.control.instant import Operation, Told, call, copy, move
+from quadexp.control.instant import Operation, Told, call, copy
+from quadexp.control.memory import Memory, connected, sizes_of
 from quadexp.physics.expression import Expression, named_function, named_symbols, symbols
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
@@ -92,58 +93,72 @@ def _commands_function(rotors: int, pending: int) -> ca.Function:
     return named_function("delivered", a, {"commands_next": commands, "thrust_next": thrust, "mean": mean})
 
 
-class DeliveredThrust:
-    """Its operations stand `before` and `after` the controller's, at every control instant; `reset` begins a flight.
+def delivered_thrust(
+    kept: Mapping[str, Any], sent: Any, numbers: Any, measured: Any = None, turning: Any = 0
+) -> tuple[Any, Any, dict[str, Any]]:
+    """Thrusts now and their mean over the last control period, (n,) each (N), and of `kept` the next values; symbols.
 
-    dead_time, lag: what is known of the commands' delay and of the rotors' time constant (s).
-    thrust: at the control instant, just before the new command, (n,) (N). mean: over the last control period; where
-    rotor speeds are measured, and lag is not 0, of the measured thrusts at its two ends.
+    kept: commands, that are pending, (n K,); thrust, by commands, (n,); before, thrusts as they were measured a period
+    ago and whether they were, (n + 1,). sent: the command of a period ago, (n,). numbers: of Delays. measured: thrusts
+    by rotor speeds, (n,); None: never. turning: whether they are measured now. The mean of measured thrusts is that
+    of the two ends where the rotors lag.
+    """
+    n = sent.numel()
+    commands = ca.reshape(kept["commands"], n, kept["commands"].numel() // n)
+    commands, thrust, mean = delivered_by_commands(commands, kept["thrust"], sent, numbers)
+    left = {"commands": ca.vec(commands), "thrust": thrust}
+    if measured is None:
+        return thrust, mean, left
+    before, had = kept["before"][:n], kept["before"][n]
+    now = turning * measured + (1 - turning) * thrust
+    share = turning * had * numbers[-1] / 2  # of the thrusts a period ago
+    mean = turning * (share * before + (1 - share) * measured) + (1 - turning) * mean
+    return now, mean, left | {"before": ca.vertcat(measured, turning)}
+
+
+class DeliveredThrust:
+    """`delivered_thrust` as operations `before` and `after` those of a controller; `reset` begins a flight.
+
+    thrust, mean: see there. memory: what is remembered, a part of the instant's.
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        control_period: float,
-        dead_time: float = 0.0,
-        lag: float = 0.0,
-        *,
-        backend: str = "interpreted",
+        self, vehicle: Vehicle, period: float, dead_time: float = 0.0, lag: float = 0.0, *, backend: str = "interpreted"
     ) -> None:
-        self._coefficient, self._lag = vehicle.thrust_coefficient, lag
-        self._on = commands_function(vehicle.n_rotors, Delays(control_period, dead_time, lag), backend)
-        given, self._next = self._on.arguments, self._on.results
-        self._commands, self._by_commands, self._sent = given["commands"], given["thrust"], given["sent"]
-        self.mean, self.thrust = self._next["mean"], self._by_commands
-        if self._coefficient is not None:
-            self.thrust, self._before = np.zeros((2, vehicle.n_rotors))
-            self._turned, self._both = np.zeros((2, 1))  # whether `before` was measured, and thrust is too
+        delays = Delays(period, dead_time, lag)
+        self._function, self._pending = built(backend, _delivered_function, vehicle, delays), delays.pending
+        self.memory = Memory(sizes_of([self._function]) | {"sent": vehicle.n_rotors})
+        self.thrust, self.mean = np.zeros((2, vehicle.n_rotors))
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
-        self._commands[...] = self._by_commands[...] = self.mean[...] = thrust
-        if self._coefficient is not None:
-            self._turned[...] = 0.0
+        self.memory.begin({"commands": np.tile(thrust, self._pending), "thrust": thrust, "sent": thrust})
 
     def before(self, told: Told) -> list[Operation]:
         """Leaves `thrust` and `mean`."""
-        if self._coefficient is None:
-            return []
-        square = Operation("square", self.thrust, told.speed, factor=self._coefficient, when=told.turning)
-        now = [copy(self.thrust, self._by_commands), square, copy(self.mean, self.thrust, told.turning)]
-        if self._lag:
-            now += [copy(self._both, self._turned), copy(self._both, told.turning, self._turned)]
-            now.append(Operation("mix", self.mean, self._before, self.thrust, factor=0.5, when=self._both))
-        return [*now, move(self._before, self.thrust, told.turning), move(self._turned, told.turning)]
+        places = {"speed": told.speed, "turning": told.turning}
+        results = {"thrust": self.thrust, "mean": self.mean}
+        return [call(connected(self._function, places, self.memory, results))]
 
     def after(self, command: np.ndarray) -> list[Operation]:
-        """Goes on by one control period under the command that is found there, (n,) (N)."""
-        thrust, commands = self._next["thrust_next"], self._next["commands_next"]
-        return [
-            copy(self._sent, command),
-            call(self._on),
-            copy(self._by_commands, thrust),
-            copy(self._commands, commands),
-        ]
+        """Remembers the command that is found there, (n,) (N)."""
+        return [copy(self.memory.of_next["sent"], command)]
+
+
+def _delivered_function(vehicle: Vehicle, delays: Delays) -> ca.Function:
+    n, coefficient = vehicle.n_rotors, vehicle.thrust_coefficient
+    a = named_symbols(ca.SX, {f"memory_{name}": size for name, size in kept_sizes(n, delays).items()})
+    speeds = {} if coefficient is None else named_symbols(ca.SX, {"speed": n, "turning": 1})
+    measured = [coefficient * speeds["speed"] ** 2, speeds["turning"]] if speeds else []
+    kept = {name.removeprefix("memory_"): value for name, value in a.items()}
+    thrust, mean, left = delivered_thrust(kept, kept["sent"], ca.DM(delays.numbers), *measured)
+    results = {"thrust": thrust, "mean": mean} | {f"next_{name}": value for name, value in left.items()}
+    return named_function("delivered", a | speeds, results)
+
+
+def kept_sizes(rotors: int, delays: Delays) -> dict[str, int]:
+    """Numbers of what `delivered_thrust` keeps, and of `sent`."""
+    return {"commands": rotors * delays.pending, "thrust": rotors, "before": rotors + 1, "sent": rotors}
 
 
 SETTLED = 6.0  # time constants, after which nothing of a lag is left

@@ -7,9 +7,25 @@ A value of t - a, linear between the control instants on either side, at t = k T
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.instant import Operation, move
+
+
+def kept_size(size: int, age: float, period: float) -> int:
+    """How many numbers `earlier` keeps of so many, that are told every period (s)."""
+    return size * (int(age / period + 1e-9) + 2)
+
+
+def earlier(values: Any, kept: Any, age: float, period: float) -> tuple[Any, Any]:
+    """The values of `age` (s) ago, and the next value of what is kept, the oldest first; symbols."""
+    n, whole = values.numel(), int(age / period + 1e-9)
+    kept = ca.vertcat(kept[n:], values)
+    share = age / period - whole
+    return share * kept[:n] + (1 - share) * kept[n : 2 * n], kept
 
 
 class Earlier:

@@ -23,21 +23,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
-from quadexp.control.base import Controller, Window
-from quadexp.control.built import built
-from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.earlier import Earlier
-from quadexp.control.instant import Instant, Told, call, copy, instant_of
+from quadexp.control.earlier import earlier, kept_size
+from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
-from quadexp.control.part import Remedy
-from quadexp.control.wrapped import WrappedController, layers, thrust_at_start
+from quadexp.control.layer import Layer, LayerPart
+from quadexp.control.wrapped import layers
 from quadexp.errors import UsageError
 from quadexp.parts.part import Given
 from quadexp.parts.sensor_sheet import later_speeds
-from quadexp.parts.settings import Backend, Settings, key, keyed, part
+from quadexp.parts.settings import Backend, key, keyed
 from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
@@ -45,33 +41,7 @@ from quadexp.physics.vehicle import Vehicle
 NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence
 
 
-@keyed
-class INDIKeys(Settings):
-    """Incremental nonlinear dynamic inversion with the values of Sun et al. 2022; see quadexp/control/indi.py."""
-
-    prefix = "inner."
-
-    rate: float = key(300.0, "rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
-    cutoff: float = key(12.0, "of the Butterworth filter, below half the rate", "(0, 5000]", "Hz", tuned="4..100:log")
-    allocation: Literal["clip", "exact"] = key(
-        "clip", "clip: each thrust clipped by itself; exact: the least weighted error within the limits"
-    )
-    wrench_weight: Wrench = key(TILT_FIRST, WRENCH_WEIGHT)
-    rotor_inertia: float = key(
-        0.0, "of a rotor about its axis, against its spin-up; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
-    )
-    spin_up_time: float = key(
-        0.03,
-        "of a rotor, for rotor_inertia: its time constant; 0: one period, as printed",
-        "[0, 1]",
-        "s",
-        when="rotor_inertia",
-    )
-    motor_lag: float = key(0.0, "time constant of the thrusts, where rotor speeds are not measured", "[0, 1]", "s")
-    dead_time: float = key(0.0, "delay of the commands, where rotor speeds are not measured", "[0, 0.5]", "s")
-
-
-def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
+def indi_function(vehicle: Vehicle, keys: INDI) -> ca.Function:
     """wanted (n,) (N), rate (3,) (rad/s), delivered (n,) (N), memory (2, 3 + n), before (3 + n,) -> thrust (n,) (N),
     memory_next, filtered (3 + n,): rates and roots of the thrusts, `before` of the next instant.
 
@@ -104,13 +74,13 @@ def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
     return ca.Function("indi", [wanted, rate, delivered, memory, before], [thrust, memory_next, filtered], *names)
 
 
-def settled_memory(keys: INDIKeys, values: np.ndarray) -> np.ndarray:
+def settled_memory(keys: INDI, values: np.ndarray) -> np.ndarray:
     """The filter's memory, (2, 3 + n), after these values, (3 + n,), have been there for long."""
     b, a = _low_pass(keys)
     return np.stack([(1 - b[0]) * values, (b[2] - a[2]) * values])
 
 
-def _spin(vehicle: Vehicle, keys: INDIKeys) -> ca.DM:
+def _spin(vehicle: Vehicle, keys: INDI) -> ca.DM:
     """Torque about z_body per change of sqrt(thrust) per second, (n,). Raises UsageError where it is not known."""
     if vehicle.thrust_coefficient is None or vehicle.n_rotors != 4:
         raise UsageError(
@@ -136,7 +106,7 @@ def _without_spin_up(
     return wrench - last * ca.dot(gain, roots - root)
 
 
-def _low_pass(keys: INDIKeys) -> tuple[np.ndarray, np.ndarray]:
+def _low_pass(keys: INDI) -> tuple[np.ndarray, np.ndarray]:
     """Numerator and denominator, (3,) each, of the discrete Butterworth filter of second order."""
     from scipy.signal import butter  # half a second of CPU to import, for this loop alone
 
@@ -147,67 +117,73 @@ def _low_pass(keys: INDIKeys) -> tuple[np.ndarray, np.ndarray]:
 WHOLE = 1e-6  # how far a ratio of rates may be from a whole number
 
 
-class INDI(WrappedController):
-    """A Controller at inner.rate: every n-th instant the inner one, whose thrusts an INDI loop gives to the rotors.
-
-    late: by how much the rotors' speeds are older than the rates that they are compared with (s).
-    Raises UsageError for settings that contradict each other, and where the rate is no whole multiple of the
-    controller's.
-    """
-
-    def __init__(self, inner: Controller, keys: INDIKeys, *, backend: str = "auto", late: float = 0.0) -> None:
-        super().__init__(inner)
-        self._keys = keys
-        ratio = keys.rate * inner.control_period
-        self._every = round(ratio)
-        if self._every < 1 or abs(ratio - self._every) > WHOLE * ratio:
-            raise UsageError(
-                f"inner.rate={keys.rate:g}: must be a whole multiple of the controller's rate of"
-                f" {1 / inner.control_period:g} Hz"
-            )
-        self.control_period = inner.control_period / self._every
-        vehicle = inner.vehicle
-        self._rate = Earlier(3, late, self.control_period)
-        self._law = BufferedFunction(built(backend, indi_function, vehicle, keys))
-        delays = keys.dead_time, keys.motor_lag
-        self._delivered = DeliveredThrust(vehicle, self.control_period, *delays, backend=resolve(backend))
-
-    def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""
-        super().reset(x, window)
-        thrust = thrust_at_start(window, self.vehicle)
-        self._delivered.reset(thrust)
-        self._rate.reset(x[RATE])
-        arguments, values = self._law.arguments, np.concatenate([x[RATE], np.sqrt(thrust)])
-        arguments["before"][:], arguments["memory"][:] = values, settled_memory(self._keys, values)
-
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant; the record is that of the controller's last step."""
-        inner = instant_of(self.inner, told, state)
-        arguments, results, delivered = self._law.arguments, self._law.results, self._delivered
-        wanted = copy(arguments["wanted"], inner.command)
-        operations = [o._replace(every=o.every * self._every) for o in (*inner.operations, wanted)]
-        operations += [*delivered.before(told), *self._rate.before(state[RATE])]
-        operations.append(copy(arguments["rate"], self._rate.then))
-        operations += [copy(arguments["delivered"], delivered.thrust), call(self._law)]
-        operations.append(copy(arguments["before"], results["filtered"]))
-        operations.append(copy(arguments["memory"], results["memory_next"]))
-        operations += delivered.after(results["thrust"])
-        return inner._replace(operations=operations, command=results["thrust"])
-
-
 @keyed
-class INDIPart(INDIKeys, Remedy):
-    """An INDI rate loop."""
+class INDI(LayerPart):
+    """An INDI rate loop (incremental nonlinear dynamic inversion), with the values of Sun et al. 2022: every n-th
+    instant the controller inside steps, whose thrusts the loop gives to the rotors."""
 
+    prefix = "inner."
+
+    rate: float = key(300.0, "rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
+    cutoff: float = key(12.0, "of the Butterworth filter, below half the rate", "(0, 5000]", "Hz", tuned="4..100:log")
+    allocation: Literal["clip", "exact"] = key(
+        "clip", "clip: each thrust clipped by itself; exact: the least weighted error within the limits"
+    )
+    wrench_weight: Wrench = key(TILT_FIRST, WRENCH_WEIGHT)
+    rotor_inertia: float = key(
+        0.0, "of a rotor about its axis, against its spin-up; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
+    )
+    spin_up_time: float = key(
+        0.03,
+        "of a rotor, for rotor_inertia: its time constant; 0: one period, as printed",
+        "[0, 1]",
+        "s",
+        when="rotor_inertia",
+    )
+    motor_lag: float = key(0.0, "time constant of the thrusts, where rotor speeds are not measured", "[0, 1]", "s")
+    dead_time: float = key(0.0, "delay of the commands, where rotor speeds are not measured", "[0, 0.5]", "s")
     backend: Backend = "auto"
 
-    def put_around(self, controller: Any, given: Given) -> INDI:
+    def remembers(self, given: Inputs) -> dict[str, int]:
+        """See LayerPart: the low pass, what it gave last, rates that have been told."""
+        size = 3 + given.vehicle.n_rotors
+        return {"low_pass": 2 * size, "filtered": size, "rates": kept_size(3, given.about.late, given.period)}
+
+    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """See LayerPart: as if rates and thrusts of the start had always been there."""
+        values = np.concatenate([x[RATE], np.sqrt(thrust)])
+        rates = np.tile(x[RATE], self.remembers(given)["rates"] // 3)
+        return {"low_pass": settled_memory(self, values), "filtered": values, "rates": rates}
+
+    def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:
+        """The thrusts of `indi_function`."""
+        rate, told = given.state[RATE], {}
+        if late := given.about.late:
+            rate, told["rates"] = earlier(rate, memory.rates, late, given.period)
+        low_pass = ca.reshape(memory.low_pass, -1, 2)
+        law = indi_function(vehicle, self)
+        thrust, memory_next, filtered = law(given.command, rate, given.delivered, low_pass, memory.filtered)
+        return {"command": thrust, "low_pass": ca.vec(memory_next), "filtered": filtered, **told}
+
+    def put_around(self, controller: Any, given: Given) -> Layer:
         """See Remedy; UsageError where an observer inside finds the torque that the loop removes too."""
-        late = later_speeds(given.sheet)
         if any(getattr(one, "finds_torque", False) for one in layers(controller)):
             raise UsageError(
                 f"inner={self.name}: it removes an unknown torque, which the observer inside finds too and the"
                 " controller would take away a second time; set observer.torque_bandwidth=0"
             )
-        return INDI(controller, part(INDIKeys, self), backend=self.backend, late=late)
+        return self.around(controller, later_speeds(given.sheet))
+
+    def around(self, controller: Any, late: float = 0.0) -> Layer:
+        """See Remedy. late: by how much the rotors' speeds are older than the rates that they are compared with (s).
+
+        Raises UsageError where the rate is no whole multiple of the controller's, or a setting contradicts others."""
+        ratio = self.rate * controller.control_period
+        every = round(ratio)
+        if every < 1 or abs(ratio - every) > WHOLE * ratio:
+            raise UsageError(
+                f"inner.rate={self.rate:g}: must be a whole multiple of the controller's rate of"
+                f" {1 / controller.control_period:g} Hz"
+            )
+        about = Circumstances(controller.control_period / every, self.dead_time, self.motor_lag, late)
+        return Layer(controller, self, about, backend=self.backend)

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
-from quadexp.control.base import Controller, Measurement, Window, belief_of
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.memory import Memory
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import N_STATE
@@ -81,13 +82,15 @@ class Told:
     """Where a controller finds what it is told at an instant.
 
     state: (13,). force: specific force, (3,). speed: of the rotors, (n,). read, turning: (1,), whether these two are
-    measured now; otherwise they are as they were. path: (5, 3), yaw: (4,), of the reference now: Window.position;
-    Window.yaw with drift behind it. t: s. window: of the reference. Both for operations in Python alone.
+    measured now, otherwise they are as they were; fresh: both. path: (5, 3), yaw: (4,), of the reference now:
+    Window.position; Window.yaw with drift behind it. t: s. window: of the reference. Both for operations in Python
+    alone.
     """
 
     def __init__(self, rotors: int) -> None:
         self.state, self.force, self.speed = np.zeros(N_STATE), np.zeros(3), np.zeros(rotors)
-        self.read, self.turning = np.zeros(1), np.zeros(1)
+        self.fresh = np.zeros(2)
+        self.read, self.turning = self.fresh[:1], self.fresh[1:]
         self.path, self.yaw = np.zeros((5, 3)), np.zeros(4)
         self.t = 0.0
         self.window: Window
@@ -112,7 +115,8 @@ class Told:
 class Instant(NamedTuple):
     """operations: in their order. command: where they leave it, (n,). record: of the step, by the seconds that it took.
     state: the array that has the state as this controller is told. held: number of rotors at a limit, of a law.
-    logged: what `Controller.log` gives, in its order. plan: the PredictiveController that makes it."""
+    logged: what `Controller.log` gives, in its order. plan: the PredictiveController that makes it. memory: what is
+    remembered; behind all operations what they have left of it becomes what they read."""
 
     operations: list[Operation]
     command: np.ndarray
@@ -120,11 +124,12 @@ class Instant(NamedTuple):
     held: np.ndarray | None = None
     logged: tuple[np.ndarray, ...] = ()
     plan: Any = None
+    memory: tuple[Memory, ...] = ()
 
 
-def law_record(law: BufferedFunction) -> Callable[[float], StepRecord]:
-    """The record of a law in closed form; FAILED where its command is not finite."""
-    thrust, held = law.results["command"], law.results["held"]
+def law_record(thrust: np.ndarray, held: np.ndarray) -> Callable[[float], StepRecord]:
+    """The record of a law in closed form, of its command, (n,), and how many rotors are at a limit, (1,); FAILED where
+    the command is not finite."""
 
     def record(took: float) -> StepRecord:
         status = Status.RICCATI if math.isfinite(sum(thrust.tolist())) else Status.FAILED
@@ -168,7 +173,9 @@ class Running:
 
     def __init__(self, controller: Any) -> None:
         self.told, self.k = Told(controller.vehicle.n_rotors), 0
-        self.instant: Instant = controller.instant(self.told, self.told.state)
+        made: Instant = controller.instant(self.told, self.told.state)
+        kept = [copy(memory.now, memory.next) for memory in made.memory]
+        self.instant = made._replace(operations=[*made.operations, *kept])
         self._operations = [o for o in self.instant.operations if o.kind not in ("finite", "near")]  # which are C's
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
@@ -241,10 +248,3 @@ def _stepped(controller: Controller, told: Told, state: np.ndarray) -> Instant:
         records[:] = [record]
 
     return Instant([python(step)], command, lambda took: records[0])
-
-
-def believing(controller: Any, belief: np.ndarray) -> list[Operation]:
-    """What tells a controller of the belief that is found there, (11,), before its own operations."""
-    if in_operations(controller):
-        return [copy(controller.believed_numbers, belief)]
-    return [python(lambda: controller.believe(belief_of(belief)))]

@@ -25,33 +25,75 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise_together, resolve
+from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import prioritised
-from quadexp.control.base import Controller, Window, no_belief
-from quadexp.control.instant import YES, Instant, Operation, Told, believing, call, copy, instant_of, move
+from quadexp.control.inputs import Circumstances, Inputs
+from quadexp.control.layer import NO_BELIEF, Layer, LayerPart
 from quadexp.control.mpc.online_mpc import AdaptingController, IdentifyingController
 from quadexp.control.observers.observer import air_of, known_delay, parameters_of
-from quadexp.control.part import Remedy
-from quadexp.control.wrapped import WrappedController, thrust_at_start
+from quadexp.control.wrapped import WrappedController
 from quadexp.errors import UsageError
-from quadexp.models.residual import N_OUTPUTS, Residual
-from quadexp.names import named
-from quadexp.parts.settings import Settings, key, keyed, part
-from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
+from quadexp.models.residual import N_OUTPUTS
+from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import Expression, limited, named_symbols, symbols
 from quadexp.physics.rigid_body import features_function
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-ERROR, DISTURBANCE, FILTERED = slice(0, 6), slice(6, 12), slice(12, 18)  # of the memory: z~; s_F, s_tau; y
 LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y", "l1_torque_z")
 
 
-@keyed
-class L1Keys(Settings):
-    """Predictor, low pass and limits of L1 adaptive augmentation; see quadexp/control/l1.py."""
+def added(vehicle: Vehicle, base: Expression, wrench: Expression) -> Expression:
+    """Commands, (n,) (N), that add a wrench [T; tau], (4,), to others, (n,), by priority where that exceeds a limit."""
+    u = base + ca.DM(np.linalg.pinv(vehicle.allocation)) @ wrench
+    within = ca.logic_and(ca.mmin(u) >= vehicle.thrust_min, ca.mmax(u) <= vehicle.thrust_max)
+    return ca.if_else(within, u, prioritised(vehicle, vehicle.allocation @ u))
 
+
+def _predictor(vehicle: Vehicle, keys: L1, period: float) -> ca.Function:
+    """(x, x_last, mean thrusts, z~, s, y, air, air_last) -> z~, s, y; R^T s_F and s_tau; the filtered force across the
+    thrust axis, world (3,). air: y of the model at x and x_last."""
+    m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
+    sizes = {"x": N_STATE, "x_last": N_STATE, "thrust": vehicle.n_rotors, "error": 6, "disturbance": 6, "filtered": 6}
+    inputs = named_symbols(ca.SX, sizes | {"air": N_OUTPUTS, "air_last": N_OUTPUTS})
+    x, x_last, thrust, error, disturbance, filtered, air, air_last = inputs.values()
+    wrench = vehicle.allocation @ thrust
+
+    def known(state: Expression, y: Expression) -> Expression:
+        R, w = rotation_matrix(state[ATTITUDE]), state[RATE]
+        linear = R @ (along_z(wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
+        return ca.vertcat(linear, ca.inv(J) @ (wrench[1:] + y[3:] - ca.cross(w, J @ w)))
+
+    moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
+    poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
+    decay = np.exp(-poles * period)
+    reach, gain = (1 - decay) / poles, poles * decay / (1 - decay)
+    s_F, s_tau = ca.vertsplit(disturbance, 3)
+    believed = ca.vertcat(s_F / m, ca.inv(J) @ s_tau)
+    error = ca.DM(decay) * error + period / 2 * (known(x, air) + known(x_last, air_last))
+    error += ca.DM(reach) * believed - moved
+    estimate = -ca.DM(gain) * error
+    s_F, s_tau = m * estimate[:3], J @ estimate[3:]
+    R = rotation_matrix(x[ATTITUDE])
+    body = ca.vertcat(R.T @ s_F, s_tau)
+    stays = math.exp(-keys.bandwidth * period)
+    filtered = stays * filtered + (1 - stays) * body
+    force = keys.force_limit * m * vehicle.gravity
+    bound = ca.vertcat(force, force, force, keys.torque_limit * ca.DM(np.diag(vehicle.inertia_matrix)))
+    filtered = limited(filtered, -bound, bound)
+    lateral = R @ ca.vertcat(filtered[:2], 0)
+    outputs = [error, ca.vertcat(s_F, s_tau), filtered, body, lateral]
+    return ca.Function("l1_predictor", [*inputs.values()], ca.cse(outputs))
+
+
+@keyed
+class L1(LayerPart):
+    """L1 adaptive augmentation (Hanover et al. 2022, Wu et al. 2023)."""
+
+    believes = True
+    logged = {"body": LOGGED}
     prefix = "adaptive."
 
     velocity_pole: float = key(
@@ -77,139 +119,36 @@ class L1Keys(Settings):
         False, "tell the controller the lateral force, which rotors cannot cancel, through the same low pass"
     )
 
+    def remembers(self, given: Inputs) -> dict[str, int]:
+        """See LayerPart: z~; s_F and s_tau; y; the last state, and whether there is one."""
+        return {"error": 6, "disturbance": 6, "filtered": 6, "last": N_STATE, "begun": 1}
 
-class L1Controller(WrappedController):
-    """L1 around a controller, with its model of the air. lag, dead_time: of its commands (s)."""
+    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """See LayerPart."""
+        return {"last": x}
 
-    def __init__(self, inner: Controller, keys: L1Keys, lag: float = 0.0, dead_time: float = 0.0) -> None:
-        super().__init__(inner)
-        self.keys, vehicle, period, air = keys, self.vehicle, self.control_period, air_of(inner)
-        known = None if air.is_zero else air
-        functions = l1_functions(vehicle, keys, period, known, lag, compiled=resolve(self.backend) == "compiled")
-        estimate, add = realise_together(functions, self.backend)
-        shared = {} if known is None else {"theta": parameters_of(inner)}
-        self._estimate, self._add = BufferedFunction(estimate, shared), BufferedFunction(add)
-        steps = math.ceil(dead_time / period - 1e-9)
-        self._old = steps - dead_time / period  # share of a period in which the older of two commands acts
-        self._sent = np.zeros((steps + 1, vehicle.n_rotors))  # commands, the latest last
-        self._begun = np.zeros(1)
+    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """(1), (2) and the low pass of (3). body: R^T s_F and s_tau, (6,), before the low pass."""
+        x, thrust, features = given.state, given.mean, features_function(vehicle)
+        air = [ca.densify(given.model(features(state, thrust))) for state in (x, memory.last)]
+        states = [memory.error, memory.disturbance, memory.filtered]
+        *now, body, lateral = _predictor(vehicle, self, given.period)(x, memory.last, thrust, *states, *air)
+        error, disturbance, filtered = (
+            ca.if_else(memory.begun, new, old) for new, old in zip(now, states, strict=True)
+        )
+        found = {"error": error, "disturbance": disturbance, "filtered": filtered, "last": x, "begun": 1}
+        found["body"] = memory.begun * body
+        if self.unmatched:
+            found["belief"] = ca.vertcat(memory.begun * lateral, ca.DM(NO_BELIEF[3:]))
+        return found
 
-    def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset."""
-        super().reset(x, window)
-        start = thrust_at_start(window, self.vehicle)
-        self._sent[...] = start
-        arguments = [array for name, array in self._estimate.arguments.items() if name != "theta"]
-        for array in (*arguments, *self._estimate.results.values()):
-            array[...] = 0.0
-        self._estimate.results["rotors_next"][...] = start
-        self._begun[0] = 0.0
+    def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:
+        """The sum of (3) within the limits."""
+        base, y = symbols(ca.SX, base=vehicle.n_rotors, filtered=6)
+        add = ca.Function("l1_add", [base, y], [ca.cse(added(vehicle, base, -y[2:]))])
+        return {"command": add(given.command, found.filtered)}
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
-        belief = np.hstack([*no_belief()])
-        believe = believing(self.inner, belief) if self.keys.unmatched else []
-        inner = instant_of(self.inner, told, state)
-        given, found, add, begun = self._estimate.arguments, self._estimate.results, self._add.arguments, self._begun
-        operations = [copy(given["x"], state), move(given["memory"], found["memory_next"], begun)]
-        operations.append(move(given["rotors"], found["rotors_next"], begun))
-        if len(self._sent) == 1:
-            operations.append(copy(given["acting"], self._sent[0]))
-        else:
-            operations.append(Operation("mix", given["acting"], self._sent[1], self._sent[0], factor=self._old))
-        operations += [move(array, array) for array in found.values()]  # what the call leaves is remembered too
-        operations += [call(self._estimate, begun), move(given["x_last"], state), move(begun, YES)]
-        operations += [copy(belief[:3], found["lateral"]), *believe, *inner.operations]
-        operations.append(copy(add["base"], inner.command))
-        operations.append(copy(add["filtered"], found["memory_next"][FILTERED]))
-        u, flat = self._add.results["u"], self._sent.reshape(-1)
-        operations += [call(self._add), copy(flat[: -len(u)], flat[len(u) :]), copy(self._sent[-1], u)]
-        return inner._replace(operations=operations, command=u, logged=(*inner.logged, found["body"]))
-
-    def log(self) -> dict[str, float]:
-        """See Controller.log; the estimated force along body axes (N) and torque (N m), before the low pass."""
-        return self.inner.log() | named(LOGGED, self._estimate.results["body"].tolist())
-
-
-def l1_functions(
-    vehicle: Vehicle, keys: L1Keys, period: float, residual: Residual | None, lag: float, *, compiled: bool
-) -> tuple[ca.Function, ca.Function]:
-    """Equations (1), (2) and the low pass of (3); and the sum of (3) within the limits.
-
-    First: x, x_last (13,), acting: mean command over the last period (n,), rotors: thrusts at its start (n,), memory
-    (18,), theta -> memory_next, rotors_next, body: R^T s_F and s_tau (6,), lateral: the filtered force across the
-    thrust axis, world (3,). Second: base (n,), filtered: y (6,) -> u (n,).
-    """
-    n = vehicle.n_rotors
-    sizes = {"x": N_STATE, "x_last": N_STATE, "acting": n, "rotors": n, "memory": 18}
-    inputs = named_symbols(ca.MX, sizes)
-    decay = math.exp(-period / lag) if lag else 0.0
-    rotors_next = inputs["acting"] + decay * (inputs["rotors"] - inputs["acting"])
-    mean = inputs["acting"] + lag / period * (1 - decay) * (inputs["rotors"] - inputs["acting"])
-    air = [ca.DM.zeros(N_OUTPUTS)] * 2
-    if residual is not None:
-        model = residual.form(compiled)
-        inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
-        features = features_function(vehicle)
-        air = [model(features(inputs[name], mean), inputs["theta"])[0] for name in ("x", "x_last")]
-    predictor = _predictor(vehicle, keys, period)
-    results = predictor(inputs["x"], inputs["x_last"], mean, inputs["memory"], *map(ca.densify, air))
-    outputs = named(("memory_next", "body", "lateral"), results) | {"rotors_next": rotors_next}
-    estimate = named_function("l1_estimate", inputs, outputs)
-    base, y = symbols(ca.SX, base=n, filtered=6)
-    u = added(vehicle, base, -y[2:])
-    return estimate, ca.Function("l1_add", [base, y], [ca.cse(u)], ["base", "filtered"], ["u"])
-
-
-def added(vehicle: Vehicle, base: Expression, wrench: Expression) -> Expression:
-    """Commands, (n,) (N), that add a wrench [T; tau], (4,), to others, (n,), by priority where that exceeds a limit."""
-    u = base + ca.DM(np.linalg.pinv(vehicle.allocation)) @ wrench
-    within = ca.logic_and(ca.mmin(u) >= vehicle.thrust_min, ca.mmax(u) <= vehicle.thrust_max)
-    return ca.if_else(within, u, prioritised(vehicle, vehicle.allocation @ u))
-
-
-def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
-    """(x, x_last, thrusts, memory, air, air_last) -> memory_next, body, lateral; see l1_functions."""
-    m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
-    x, x_last, thrust, memory, air, air_last = symbols(
-        ca.SX, x=N_STATE, x_last=N_STATE, thrust=vehicle.n_rotors, memory=18, air=N_OUTPUTS, air_last=N_OUTPUTS
-    )
-    wrench = vehicle.allocation @ thrust
-
-    def known(state: Expression, y: Expression) -> Expression:
-        R, w = rotation_matrix(state[ATTITUDE]), state[RATE]
-        linear = R @ (along_z(wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
-        return ca.vertcat(linear, ca.inv(J) @ (wrench[1:] + y[3:] - ca.cross(w, J @ w)))
-
-    moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
-    poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
-    decay = np.exp(-poles * period)
-    reach, gain = (1 - decay) / poles, poles * decay / (1 - decay)
-    s_F, s_tau = ca.vertsplit(memory[DISTURBANCE], 3)
-    believed = ca.vertcat(s_F / m, ca.inv(J) @ s_tau)
-    error = ca.DM(decay) * memory[ERROR] + period / 2 * (known(x, air) + known(x_last, air_last))
-    error += ca.DM(reach) * believed - moved
-    estimate = -ca.DM(gain) * error
-    s_F, s_tau = m * estimate[:3], J @ estimate[3:]
-    R = rotation_matrix(x[ATTITUDE])
-    body = ca.vertcat(R.T @ s_F, s_tau)
-    stays = math.exp(-keys.bandwidth * period)
-    filtered = stays * memory[FILTERED] + (1 - stays) * body
-    force = keys.force_limit * m * vehicle.gravity
-    bound = ca.vertcat(force, force, force, keys.torque_limit * ca.DM(np.diag(vehicle.inertia_matrix)))
-    filtered = limited(filtered, -bound, bound)
-    lateral = R @ ca.vertcat(filtered[:2], 0)
-    outputs = [ca.vertcat(error, s_F, s_tau, filtered), body, lateral]
-    return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))
-
-
-@keyed
-class L1(L1Keys, Remedy):
-    """L1 adaptive augmentation (Hanover et al. 2022, Wu et al. 2023)."""
-
-    believes = True
-
-    def around(self, controller: Any) -> L1Controller:
+    def around(self, controller: Any) -> Layer:
         """See Remedy. UsageError around an observer, around a controller that learns its model in flight, and where the
         controller cannot be told what `unmatched` asks for."""
         if isinstance(controller, WrappedController):
@@ -226,5 +165,13 @@ class L1(L1Keys, Remedy):
             raise UsageError(
                 "adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false"
             )
-        lag = known_delay(self.motor_lag, controller, "known_lag")
-        return L1Controller(controller, part(L1Keys, self), lag, known_delay(self.dead_time, controller, "dead_time"))
+        lag, dead_time = self.motor_lag, self.dead_time
+        about = Circumstances(
+            controller.control_period,
+            known_delay(dead_time, controller, "dead_time"),
+            known_delay(lag, controller, "known_lag"),
+            speeds=False,
+            compiled=resolve(controller.backend) == "compiled",
+        )
+        air = air_of(controller)
+        return Layer(controller, self, about, None if air.is_zero else air, {"theta": parameters_of(controller)})

@@ -188,7 +188,8 @@ class _Flown:
         that `_enter` prepared."""
         running, given, results = self._controller.running, self._function.arguments, self._function.results
         told, window, command = running.told, running.told.window, running.instant.command
-        readings = [one for one in (told.force, told.speed) if memory.reads(one)]
+        sensors = [told.force, told.speed] if hasattr(self._plant, "rotor_places") else [told.force]
+        readings = [one for one in sensors if memory.reads(one)]
         read, m = [told.state, *readings], len(begun)
 
         def instant(values: np.ndarray) -> np.ndarray:

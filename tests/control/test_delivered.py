@@ -22,6 +22,12 @@ def now(delivered, speed=None) -> np.ndarray:
     return delivered.thrust
 
 
+def go_on(delivered, command) -> None:
+    """The end of an instant, at which this command, (4,), is sent."""
+    run(delivered.after(command))
+    delivered.memory.commit()
+
+
 @pytest.mark.parametrize("lag", [0.0, 0.03])
 @pytest.mark.parametrize("dead_time", [0.0, 0.013, 0.02, 0.047])
 def test_commands_act_late_and_lag(vehicle, rng, dead_time, lag):
@@ -30,7 +36,8 @@ def test_commands_act_late_and_lag(vehicle, rng, dead_time, lag):
     delivered.reset(first)
     assert np.array_equal(now(delivered), first)
     for command in commands:
-        run(delivered.after(command))
+        now(delivered)
+        go_on(delivered, command)
     thrust, every = first.copy(), []
     for i in range(round(len(commands) * PERIOD / fine)):
         sent = int(np.floor((i * fine - dead_time) / PERIOD + 1e-9))
@@ -49,7 +56,7 @@ def test_measured_rotor_speeds_are_believed(vehicle, rng):
     for speed in speeds:
         assert now(delivered, speed) == pytest.approx(2e-5 * speed**2)
         mean = delivered.mean.copy()
-        run(delivered.after(np.full(4, 9.0)))
+        go_on(delivered, np.full(4, 9.0))
     assert mean == pytest.approx(2e-5 * (speeds**2).mean(axis=0))
 
 

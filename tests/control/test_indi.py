@@ -9,8 +9,8 @@ from scipy.signal import butter
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.indi import INDI, INDIKeys, indi_function, settled_memory
-from quadexp.control.instant import run
+from quadexp.control.indi import INDI, indi_function, settled_memory
+from quadexp.control.instant import Told, run
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.parts.compose import compose
@@ -18,7 +18,7 @@ from quadexp.physics.state import N_STATE, RATE
 from tests.control.held import Held
 
 TAU = 0.03  # s, lag of the thrusts
-FAST = INDIKeys(rate=3000.0)  # near continuous time
+FAST = INDI(rate=3000.0)  # near continuous time
 
 
 class Loop:
@@ -85,7 +85,7 @@ def test_transfer_functions(vehicle, frequency, inertia):
 
 def test_a_settled_filter_is_at_rest(vehicle):
     """What comes through is what went in, and the memory stays."""
-    keys, hover = INDIKeys(rate=300.0), np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    keys, hover = INDI(rate=300.0), np.full(vehicle.n_rotors, vehicle.hover_thrust)
     law, rate = BufferedFunction(indi_function(vehicle, keys).expand()), np.array([0.3, -0.2, 1.0])
     before = np.r_[rate, np.sqrt(hover)]
     memory = settled_memory(keys, before)
@@ -114,7 +114,7 @@ def test_filters_that_differ_are_noticed(vehicle):
 @pytest.mark.parametrize("inertia", [0.6, 1.0, 2.0])
 def test_a_torque_and_a_wrong_inertia_leave_no_steady_error(vehicle, inertia):
     """At the published rate; without the loop the torque would leave d/J = 10 rad/s^2."""
-    loop = Loop(vehicle, INDIKeys(), inertia=inertia)
+    loop = Loop(vehicle, INDI(), inertia=inertia)
     found = [loop.step(3.0, 10 * loop.J[0, 0]) for _ in range(600)]
     assert abs(found[0] - 3.0) > 5 and found[-1] == pytest.approx(3.0, abs=1e-3)
 
@@ -125,9 +125,9 @@ def test_the_gyroscopic_torque_is_none_to_be_removed(vehicle):
     delivered = vehicle.hover_thrust * np.array([1.1, 0.9, 1.05, 1.0])
     values = np.r_[w, np.sqrt(delivered)]
     asked = np.r_[vehicle.mass * vehicle.gravity, J @ wanted + np.cross(w, J @ w)]
-    law = indi_function(vehicle, INDIKeys())
+    law = indi_function(vehicle, INDI())
     u = np.linalg.pinv(vehicle.allocation) @ asked
-    found = np.array(law(u, w, delivered, settled_memory(INDIKeys(), values).T, values)[0]).ravel()
+    found = np.array(law(u, w, delivered, settled_memory(INDI(), values).T, values)[0]).ravel()
     assert (vehicle.allocation @ (found - delivered))[1:] == pytest.approx(J @ wanted, abs=1e-9)
     assert (vehicle.allocation @ found)[0] == pytest.approx(vehicle.mass * vehicle.gravity)
     assert np.abs(np.cross(w, J @ w)).max() > 0.1 * np.abs(J @ wanted).max()
@@ -142,7 +142,7 @@ def window(vehicle, thrust):
 def test_the_controller_steps_at_its_own_rate(vehicle):
     hover = np.full(4, vehicle.hover_thrust)
     held = Held(vehicle, hover, 0.01)
-    loop = INDI(held, INDIKeys(), backend="interpreted")
+    loop = INDI(backend="interpreted").around(held)
     x, w = window(vehicle, hover).state[0], window(vehicle, hover)
     loop.reset(x, w)
     for k in range(7):
@@ -153,7 +153,7 @@ def test_the_controller_steps_at_its_own_rate(vehicle):
 
 def test_a_controller_that_asks_for_no_reference_begins_in_hover(vehicle):
     hover = np.full(4, vehicle.hover_thrust)
-    loop = INDI(Held(vehicle, hover, 0.01), INDIKeys(), backend="interpreted")
+    loop = INDI(backend="interpreted").around(Held(vehicle, hover, 0.01))
     whole = window(vehicle, hover)
     loop.reset(whole.state[0], whole._replace(input=np.empty((0, 4))))
     u, _ = loop.step(Measurement(0.0, whole.state[0], None, None), whole)
@@ -164,9 +164,9 @@ def test_rates_that_do_not_divide_are_refused(vehicle):
     with pytest.raises(
         UsageError, match=r"inner.rate=250: must be a whole multiple of the controller's rate of 100 Hz"
     ):
-        INDI(Held(vehicle, np.zeros(4), 0.01), INDIKeys(rate=250.0))
+        INDI(rate=250.0).around(Held(vehicle, np.zeros(4), 0.01))
     with pytest.raises(UsageError, match="inner.cutoff=200: must be below half"):
-        INDI(Held(vehicle, np.zeros(4), 0.01), INDIKeys(cutoff=200.0), backend="interpreted")
+        INDI(cutoff=200.0, backend="interpreted").around(Held(vehicle, np.zeros(4), 0.01))
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, 15.0])
@@ -184,17 +184,18 @@ def test_a_torque_is_not_taken_away_twice(bandwidth):
         with pytest.raises(UsageError, match=r"set observer.torque_bandwidth=0"):
             build()
     else:
-        assert isinstance(build(), INDI)
+        assert isinstance(build().part, INDI)
 
 
 def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
     """Motors with a lag of the thrust: measured speeds, and commands through the same lag, give the same commands."""
     measuring = replace(vehicle, thrust_coefficient=1e-5)
     hover, rng = np.full(4, vehicle.hover_thrust), np.random.default_rng(0)
-    keys = INDIKeys(motor_lag=TAU)
-    loops = [INDI(Held(v, hover, 1 / 300), keys, backend="interpreted") for v in (measuring, vehicle)]
+    keys = INDI(motor_lag=TAU, backend="interpreted")
+    loops = [keys.around(Held(v, hover, 1 / 300)) for v in (measuring, vehicle)]
     motors, w = DeliveredThrust(vehicle, 1 / 300, lag=TAU), window(vehicle, hover)
     motors.reset(hover)
+    run(motors.before(Told(4)))
     for loop in loops:
         loop.reset(w.state[0], w)
     for k in range(60):
@@ -205,13 +206,15 @@ def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
         other, _ = loops[1].step(Measurement(k / 300, x, None, None), w)
         assert one == pytest.approx(other, abs=1e-6)
         run(motors.after(one))
+        motors.memory.commit()
+        run(motors.before(Told(4)))
 
 
 def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
     """(35): the static thrusts with the torque of the rotors' own acceleration give the wanted yaw torque, beyond what
     the unequal rotors give already."""
     measured = replace(vehicle, thrust_coefficient=1e-5)
-    keys = INDIKeys(rotor_inertia=5e-6)
+    keys = INDI(rotor_inertia=5e-6)
     given = vehicle.hover_thrust * np.array([0.85, 1.1, 1.0, 1.2])
     values = np.r_[np.zeros(3), np.sqrt(given)]
     yaw = 0.02
@@ -233,10 +236,10 @@ def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
 def test_rates_are_compared_with_thrusts_of_their_time(vehicle, age):
     """A vehicle that spins up under a growing torque, told of its rotors' speeds `age` late, gets the torque that is
     wanted on top of what it has; compared with rates of now it would miss the growth in that time."""
-    vehicle, keys, growth = replace(vehicle, thrust_coefficient=1e-6), INDIKeys(rate=300.0), 20.0  # rad/s^3
+    vehicle, keys, growth = replace(vehicle, thrust_coefficient=1e-6), INDI(backend="interpreted"), 20.0  # rad/s^3
     spin = np.linalg.pinv(vehicle.allocation) @ np.array([0, vehicle.inertia_matrix[0, 0], 0, 0])  # N for 1 rad/s^2
     hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
-    loop = INDI(Held(vehicle, hover, 1 / 300), keys, backend="interpreted", late=age)
+    loop = keys.around(Held(vehicle, hover, 1 / 300), age)
     window = Window(np.zeros((1, N_STATE)), hover[None], np.zeros((5, 3)), np.zeros(3))
     x = np.eye(N_STATE)[3]
     loop.reset(x, window)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.control.base import Measurement
-from quadexp.control.l1 import LOGGED, L1Controller, L1Keys
+from quadexp.control.l1 import L1, LOGGED
 from quadexp.control.laws.geometric import Geometric
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle
@@ -21,7 +21,7 @@ INTERPRETED = {"backend": "interpreted"}
 
 def geometric(vehicle, rate=100.0, **keys):
     inner = Geometric(rate=rate, **INTERPRETED).controller(vehicle)
-    return L1Controller(inner, L1Keys(**keys), keys.get("motor_lag") or 0.0, keys.get("dead_time") or 0.0)
+    return L1(**keys).around(inner)
 
 
 def estimate(controller):
@@ -38,8 +38,8 @@ def test_the_estimate_is_the_mean_disturbance_of_the_last_period(name, pole):
     force = lambda t: weight * np.array([0.3 * np.sin(9 * t), 0.2, 0.4 * np.cos(23 * t)])  # noqa: E731
     torque = lambda t: J * np.array([3 * np.sin(17 * t), -2.0, np.cos(31 * t)])  # noqa: E731
     inner = Held(vehicle, np.full(4, vehicle.hover_thrust), period)
-    keys = L1Keys(velocity_pole=pole, rate_pole=pole, force_limit=0.0, torque_limit=0.0)
-    controller, body, found = L1Controller(inner, keys), Body(vehicle, force, torque), []
+    keys = L1(velocity_pole=pole, rate_pole=pole, force_limit=0.0, torque_limit=0.0)
+    controller, body, found = keys.around(inner), Body(vehicle, force, torque), []
     x = at_rest()
     controller.reset(x, hovering(vehicle))
     for k in range(80):
@@ -63,10 +63,10 @@ def test_the_command_is_the_low_pass_of_the_disturbance(frequency):
     """Yaw torque d = sin wt: added torque over d, by Fourier, against -(1 - b)/(1 - b z^-1) times the mean of the last
     period, held over the next one."""
     vehicle, period = vehicle_of("torrente", torque_coefficient=0.5), 0.01
-    J, keys = vehicle.inertia[2][2], L1Keys(velocity_pole=0.2, rate_pole=0.2, bandwidth=12.0)
+    J, keys = vehicle.inertia[2][2], L1(velocity_pole=0.2, rate_pole=0.2, bandwidth=12.0)
     body = Body(vehicle, torque=lambda t: np.array([0, 0, J * np.sin(frequency * t)]))
     inner = Held(vehicle, np.full(4, vehicle.hover_thrust), period)
-    controller = L1Controller(inner, keys)
+    controller = keys.around(inner)
     duration = 2 * math.pi / frequency * max(3, round(frequency / 2)) + 1.0
     _, commands = fly(body, controller, at_rest(), duration, lambda t: hovering(vehicle))
     added = (commands @ vehicle.allocation.T)[:, 3] / J
@@ -110,7 +110,7 @@ def test_it_adds_no_more_thrust_than_its_limit(name, sense):
     vehicle = vehicle_of(name)
     weight, inner = vehicle.mass * vehicle.gravity, Held(vehicle, np.full(4, vehicle.hover_thrust), 0.01)
     body = Body(vehicle, lambda t: np.array([0, 0, -0.6 * sense * weight]))
-    controller = L1Controller(inner, L1Keys(force_limit=0.2))
+    controller = L1(force_limit=0.2).around(inner)
     _, commands = fly(body, controller, at_rest(), 0.3, lambda t: hovering(vehicle))
     assert (commands[-1] - inner.thrust).sum() == pytest.approx(0.2 * sense * weight, rel=1e-9)
 
@@ -119,7 +119,7 @@ def test_the_predictor_sees_the_command_as_it_was_clipped():
     """A base beyond what the rotors give: nothing is missing, so nothing is estimated."""
     vehicle, period = vehicle_of("torrente"), 0.01
     inner = Held(vehicle, [30.0, 30.0, 30.0, 30.0], period)
-    controller = L1Controller(inner, L1Keys())
+    controller = L1().around(inner)
     states, commands = fly(Body(vehicle), controller, at_rest(), 0.3, lambda t: hovering(vehicle))
     assert commands == pytest.approx(vehicle.thrust_max)
     assert np.abs(estimate(controller)).max() < 1e-6
@@ -131,7 +131,7 @@ def test_a_known_lag_and_dead_time_are_no_disturbance(lag, dead_time):
     vehicle, period, fine = vehicle_of("torrente"), 0.01, 100
     rng = np.random.default_rng(5)
     inner = Held(vehicle, np.full(4, vehicle.hover_thrust), period)
-    controller = L1Controller(inner, L1Keys(force_limit=0.0, torque_limit=0.0), lag, dead_time)
+    controller = L1(force_limit=0.0, torque_limit=0.0, motor_lag=lag, dead_time=dead_time).around(inner)
     window, body = hovering(vehicle), Body(vehicle)
     x = at_rest()
     controller.reset(x, window)
@@ -148,9 +148,8 @@ def test_a_known_lag_and_dead_time_are_no_disturbance(lag, dead_time):
             rotors = acting + (rotors - acting) * (math.exp(-period / fine / lag) if lag else 0.0)
             x = body.advance(x, (before + rotors) / 2 if lag else rotors, 0.0, period / fine)
     assert np.abs(np.array(estimates)[:, 2]).max() < 0.02 and np.abs(np.array(estimates)[:, 3:]).max() < 6e-3
-    blind = L1Controller(inner, L1Keys())
-    blind.reset(at_rest(), window)
-    assert len(blind._sent) == 1
+    blind = L1().around(inner)
+    assert blind.about.delays.pending == 0 and blind.memory.sizes["sent"] == 4
 
 
 LAGGING = [
@@ -208,7 +207,7 @@ def test_it_knows_what_its_controller_knows():
 
     vehicle = build_vehicle(config.vehicle)
     controller = build_controller(config, vehicle, build_world(config, vehicle), None)
-    assert len(controller._sent) == 3 and "theta" in controller._estimate.arguments
+    assert controller.about.delays.pending == 2 and controller.about.lag == 0.02
     known = fly_one(compose(PERFECT))
     drag = np.abs(known.columns["l1_force_x"][50:]).mean()
     unknown = fly_one(compose(["controller=nominal_mpc", "adaptive=l1"]))

@@ -12,7 +12,6 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.observers import disturbance as disturbance_module
 from quadexp.control.observers import observer as observer_module
 from quadexp.control.observers import wind as wind_module
 from quadexp.control.observers.disturbance import DisturbanceObserver
@@ -512,7 +511,6 @@ def test_as_a_part_of_the_step_or_before_it(vehicle, monkeypatch, observed, lag,
             monkeypatch.setattr(observer_module, "parameters_of", lambda controller: residual.theta)
             monkeypatch.setattr(wind_module, "air_of", lambda controller: residual)
             monkeypatch.setattr(wind_module, "parameters_of", lambda controller: residual.theta)
-            monkeypatch.setattr(disturbance_module, "air_of", lambda controller: residual)
         mpc = mpc_of(known, residual, backend="interpreted", **settings)
         mpc.targets = True
         controller = observed(mpc)

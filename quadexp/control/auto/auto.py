@@ -24,9 +24,11 @@ from quadexp.control.auto.disturbance import DEVIATIONS, DisturbanceFilter, sour
 from quadexp.control.auto.posterior import Posterior, posterior
 from quadexp.control.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 from quadexp.control.base import Controller, Window
-from quadexp.control.delay.strapdown import Strapdown
+from quadexp.control.delay.strapdown import TunedStrapdown
 from quadexp.control.delivered import SentCommands
+from quadexp.control.inputs import Circumstances
 from quadexp.control.instant import Instant, Operation, Told, copy, instant_of, python
+from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.observer import COLUMNS as BELIEVED
 from quadexp.control.observers.observer import air_of, parameters_of
@@ -68,7 +70,9 @@ class Auto(WrappedController):
             self.control_period,
         )
         self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
-        self._strapdown = Strapdown(inner, 0.0, BANK.largest_age)
+        self._late = np.zeros(1)
+        part, about = TunedStrapdown(time=BANK.largest_age), Circumstances(period)
+        self._strapdown = Layer(inner, part, about, places={"late": self._late})
         force, turn, attitude = (
             Stated() if one is None else one for one in (sheet.accelerometer, sheet.gyroscope, sheet.attitude)
         )
@@ -137,7 +141,7 @@ class Auto(WrappedController):
         """See control.instant."""
         now, belief = np.zeros(N_STATE), self._filter.belief
         predicted, by_model = self._to_now.before(state)
-        propagated, by_readings = self._strapdown.before(told, state)
+        propagated, by_readings = self._strapdown.calls("before", told, state), self._strapdown.results["state"]
         operations = [
             python(self._decide, when)._replace(every=max(2, round(each / self.control_period)))
             for each, when in ((DECISION.soonest, self._soon), (DECISION.checks, self._later))
@@ -150,7 +154,8 @@ class Auto(WrappedController):
         inner = instant_of(self.inner, told, now)
         after = [*self._bank.after(told, state, inner.command), *self._commands.after(inner.command)]
         logged = (*inner.logged, belief, self._beliefs, self._filter.acts, self._filter.deviations)
-        return inner._replace(operations=[*operations, *inner.operations, *after], logged=logged)
+        memory = (*inner.memory, self._strapdown.memory)
+        return inner._replace(operations=[*operations, *inner.operations, *after], logged=logged, memory=memory)
 
     @property
     def _told_belief(self) -> np.ndarray:
@@ -208,7 +213,7 @@ class Auto(WrappedController):
         self._decision, self._filter.timing[0] = decision, decision.timing
         by_readings = decision.age if decision.prompt else 0.0
         self._to_now.tune(by_readings - decision.age, 0.0, decision.dead_time, decision.lag)
-        self._strapdown.tune(by_readings)
+        self._late[0] = by_readings
         self._prompt[0] = by_readings > 0
         self._plan(decision)
 

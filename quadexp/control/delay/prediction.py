@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Window
-from quadexp.control.built import built
+from quadexp.control.base import N_BELIEF, Controller, Window
 from quadexp.control.delay.strapdown import KnownDelay
-from quadexp.control.delivered import SETTLED, SentCommands
-from quadexp.control.instant import Instant, Told, call, copy, instant_of, python
-from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
+from quadexp.control.delivered import INSTANT, SETTLED, weights_function
+from quadexp.control.inputs import Circumstances, Inputs
+from quadexp.control.instant import Operation, Told, python
+from quadexp.control.layer import NO_BELIEF, Layer
+from quadexp.control.wrapped import innermost, layers
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import named_function, named_symbols, unit
@@ -36,101 +36,6 @@ from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 STEP = 0.02  # s, of the integration
-
-
-class Prediction(WrappedController):
-    """A controller that is told the state of now instead of that of `delay` (s) ago, predicted by a model.
-
-    dead_time, lag: of commands (s). The model is that of the MPC inside; without one, the rigid body alone.
-    """
-
-    def __init__(self, inner: Controller, delay: float, dead_time: float, lag: float) -> None:
-        super().__init__(inner)
-        self.delay, self.dead_time, self.lag = delay, dead_time, lag
-        model = getattr(innermost(inner), "mpc", None)
-        self._observer: Any = next((one for one in layers(inner) if hasattr(one, "belief")), None)
-        residual = no_residual(self.vehicle) if model is None else model.residual
-        self.ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
-        self.node_times = inner.node_times + self.ahead
-        parts = math.ceil((delay + self.ahead) / STEP - 1e-9)
-        reach = delay + dead_time + SETTLED * lag + self.control_period
-        self.commands = SentCommands(self.vehicle.n_rotors, self.control_period, reach)
-        self._predict: BufferedFunction | None = None
-        self._believed: dict[str, np.ndarray] = {}  # where the MPC's step leaves what it believes in
-        if parts:
-            shared = {"commands": self.commands.values} | ({} if model is None else {"theta": model.parameters})
-            world = None if self._observer is None else getattr(innermost(inner), "believed", None)
-            if world is not None and model is not None:
-                self._believed = {
-                    "push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:10],
-                }  # fmt: skip
-                self._observer = None  # nothing is to be told
-            function = built(inner.backend, prediction, self.vehicle, residual, parts, len(self.commands.values))
-            self._predict = BufferedFunction(function, shared)
-            self._arguments, self._now = self._predict.arguments, self._predict.results["now"]
-            self._x = self._arguments["x"]
-            self._arguments["scale"][0] = 1.0
-            if model is None:
-                self._arguments["theta"][...] = residual.theta
-        self._since, self._shown = 0, -1.0
-        self._young, self._moves = np.ones(1), np.zeros(1)  # whether `late` is to change, and is not 0
-        self._inverse_inertia = np.linalg.inv(self.vehicle.inertia_matrix)
-
-    def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset."""
-        self._since, self._shown = 0, -1.0
-        self._young[0], self._moves[0] = 1.0, 0.0
-        self.commands.reset(thrust_at_start(window, self.vehicle))
-        for name in self._believed:
-            self._arguments[name][...] = name == "scale"
-        super().reset(x, self._later(window) if self.ahead else window)
-
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
-        operations, now = [], state
-        if self._predict is not None:
-            operations = [python(self._grow, self._young), copy(self._x, state), copy(self._now, state)]
-            if self._observer is not None:
-                operations.append(python(self._tell_belief))
-            operations.append(call(self._predict, self._moves))
-            now = self._now
-        if self.ahead:
-            operations.append(python(lambda: told.look(self._later(told.window))))
-        inner = instant_of(self.inner, told, now)
-        operations += [*inner.operations, *self.commands.after(inner.command)]
-        operations += [copy(self._arguments[name], value) for name, value in self._believed.items()]
-        return inner._replace(operations=operations)
-
-    def _grow(self) -> None:
-        """Until `delay` has passed since the start, the measured state is that of the start."""
-        late = min(self.delay, self._since * self.control_period)
-        self._since += 1
-        self._young[0], self._moves[0] = late < self.delay, late + self.ahead > 0
-        if late + self.ahead and late != self._shown:
-            self._divide(late)
-
-    def _tell_belief(self) -> None:
-        belief, told = self._observer.belief, self._arguments
-        told["wind"][:], told["scale"][0] = belief.wind, belief.thrust_scale
-        told["push"][:3] = belief.force / self.vehicle.mass
-        told["push"][3:] = self._inverse_inertia @ belief.torque
-
-    def _later(self, window: Window) -> Window:
-        """The reference when a command of now begins to act; states and inputs are asked for then."""
-        powers = [self.ahead**i / math.factorial(i) for i in range(len(window.position))]
-        position, yaw = (
-            np.stack([sum(p * row for p, row in zip(powers, one[i:], strict=False)) for i in range(len(one))])
-            for one in (window.position, window.yaw)
-        )
-        return window._replace(position=position, yaw=yaw)
-
-    def _divide(self, late: float) -> None:
-        """Parts of the time, and the weights of commands in each."""
-        before = np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP  # from the end of the prediction
-        ends, starts = (np.minimum(one, late + self.ahead) - self.ahead for one in (before, before + STEP))
-        weights = self.commands.weights(-np.column_stack([starts, ends]), self.dead_time, self.lag)
-        self._arguments["weights"].reshape(weights.shape)[...] = weights
-        self._arguments["dt"][:], self._shown = starts - ends, late
 
 
 def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) -> ca.Function:
@@ -161,8 +66,9 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
 
 
 @keyed
-class PredictionPart(KnownDelay):
-    """A late state is brought to now by the controller's model."""
+class Prediction(KnownDelay):
+    """A late state is brought to now by the controller's model: that of the MPC inside; without one, the rigid body
+    alone."""
 
     dead_time: float | None = key(
         None, "dead time of commands; null: what the controller knows itself", "[0, 0.5]", "s"
@@ -171,10 +77,86 @@ class PredictionPart(KnownDelay):
         None, "time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s"
     )
 
-    def around(self, controller: Any) -> Prediction:
+    def remembers(self, given: Inputs) -> dict[str, int]:
+        """See LayerPart: the last commands, the oldest first, and the newest; what an observer inside told last, (11,);
+        instants since the start."""
+        n = given.vehicle.n_rotors
+        return {"commands": n * self._count(given.about), "sent": n, "believed": N_BELIEF, "since": 1}
+
+    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """See LayerPart."""
+        return {"commands": np.tile(thrust, self._count(given.about)), "believed": NO_BELIEF}
+
+    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """The prediction. Until `time` has passed since the start, the measured state is that of the start."""
+        about, residual = given.about, given.residual or no_residual(vehicle)
+        parts = math.ceil((self.time + about.ahead) / STEP - 1e-9)
+        if not parts:
+            return {}
+        elapsed = memory.since * about.period
+        late = ca.fmin(self.time, elapsed)
+        begun = self._times(about, parts, self.time)
+        times = ca.if_else(elapsed < self.time, self._times(about, parts, late), begun, True)
+        dt, weights = times[:parts], ca.reshape(times[parts:], -1, parts)
+        commands = ca.vertcat(memory.commands[vehicle.n_rotors :], memory.sent)
+        force, torque, wind, scale, _ = ca.vertsplit(memory.believed, [0, 3, 6, 9, 10, 11])
+        push = ca.vertcat(force / vehicle.mass, ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque)
+        predict = prediction(vehicle, residual, parts, self._count(about))
+        history = ca.reshape(commands, vehicle.n_rotors, -1)
+        now = predict(given.state, history, weights, dt, given.theta, wind, push, scale)
+        now = ca.if_else(late + about.ahead > 0, now, given.state)
+        return {"commands": commands, "since": memory.since + 1, "state": now}
+
+    def _times(self, about: Circumstances, parts: int, late: Any) -> Any:
+        """How long each part of the time acts (parts,), and the weights of commands in it (m parts,)."""
+        before = ca.DM(np.arange(parts - 1, -1, -1) * STEP)  # from the end of the prediction
+        ends, starts = (ca.fmin(one, late + about.ahead) - about.ahead for one in (before, before + STEP))
+        begins = ca.if_else(starts - ends > INSTANT, -starts, -ends - INSTANT)
+        spans = ca.horzcat(begins, -ends).T
+        weights = weights_function(self._count(about), about.period, parts)(spans, [about.dead_time, about.lag])
+        return ca.vertcat(starts - ends, ca.vec(weights[::-1, :]))
+
+    def _count(self, about: Circumstances) -> int:
+        """How many commands may act yet."""
+        reach = self.time + about.dead_time + SETTLED * about.lag + about.period
+        return math.ceil(reach / about.period - 1e-9) + 1
+
+    def around(self, controller: Any) -> Predicting:
         """See Remedy: the controller behind a prediction of its measurements by its own model."""
         settings = getattr(innermost(controller), "settings", None)
         told = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
         given = (self.dead_time, self.motor_lag)
         dead_time, lag = (own if one is None else one for one, own in zip(given, told, strict=True))
-        return Prediction(controller, self.time, dead_time, lag)
+        return Predicting(controller, self, dead_time, lag)
+
+
+class Predicting(Layer):
+    """A controller that is told the state of now, predicted by a model. dead_time, lag: of commands (s)."""
+
+    def __init__(self, inner: Controller, part: Prediction, dead_time: float, lag: float) -> None:
+        model = getattr(innermost(inner), "mpc", None)
+        ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
+        residual = no_residual(inner.vehicle) if model is None else model.residual
+        theta = residual.theta if model is None else model.parameters
+        observer: Any = next((one for one in layers(inner) if hasattr(one, "numbers")), None)
+        about = Circumstances(inner.control_period, dead_time, lag, ahead=ahead)
+        believed = NO_BELIEF if observer is None else observer.numbers
+        super().__init__(inner, part, about, residual, {"theta": theta}, kept={"believed": believed})
+        self.node_times = inner.node_times + ahead
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, self._later(window))
+
+    def inside(self, told: Told) -> list[Operation]:
+        """See Layer: the reference of the time at which a command of now begins to act."""
+        return [python(lambda: told.look(self._later(told.window)))] if self.about.ahead else []
+
+    def _later(self, window: Window) -> Window:
+        """The reference then; states and inputs are asked for then."""
+        powers = [self.about.ahead**i / math.factorial(i) for i in range(len(window.position))]
+        position, yaw = (
+            np.stack([sum(p * row for p, row in zip(powers, one[i:], strict=False)) for i in range(len(one))])
+            for one in (window.position, window.yaw)
+        )
+        return window._replace(position=position, yaw=yaw)

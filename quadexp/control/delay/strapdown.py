@@ -19,23 +19,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Window
-from quadexp.control.built import built
-from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move, python
-from quadexp.control.part import Remedy
-from quadexp.control.wrapped import WrappedController
+from quadexp.control.inputs import Circumstances, Inputs
+from quadexp.control.layer import Layer, LayerPart
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import symbols, unit
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
 
 
 @keyed
-class KnownDelay(Remedy):
+class KnownDelay(LayerPart):
     """How old the state is that the controller is told."""
 
     prefix = "delay."
@@ -43,72 +38,54 @@ class KnownDelay(Remedy):
     time: float = key(0.01, "age of the measured state that is made good", "[0, 0.5]", "s")
 
 
-class Strapdown(WrappedController):
-    """A controller that is told position, velocity and attitude of now instead of those of `delay` (s) ago."""
+@keyed
+class Strapdown(KnownDelay):
+    """A late state is brought to now by gyroscope and accelerometer: the controller is told position, velocity and
+    attitude of now."""
 
-    def __init__(self, inner: Controller, delay: float, largest: float | None = None) -> None:
-        super().__init__(inner)
-        self.delay, self._tuned = delay, largest is not None
-        self._periods = math.ceil((largest or delay) / self.control_period - 1e-9)
-        self._since, self._young, self._flown, self._force_read = 0, np.ones(1), np.zeros(1), False
-        if self._periods:
-            given = self._periods, self.vehicle.gravity, self.control_period
-            self._propagate = BufferedFunction(built(inner.backend, propagation, *given))
-            arguments = self._propagate.arguments
-            self._state, self._late = arguments["x"], arguments["late"]
-            self._rates, self._forces = arguments["rates"], arguments["forces"]  # (K + 1, 3), the oldest first
-            flat = [one.reshape(-1) for one in (self._rates, self._forces)]
-            self._older, self._newer = [one[:-3] for one in flat], [one[3:] for one in flat]
-            self._rate, self._force = [one[-3:] for one in flat]
-            self._now = self._propagate.results["now"]
+    def remembers(self, given: Inputs) -> dict[str, int]:
+        """See LayerPart: readings, the oldest first; whether a force was read; whether the flight goes on, and for how
+        many instants."""
+        kept = 3 * (self._periods(given) + 1)
+        return {"rates": kept, "forces": kept, "read": 1, "flown": 1, "since": 1}
 
-    def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset."""
-        self._since, self._young[0], self._flown[0], self._force_read = 0, 1.0, 0.0, False
-        if self._tuned:
-            self._rates[...], self._forces[...] = x[RATE], (0.0, 0.0, self.vehicle.gravity)
-        super().reset(x, window)
+    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """The propagation. Until `time` has passed since the start, the measured state is that of the start; the first
+        force that is read counts for those before it, and where none is read the last one goes on."""
+        periods, read = self._periods(given), given.fresh[0]
+        if not periods:
+            return {}
+        weight = ca.DM([0, 0, vehicle.gravity])
+        rate, force = given.state[RATE], ca.if_else(read, given.specific_force, memory.forces[-3:])
+        flown = ca.fmax(memory.flown, read)
+        begins = ca.logic_and(read, ca.logic_not(memory.read))
+        rates = ca.if_else(flown, _shifted(memory.rates, rate), _filled(rate, periods))
+        forces = ca.if_else(begins, _filled(force, periods), _shifted(memory.forces, force))
+        forces = ca.if_else(flown, forces, _filled(weight, periods))
+        found = {"rates": rates, "forces": forces, "flown": 1, "since": memory.since + flown}
+        late = self._late(given, found["since"])
+        propagate = propagation(periods, vehicle.gravity, given.period)
+        now = propagate(given.state, ca.reshape(rates, 3, -1), ca.reshape(forces, 3, -1), late)
+        return found | {"read": ca.fmax(memory.read, read), "state": ca.if_else(flown, now, given.state)}
 
-    def tune(self, delay: float) -> None:
-        """Go on with another age (s), up to `largest`."""
-        self.delay, self._late[0] = delay, delay
+    def _late(self, given: Inputs, since: Any) -> Any:
+        """How old the state is after so many instants (s)."""
+        return ca.fmin(self.time, since * given.period)
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
-        operations, now = self.before(told, state)
-        inner = instant_of(self.inner, told, now)
-        return inner._replace(operations=[*operations, *inner.operations])
+    def _periods(self, given: Inputs) -> int:
+        return math.ceil(self.time / given.period - 1e-9)
 
-    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
-        """Brings the state that is found there, (13,), whose rate is of now as the specific force is, to now; and the
-        array that has it then."""
-        if not self._periods:
-            return [], state
+    def around(self, controller: Any) -> Layer:
+        """See Remedy: the controller behind a strapdown propagation of its measurements."""
+        return Layer(controller, self, Circumstances(controller.control_period))
 
-        def begin() -> None:
-            """Until `delay` has passed since the start, the measured state is that of the start."""
-            if not self._flown[0]:
-                self._rates[...], self._forces[...] = state[RATE], (0.0, 0.0, self.vehicle.gravity)
-                return
-            if told.read[0] and not self._force_read:
-                self._forces[...], self._force_read = told.force, True
-            self._since += 1
-            self._late[0] = min(self.delay, self._since * self.control_period)
-            self._young[0] = self._late[0] < self.delay
 
-        flown, (older_rates, older_forces), (newer_rates, newer_forces) = self._flown, self._older, self._newer
-        operations = [move(flown, YES, told.read)]
-        operations += [] if self._tuned else [python(begin, self._young)]
-        operations += [
-            move(older_rates, newer_rates, flown),
-            move(older_forces, newer_forces, flown),  # where nothing is read, the last force goes on
-            move(self._rate, state[RATE], flown),
-            move(self._force, told.force, told.read),
-            copy(self._state, state),
-            copy(self._now, state),
-            call(self._propagate, flown),
-        ]
-        return [*operations, move(flown, YES)], self._now
+def _shifted(kept: ca.MX, newest: ca.MX) -> ca.MX:
+    return ca.vertcat(kept[3:], newest)
+
+
+def _filled(values: ca.MX, periods: int) -> ca.MX:
+    return ca.repmat(values, periods + 1, 1)
 
 
 def propagation(periods: int, gravity: float, period: float) -> ca.Function:
@@ -142,9 +119,8 @@ def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:
 
 
 @keyed
-class StrapdownPart(KnownDelay):
-    """A late state is brought to now by gyroscope and accelerometer."""
+class TunedStrapdown(Strapdown):
+    """The same, for an age that is found in flight, up to `time`: the input `late`."""
 
-    def around(self, controller: Any) -> Strapdown:
-        """See Remedy: the controller behind a strapdown propagation of its measurements."""
-        return Strapdown(controller, self.time)
+    def _late(self, given: Inputs, since: Any) -> Any:
+        return given.symbol("late", (1, 1))

@@ -36,7 +36,8 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import prioritised
-from quadexp.control.law import Inputs, Law
+from quadexp.control.inputs import Inputs
+from quadexp.control.law import Law
 from quadexp.control.laws.attitude import attitude_of
 from quadexp.control.laws.explicit import Rate
 from quadexp.parts.settings import Triple, key, keyed

@@ -31,7 +31,8 @@ from typing import Any, Literal
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
-from quadexp.control.law import Inputs, Law
+from quadexp.control.inputs import Inputs
+from quadexp.control.law import Law
 from quadexp.control.part import RESIDUAL
 from quadexp.models.residual import N_OUTPUTS
 from quadexp.parts.settings import Setting, Triple, key, keyed

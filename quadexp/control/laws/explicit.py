@@ -6,11 +6,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, resolve
+from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Belief, Window, no_belief
-from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.instant import YES, InOperations, Instant, Operation, Told, call, copy, law_record, move
+from quadexp.control.inputs import Circumstances, at_start, places_of
+from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, law_record
+from quadexp.control.memory import NOW, Memory, connected, sizes_of
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
@@ -26,29 +27,28 @@ NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale, air 
 class ExplicitController(InOperations):
     """A Controller (see control.base) whose step is a CasADi function.
 
-    law: the control.law.Law. function: of its law_function, on a back end. residual: what it knows of the air; None for
-    nothing.
+    law: the control.law.Law. about: what its equations know. function: its law_function, on a back end. residual: what
+    it knows of the air; None for nothing. memory: what it remembers.
     """
 
     reference_period = 0.0
 
-    def __init__(self, vehicle: Vehicle, law: Any, function: ca.Function, residual: Residual | None) -> None:
-        self.vehicle, self.law, self.control_period = vehicle, law, 1.0 / law.rate
+    def __init__(
+        self, vehicle: Vehicle, law: Any, about: Circumstances, function: ca.Function, residual: Residual | None
+    ) -> None:
+        self.vehicle, self.law, self.control_period, self._about = vehicle, law, about.period, about
         self.backend = resolve(law.backend)
         self.node_times = np.array(law.nodes) * self.control_period
         self.name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
-        self._law = BufferedFunction(function)
-        arguments = self._law.arguments
-        self.air, self.residual = residual, residual if OF_REFERENCE & arguments.keys() else None
-        self._logged = {name: self._law.results[f"log_{name}"] for name in law.logged}
-        self._delivered: DeliveredThrust | None = None
-        if "delivered" in arguments:
-            self._delivered = DeliveredThrust(vehicle, self.control_period, backend=self.backend)
-        if residual is not None and "theta" in arguments:
-            arguments["theta"].ravel()[:] = residual.theta
-        if "belief" in arguments:
-            arguments["belief"][:] = NO_BELIEF
-        self._begun = np.zeros(1)
+        self._function, reads, n = function, set(function.name_in()), vehicle.n_rotors
+        self.air, self.residual = residual, residual if OF_REFERENCE & reads else None
+        self.memory = Memory(sizes_of([function]) | ({"sent": n} if f"{NOW}sent" in reads else {}))
+        self._places = {"belief": NO_BELIEF.copy()}
+        if residual is not None:
+            self._places["theta"] = np.array(residual.theta, float)
+        results = {name: np.zeros(function.size1_out(name)) for name in ("command", "held")}
+        results |= {f"log_{name}": np.zeros(function.numel_out(f"log_{name}")) for name in law.logged}
+        self._results, self._logged = results, {name: results[f"log_{name}"] for name in law.logged}
         self.rows: np.ndarray | None = None  # of the horizon that it is told, where that is longer; None: all
 
     def forget(self) -> None:
@@ -57,39 +57,28 @@ class ExplicitController(InOperations):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
-        arguments = self._law.arguments
-        if "belief" in arguments:
-            arguments["belief"][:] = NO_BELIEF
-        self._begun[0] = 0.0
-        if self._delivered is not None:
-            self._delivered.reset(thrust_at_start(window, self.vehicle))
-        if "memory" in arguments:
-            arguments["memory"][:] = self.law.initial(self.vehicle, x)
+        self._places["belief"][...] = NO_BELIEF
+        start = self.law.start(self.vehicle, x)
+        if "sent" in self.memory.sizes:
+            start |= at_start(self.vehicle, self._about, thrust_at_start(window, self.vehicle))
+        self.memory.begin(start)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        arguments, results, n = self._law.arguments, self._law.results, self.vehicle.n_rotors
-        states, thrusts = np.empty((len(self.node_times), N_STATE)), np.empty((len(self.node_times) - 1, n))
-        delivered, places = self._delivered, {"state": state, "path": told.path, "heading": told.yaw[:3]}
-        places |= {"specific_force": told.force, "rotor_speed": told.speed}
-        ahead = {"reference": states[0], "thrusts": thrusts[0], "thrusts_middle": thrusts[-1]}
-        operations = [Operation("window", states, self.rows, thrusts)] if ahead.keys() & arguments.keys() else []
-        if delivered is not None:
-            operations += delivered.before(told)
-            places["delivered"] = delivered.thrust
-        operations += [copy(arguments[name], place) for name, place in (ahead | places).items() if name in arguments]
-        if "fresh" in arguments:
-            fresh = arguments["fresh"]
-            operations += [copy(fresh[:1], told.read), copy(fresh[1:], told.turning)]
-        if "memory" in arguments:
-            operations.append(move(arguments["memory"], results["memory_next"], self._begun))
-            operations.append(move(results["memory_next"], results["memory_next"]))  # the call may be taken back
-            operations.append(move(self._begun, YES))
-        operations += [call(self._law), Operation("finite", source=results["command"])]
-        operations += [] if delivered is None else delivered.after(results["command"])
-        record = law_record(self._law)
+        nodes, n = len(self.node_times), self.vehicle.n_rotors
+        states, thrusts = np.empty((nodes, N_STATE)), np.empty((nodes - 1, n))
+        ahead = {"reference": states[0], "thrusts": thrusts[0], "thrusts_middle": thrusts[-1]} if nodes > 1 else {}
+        places = {**places_of(told, state), **self._places, **ahead}
+        looks = ahead.keys() & set(self._function.name_in())
+        operations = [Operation("window", states, self.rows, thrusts)] if looks else []
+        command, memory = self._results["command"], self.memory
+        operations.append(call(connected(self._function, places, memory, self._results)))
+        operations.append(Operation("finite", source=command))
+        if "sent" in memory.sizes:
+            operations.append(copy(memory.of_next["sent"], command))
         logged = tuple(self._logged.values())
-        return Instant(operations, results["command"], record, held=results["held"], logged=logged)
+        record = law_record(command, self._results["held"])
+        return Instant(operations, command, record, self._results["held"], logged, memory=(memory,))
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
@@ -107,8 +96,7 @@ class BelievingController(ExplicitController):
     @property
     def believed_numbers(self) -> np.ndarray:
         """What is believed, in the order of Belief; (11,)."""
-        numbers: np.ndarray = self._law.arguments["belief"]
-        return numbers
+        return self._places["belief"]
 
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""

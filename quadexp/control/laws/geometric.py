@@ -37,7 +37,8 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import clipped, prioritised
-from quadexp.control.law import Inputs, Law
+from quadexp.control.inputs import Inputs
+from quadexp.control.law import Law
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.part import RESIDUAL
 from quadexp.parts.settings import Triple, key, keyed

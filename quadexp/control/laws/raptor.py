@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.law import Inputs, Law
+from quadexp.control.inputs import Inputs
+from quadexp.control.law import Law
 from quadexp.control.laws.attitude import heading_of
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key, keyed

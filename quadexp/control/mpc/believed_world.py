@@ -24,7 +24,7 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
-from quadexp.control.delivered import Delays, delivered_by_commands
+from quadexp.control.delivered import Delays, delivered_thrust
 from quadexp.control.instant import YES, Operation, Told, call, copy, move
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
@@ -231,7 +231,7 @@ def enter_function(
     left: dict[str, Any] = {}
     found = a.get("belief")
     if update is not None and delays is not None:
-        found, left = _estimated(a, kept, update, delays, n)
+        found, left = _estimated(a, kept, update)
     force, torque, wind, scale, air_scale = ca.vertsplit(found, [0, 3, 6, 9, 10, 11])
     spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
     disturbance = ca.vertcat(force / vehicle.mass, spin)
@@ -267,22 +267,12 @@ def enter_function(
     return named_function("believed_world", a, results)
 
 
-def _estimated(
-    a: dict[str, ca.MX], kept: dict[str, ca.MX], update: ca.Function, pending: int, n: int
-) -> tuple[ca.MX, dict[str, ca.MX]]:
+def _estimated(a: dict[str, ca.MX], kept: dict[str, ca.MX], update: ca.Function) -> tuple[ca.MX, dict[str, ca.MX]]:
     """The belief (11,) by an estimator, and what is to be remembered of commands and estimates."""
     read, turning = a["known"][0], a["known"][1]
-    commands, thrust, mean = delivered_by_commands(
-        ca.reshape(kept["commands"], n, pending), kept["thrust"], a["sent"], a["delays"]
-    )
-    before, had = kept["before"][:n], kept["before"][n]
-    lags = a["delays"][-1]
-    now = turning * a["measured"] + (1 - turning) * thrust
-    share = turning * had * lags / 2  # of the thrusts a period ago
-    mean = turning * (share * before + (1 - share) * a["measured"]) + (1 - turning) * mean
+    now, mean, left = delivered_thrust(kept, a["sent"], a["delays"], a["measured"], turning)
     given = [kept["estimate"], a["seen"], a["reading"], read, now, mean, a["theta"], a["settings"]]
     estimate, belief = update(*given)
     nothing, flown = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0]), ca.fmax(kept["flown"], read)
-    left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}
     left |= {"estimate": ca.if_else(flown, estimate, kept["estimate"]), "flown": ca.DM.ones(1)}
     return ca.if_else(flown, belief, nothing), left

@@ -148,7 +148,8 @@ class AdaptingController(PredictiveController):
         learning = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
         learning += [copy(path[:3], told.path[0]), copy(path[3:], told.path[1]), python(self._learn, told.read)]
         operations = [*learning, *inner.operations, *delivered.after(inner.command)]
-        return inner._replace(operations=operations, logged=(self.innovation,))
+        memory = (*inner.memory, delivered.memory)
+        return inner._replace(operations=operations, logged=(self.innovation,), memory=memory)
 
     def log(self) -> dict[str, float]:
         """See Controller.log: what the last sample was away from its prediction."""

@@ -23,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.control.inputs import Circumstances
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.filters import (
     APART,
@@ -34,7 +35,7 @@ from quadexp.control.observers.filters import (
     torque_settings,
     torque_update,
 )
-from quadexp.control.observers.observer import Observer, ObserverPart, Update, air_of, arguments, believer
+from quadexp.control.observers.observer import ObserverPart, arguments, believer
 from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
@@ -51,25 +52,12 @@ N_FORCE_STATE = 7  # a^, v^, P
 N_FORCE_SETTINGS = 9
 
 
-def disturbance_settings(config: DisturbanceObserver, period: float) -> np.ndarray:
-    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variances that the
-    scales of thrust and air gain in a step, gain of what the filter of the scales leaves, relative variance of the
-    thrust] and those of the torque."""
-    z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
-    apart = min(config.force_bandwidth, APART) if config.scale_walk or config.air_walk else config.force_bandwidth
-    K = 1 - float(np.exp(-apart * period))
-    force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, config.force_limit]
-    force += [config.scale_walk**2 * period, config.air_walk**2 * period]
-    force += [1 - z if apart < config.force_bandwidth else 0.0, config.thrust_noise**2]
-    return np.array(force + torque_settings(config.torque_bandwidth, config.torque_limit, period))
-
-
 def disturbance_function(
-    vehicle: Vehicle, residual: Residual, period: float, backend: str, *, velocity: bool = False, scaled: bool = False
+    vehicle: Vehicle, residual: Residual, about: Circumstances, *, velocity: bool = False, scaled: bool = False
 ) -> ca.Function:
     """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
     scales, see control.observers.filters, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
-    model = (residual.unscaled or residual).form(backend == "compiled")
+    model, period = (residual.unscaled or residual).form(about.compiled), about.period
     first = N_SCALED_STATE if scaled else N_FORCE_STATE
     a = arguments(vehicle, first + N_TORQUE_STATE, len(residual.theta), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
@@ -145,7 +133,7 @@ class DisturbanceObserver(ObserverPart):
         """See Remedy."""
         return self.air_walk > 0
 
-    def around(self, controller: Any) -> Observer:
+    def around(self, controller: Any) -> Any:
         """See Remedy."""
         inner = believer(controller, self.name)
         for name in ("scale_walk", "air_walk"):
@@ -154,25 +142,38 @@ class DisturbanceObserver(ObserverPart):
         core = innermost(inner)
         if self.air_walk > 0 and isinstance(core, PredictiveController) and core.mpc.residual.unscaled is None:
             raise UsageError("observer.air_walk: the MPC was made without a scale of its model of the air (air.scaled)")
-        function = disturbance_function(
-            inner.vehicle,
-            air_of(core),
-            inner.control_period,
-            inner.backend,
-            velocity=self.source == "velocity",
-            scaled=self.scale_walk > 0 or self.air_walk > 0,
-        )
-        settings = disturbance_settings(self, inner.control_period)
+        return self.put(controller)
 
-        def begin(x: np.ndarray) -> np.ndarray:
-            if self.scale_walk > 0 or self.air_walk > 0:
-                known = self.scale_initial if self.scale_walk else 0.0
-                air = self.air_initial if self.air_walk else 0.0
-                P = np.diag([self.force_initial**2] * 3 + [known**2, air**2])
-                return np.concatenate([np.zeros(N_SCALED), P.ravel(), np.zeros(3), x[RATE], np.zeros(3)])
-            return np.concatenate([np.zeros(3), x[VELOCITY], [self.force_initial**2], x[RATE], np.zeros(3)])
+    @property
+    def scaled(self) -> bool:
+        """Whether it finds a scale of the thrust or of the air."""
+        return self.scale_walk > 0 or self.air_walk > 0
 
-        return Observer(inner, Update(function, settings, begin), self)
+    def update(self, vehicle: Vehicle, air: Residual, about: Circumstances) -> ca.Function:
+        """See ObserverPart."""
+        velocity = self.source == "velocity"
+        return disturbance_function(vehicle, air, about, velocity=velocity, scaled=self.scaled)
+
+    def settings(self, period: float) -> np.ndarray:
+        """See ObserverPart: [q, r, gain on v^, gain on a^ from v, limit, variances that the scales of thrust and air
+        gain in a step, gain of what the filter of the scales leaves, relative variance of the thrust] and those of the
+        torque."""
+        z, r = float(np.exp(-self.force_bandwidth * period)), self.force_noise**2
+        apart = min(self.force_bandwidth, APART) if self.scaled else self.force_bandwidth
+        K = 1 - float(np.exp(-apart * period))
+        force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, self.force_limit]
+        force += [self.scale_walk**2 * period, self.air_walk**2 * period]
+        force += [1 - z if apart < self.force_bandwidth else 0.0, self.thrust_noise**2]
+        return np.array(force + torque_settings(self.torque_bandwidth, self.torque_limit, period))
+
+    def begin(self, x: np.ndarray) -> np.ndarray:
+        """See ObserverPart."""
+        if self.scaled:
+            known = self.scale_initial if self.scale_walk else 0.0
+            air = self.air_initial if self.air_walk else 0.0
+            P = np.diag([self.force_initial**2] * 3 + [known**2, air**2])
+            return np.concatenate([np.zeros(N_SCALED), P.ravel(), np.zeros(3), x[RATE], np.zeros(3)])
+        return np.concatenate([np.zeros(3), x[VELOCITY], [self.force_initial**2], x[RATE], np.zeros(3)])
 
     def check(self, vehicle: Vehicle, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
         """See Remedy. A scale of the thrust or of the air is the ratio of two forces at one time. Where motors lag, the

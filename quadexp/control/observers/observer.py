@@ -11,25 +11,26 @@ it finds by other sensors goes on. It runs from the second instant on: before th
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Belief, Controller, Window, belief_of, no_belief
-from quadexp.control.delivered import Delays, DeliveredThrust
-from quadexp.control.instant import YES, Instant, Told, believing, call, copy, instant_of, move
+from quadexp.control.base import Controller, Window
+from quadexp.control.inputs import Circumstances, Inputs
+from quadexp.control.instant import Instant, Told, instant_of
+from quadexp.control.layer import NO_BELIEF, Layer, LayerPart
 from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.online_mpc import AdaptingController, IdentifyingController
-from quadexp.control.part import Remedy
-from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
+from quadexp.control.wrapped import WrappedController, innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual, no_residual
 from quadexp.names import named
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import named_symbols
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 COLUMNS = (
@@ -42,11 +43,13 @@ COLUMNS = (
 
 
 @keyed
-class ObserverPart(Remedy):
-    """What every observer has."""
+class ObserverPart(LayerPart):
+    """What every observer has. Columns observer_.. of a flight: SI, forces and wind in the world, torques in body
+    axes."""
 
     prefix = "observer."
     believes = True
+    logged = {"belief": COLUMNS}
 
     torque_bandwidth: float = key(
         15.0, "of the estimated torque; 0: no torque", "[0, 1000]", "rad/s", tuned="1..100:log"
@@ -64,98 +67,91 @@ class ObserverPart(Remedy):
         None, "time constant of the rotors, likewise; null: the controller's", "[0, 0.5]", "s"
     )
 
+    def update(self, vehicle: Vehicle, air: Residual, about: Circumstances) -> ca.Function:
+        """See the module. air: the controller's model, which may be none."""
+        raise NotImplementedError
 
-class Update(NamedTuple):
-    """What an observer is made of.
+    def settings(self, period: float) -> np.ndarray:
+        """The last argument of `update`."""
+        raise NotImplementedError
 
-    function: see the module. settings: its last argument. begin: state of the observer for the first measurement,
-    from that state, (13,).
-    """
+    def begin(self, x: np.ndarray) -> np.ndarray:
+        """Of the estimate, as the flight begins in a state, (13,)."""
+        raise NotImplementedError
 
-    function: ca.Function
-    settings: np.ndarray
-    begin: Any
+    def remembers(self, given: Inputs) -> dict[str, int]:
+        """See LayerPart: the estimate, and whether anything has been read."""
+        return {"estimate": self.begin(np.zeros(N_STATE)).size, "flown": 1}
+
+    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """See LayerPart."""
+        return {"estimate": self.begin(x)}
+
+    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """The update, from the first reading on."""
+        air = given.residual or no_residual(vehicle)
+        read, flown = given.fresh[0], ca.fmax(memory.flown, given.fresh[0])
+        told = given.state, given.specific_force, read, given.delivered, given.mean, given.theta
+        update = self.update(vehicle, air, given.about)
+        estimate, belief = update(memory.estimate, *told, ca.DM(self.settings(given.period)))
+        estimate, belief = (
+            ca.if_else(flown, new, old) for new, old in ((estimate, memory.estimate), (belief, ca.DM(NO_BELIEF)))
+        )
+        return {"estimate": estimate, "flown": 1, "belief": belief}
+
+    def put(self, controller: Any) -> Observer | ObservingMPC:
+        """The controller that is told of it, where it can be."""
+        core = innermost(controller)
+        about = Circumstances(
+            controller.control_period,
+            known_delay(self.dead_time, controller, "dead_time"),
+            known_delay(self.motor_lag, controller, "known_lag"),
+            compiled=resolve(controller.backend) == "compiled",
+        )
+        if isinstance(controller, PredictiveController):
+            return ObservingMPC(controller, self, about)
+        return Observer(controller, self, about, air_of(core), {"theta": parameters_of(core)})
 
 
-class Observer(WrappedController):
-    """A controller that is told what an observer estimates; columns observer_.. of a flight: SI, forces and wind in the
-    world, torques in body axes.
-
-    Under an MPC the update is a part of its step (control.mpc.believed_world); any other controller is told before each
-    of its steps.
-    """
-
-    def __init__(self, inner: Controller, update: Update, config: ObserverPart) -> None:
-        super().__init__(inner)
-        self.finds_torque = config.torque_bandwidth > 0
-        stated = {"dead_time": config.dead_time, "known_lag": config.motor_lag}
-        known = [known_delay(given, inner, name) for name, given in stated.items()]
-        self._begin, self._world = update.begin, None
-        if isinstance(inner, PredictiveController):
-            inner.targets = config.targets
-            delays = Delays(inner.control_period, *known)
-            self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
-            self._belief = self._world.numbers
-            return
-        self.delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
-        shared = {"theta": parameters_of(innermost(inner))}
-        self._update = BufferedFunction(realise(update.function, inner.backend), shared)
-        self._given, self._result = self._update.arguments, self._update.results
-        self._given["settings"].ravel()[:] = update.settings
-        self._belief, self._flown = np.hstack([*no_belief()]), np.zeros(1)
+class Observer(Layer):
+    """A controller that is told before each of its steps what an observer estimates."""
 
     @property
-    def estimate(self) -> np.ndarray:
-        """The state of the update, which may be changed between two steps."""
-        return self._given["s"] if self._world is None else self._world.estimate
-
-    @property
-    def settings(self) -> np.ndarray:
-        """The numbers of the update, likewise."""
-        return self._given["settings"] if self._world is None else self._world.settings
+    def finds_torque(self) -> bool:
+        """Whether the controller is told of a torque."""
+        part: Any = self.part
+        return part.torque_bandwidth > 0
 
     @property
     def numbers(self) -> np.ndarray:
         """What is believed since the last step, (11,), in the order of Belief."""
-        return self._belief
+        return self.results["belief"]
 
-    @property
-    def belief(self) -> Belief:
-        """What is believed since the last step."""
-        return belief_of(self._belief)
+
+class ObservingMPC(WrappedController):
+    """An MPC with an observer: the update is a part of its step (control.mpc.believed_world)."""
+
+    def __init__(self, inner: PredictiveController, part: ObserverPart, about: Circumstances) -> None:
+        super().__init__(inner)
+        self.part, self.finds_torque = part, part.torque_bandwidth > 0
+        inner.targets = part.targets
+        function = part.update(inner.vehicle, air_of(inner), about)
+        self._world = inner.observed_by(Estimator(function, part.settings(about.period), about.delays))
+        self.numbers = self._world.numbers
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is believed of the world yet."""
         super().reset(x, window)
-        if self._world is not None:
-            self._world.reset(self._begin(x))
-            return
-        self.delivered.reset(thrust_at_start(window, self.vehicle))
-        self._given["s"].ravel()[:] = self._begin(x)
-        self._belief[...], self._flown[0] = np.hstack([*no_belief()]), 0.0
+        self._world.reset(self.part.begin(x))
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        believe = [] if self._world is not None else believing(self.inner, self._belief)
         inner = instant_of(self.inner, told, state)
-        operations, logged = inner.operations, (*inner.logged, self._belief)
-        if self._world is None:
-            given, result, delivered, flown = self._given, self._result, self.delivered, self._flown
-            places = {"x": state, "reading": told.force, "read": told.read}
-            places |= {"thrust": delivered.thrust, "mean": delivered.mean}
-            observing = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
-            observing += [
-                move(flown, YES, told.read),
-                call(self._update, flown),
-                move(given["s"], result["s_next"], flown),
-            ]
-            observing += [move(self._belief, result["belief"], flown), move(flown, YES)]
-            operations = [*observing, *believe, *operations, *delivered.after(inner.command)]
-        return inner._replace(operations=operations, logged=logged)
+        return inner._replace(logged=(*inner.logged, self.numbers))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
-        return self.inner.log() | named(COLUMNS, self._belief.tolist())
+        return self.inner.log() | named(COLUMNS, self.numbers.tolist())
 
 
 def believer(controller: Controller, name: str) -> Any:

@@ -23,16 +23,9 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.control.inputs import Circumstances
 from quadexp.control.observers.filters import N_TORQUE_SETTINGS, N_TORQUE_STATE, inverse, torque_settings, torque_update
-from quadexp.control.observers.observer import (
-    Observer,
-    ObserverPart,
-    Update,
-    air_of,
-    arguments,
-    believer,
-    parameters_of,
-)
+from quadexp.control.observers.observer import ObserverPart, air_of, arguments, believer, parameters_of
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
@@ -46,15 +39,6 @@ N_AIR = 4  # wind (3,), thrust scale - 1
 N_FORCE = 3  # over the mass
 N_WIND_SETTINGS = 8
 TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
-
-
-def wind_settings(config: WindObserver, period: float) -> np.ndarray:
-    """The numbers that the update takes: variances of a step's walks and of readings, limits, gain of the force; those
-    of the torque."""
-    walks = [config.wind_walk**2 * period, config.scale_walk**2 * period]
-    limits = [config.wind_initial**2, config.wind_limit, 1 - float(np.exp(-config.force_bandwidth * period))]
-    noise = [sigma**2 for sigma in config.noise]
-    return np.array(walks + noise + limits + torque_settings(config.torque_bandwidth, config.torque_limit, period))
 
 
 def wind_bandwidth(
@@ -73,9 +57,9 @@ def wind_bandwidth(
     return float(config.wind_walk * min(slopes))
 
 
-def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: str) -> ca.Function:
+def wind_function(vehicle: Vehicle, residual: Residual, about: Circumstances) -> ca.Function:
     """The update of control.observers.observer; s = [wind (3,), k, P (4, 4), F / m (3,), w^ (3,), J^-1 tau^ (3,)]."""
-    model = residual.form(backend == "compiled")
+    model, period = residual.form(about.compiled), about.period
     first = N_AIR + N_AIR**2 + N_FORCE
     a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), N_WIND_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
@@ -141,7 +125,7 @@ class WindObserver(ObserverPart):
         1.0, "of the wind estimate; where drag gives less the controller is refused", "[0, 1000]", "rad/s"
     )
 
-    def around(self, controller: Any) -> Observer:
+    def around(self, controller: Any) -> Any:
         """See Remedy; UsageError where the model has too little drag to measure a wind."""
         inner = believer(controller, self.name)
         core = innermost(inner)
@@ -153,10 +137,21 @@ class WindObserver(ObserverPart):
                 f" measure the wind (bandwidth {bandwidth:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s,"
                 f" observer.least_bandwidth is {self.least_bandwidth:g}); take observer=disturbance"
             )
-        function = wind_function(inner.vehicle, residual, period, inner.backend)
+        return self.put(controller)
 
-        def begin(x: np.ndarray) -> np.ndarray:
-            P = np.diag([self.wind_initial**2] * 3 + [self.scale_initial**2 if self.scale_walk else 0.0])
-            return np.concatenate([np.zeros(N_AIR), P.ravel(), np.zeros(N_FORCE), x[RATE], np.zeros(3)])
+    def update(self, vehicle: Vehicle, air: Residual, about: Circumstances) -> ca.Function:
+        """See ObserverPart."""
+        return wind_function(vehicle, air, about)
 
-        return Observer(inner, Update(function, wind_settings(self, period), begin), self)
+    def settings(self, period: float) -> np.ndarray:
+        """See ObserverPart: variances of a step's walks and of readings, limits, gain of the force; those of the
+        torque."""
+        walks = [self.wind_walk**2 * period, self.scale_walk**2 * period]
+        limits = [self.wind_initial**2, self.wind_limit, 1 - float(np.exp(-self.force_bandwidth * period))]
+        noise = [sigma**2 for sigma in self.noise]
+        return np.array(walks + noise + limits + torque_settings(self.torque_bandwidth, self.torque_limit, period))
+
+    def begin(self, x: np.ndarray) -> np.ndarray:
+        """See ObserverPart."""
+        P = np.diag([self.wind_initial**2] * 3 + [self.scale_initial**2 if self.scale_walk else 0.0])
+        return np.concatenate([np.zeros(N_AIR), P.ravel(), np.zeros(N_FORCE), x[RATE], np.zeros(3)])

@@ -66,7 +66,7 @@ class Told(WrappedController):
         super().__init__(inner)
         self.commands, self.states = iter(commands), []
         if belief is not None:
-            self.belief = belief
+            self.numbers = np.hstack([*belief])
 
     def reset(self, x, window):
         pass
@@ -92,7 +92,7 @@ def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag
     rng = np.random.default_rng(4)
     commands = vehicle.hover_thrust * (1 + 0.1 * rng.standard_normal((12, n)))
     told = Told(made(vehicle, residual), commands, belief)
-    wrapped = Prediction(told, delay, dead_time, lag)
+    wrapped = Prediction(time=delay, dead_time=dead_time, motor_lag=lag).around(told)
     world = belief or Belief(np.zeros(3), np.zeros(3), np.zeros(3))
 
     def slope(t, x, now):
@@ -128,13 +128,11 @@ def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag
 
 
 def test_dead_time_and_lag_of_the_mpc_inside_are_known(vehicle):
-    from quadexp.control.delay.prediction import PredictionPart
-
     inner = made(vehicle, linear_drag_residual(vehicle, (0.4, 0.3, 0.1)), dead_time=0.013, motor_lag=0.03)
-    own = PredictionPart(time=0.02).around(inner)
-    given = PredictionPart(time=0.02, dead_time=0.0, motor_lag=0.01).around(inner)
-    assert (own.delay, own.dead_time, own.lag) == (0.02, 0.013, 0.03)
-    assert (given.dead_time, given.lag) == (0.0, 0.01)
+    own = Prediction(time=0.02).around(inner)
+    given = Prediction(time=0.02, dead_time=0.0, motor_lag=0.01).around(inner)
+    assert (own.part.time, own.about.dead_time, own.about.lag) == (0.02, 0.013, 0.03)
+    assert (given.about.dead_time, given.about.lag) == (0.0, 0.01)
 
 
 @pytest.mark.parametrize("age", [0.0, 0.015])
@@ -143,7 +141,7 @@ def test_another_controller_is_told_when_its_command_will_act(vehicle, age):
     dead_time, n = 0.035, vehicle.n_rotors
     commands = vehicle.hover_thrust * (1 + 0.1 * np.random.default_rng(2).standard_normal((10, n)))
     plain = Held(vehicle, iter(commands), PERIOD, (0.0, 0.1))
-    wrapped = Prediction(plain, age, dead_time, 0.0)
+    wrapped = Prediction(time=age, dead_time=dead_time).around(plain)
     model = corrected_function(vehicle, no_residual(vehicle))
     sent = np.vstack([np.tile(vehicle.hover_thrust, (40, n)), commands])
 

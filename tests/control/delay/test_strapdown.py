@@ -48,7 +48,7 @@ class Motion:
 def flown(vehicle, motion, delay, believed=None, bias=0.0, periods=20):
     """States that the controller is told at each instant, (k, 13), and the true ones."""
     told = Held(vehicle, np.zeros(4), PERIOD)
-    wrapped = Strapdown(told, delay if believed is None else believed)
+    wrapped = Strapdown(time=delay if believed is None else believed).around(told)
     wrapped.reset(motion.state(0.0), WINDOW)
     for k in range(periods):
         t = k * PERIOD
@@ -75,7 +75,7 @@ def test_the_error_falls_with_the_square_of_the_period(vehicle):
     errors = []
     for period in (0.02, 0.01):
         motion, told = Motion(3, 2.0, 5.0), Held(vehicle, np.zeros(4), period)
-        wrapped = Strapdown(told, 0.06)
+        wrapped = Strapdown(time=0.06).around(told)
         wrapped.reset(motion.state(0.0), WINDOW)
         times = np.arange(round(0.6 / period)) * period
         for t in times:

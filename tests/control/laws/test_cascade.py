@@ -117,7 +117,7 @@ def test_the_integral_of_a_velocity_that_cannot_be_reached_does_not_wind_up():
     controller, window, integral = cascade(vehicle, tilt_limit=0.5), hovering(vehicle), []
 
     def note(t):
-        integral.append(controller._law.results["memory_next"][0])
+        integral.append(controller.memory.now[0])
 
     body = Body(vehicle, lambda t: np.array([1.0, 0.0, 0.0]) * vehicle.mass * vehicle.gravity)
     states, _ = fly(body, controller, at_rest(), 12.0, lambda t: window, note)
@@ -145,7 +145,7 @@ def test_the_rate_integral_stands_still_where_the_mixer_is_saturated():
     saturated = []
 
     def note(t):
-        saturated.append((controller._law.results["held"][0] > 0, controller._law.results["memory_next"][11]))
+        saturated.append((controller.running.instant.held[0] > 0, controller.memory.now[11]))
 
     fly(Body(vehicle), controller, at_rest(), 0.6, lambda t: window, note)
     held = [after - before for (_, before), (now, after) in zip(saturated, saturated[1:], strict=False) if now]

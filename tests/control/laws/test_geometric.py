@@ -215,11 +215,11 @@ def test_the_adaptive_variant_learns_a_constant_force_and_torque():
     controller = keys.controller(vehicle)
     states, _ = fly(Body(vehicle, lambda t: FORCE, lambda t: TORQUE), controller, at_rest(), 15.0, lambda t: window)
     assert np.abs(states[-1, POSITION]).max() < 1e-4
-    learned = controller._law.results["memory_next"]
+    learned = controller.memory.now
     assert learned[:3] == pytest.approx(FORCE / vehicle.mass, abs=2e-3)
     assert learned[3:] == pytest.approx(TORQUE / np.diag(vehicle.inertia_matrix), abs=2e-3)
     controller.reset(at_rest(), window)
-    assert not controller._law.arguments["memory"].any()
+    assert not controller.memory.now.any()
 
 
 def test_what_is_adapted_stays_in_its_ball():
@@ -227,7 +227,7 @@ def test_what_is_adapted_stays_in_its_ball():
     keys = Geometric(**INTERPRETED, force_adaptation=50.0, force_limit=0.5)
     controller = keys.controller(vehicle)
     fly(Body(vehicle, lambda t: FORCE), controller, at_rest(), 3.0, lambda t: window)
-    assert np.linalg.norm(controller._law.results["memory_next"][:3]) == pytest.approx(0.5)
+    assert np.linalg.norm(controller.memory.now[:3]) == pytest.approx(0.5)
 
 
 def test_compiled_and_interpreted_give_the_same_commands():

@@ -1,0 +1,172 @@
+"""A layer around a controller, as equations: what is done before the controller inside acts, and what after it.
+
+    class Mine(LayerPart):
+        memory = {"filtered": 3}
+
+        def before(self, vehicle, given, memory):   # from what is told: what the controller inside is told
+            return {"state": .., "belief": .., "filtered": ..}
+
+        def after(self, vehicle, given, memory, found):   # from given.command, of the controller inside: what is sent
+            return {"command": given.command + ..}
+
+As with a law (control.law), the step in C, margins, and columns follow from them. `given` are Inputs (control.inputs),
+`found` is what `before` gave at this instant. World ENU, body FLU, SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+
+from quadexp.compile.symbolic import ca
+from quadexp.control.base import Controller, Window, belief_of, no_belief
+from quadexp.control.built import built
+from quadexp.control.inputs import Circumstances, Inputs, Symbols, at_start, places_of, remembered
+from quadexp.control.instant import Instant, Operation, Told, call, copy, in_operations, instant_of, python
+from quadexp.control.law import given_by
+from quadexp.control.memory import NEXT, NOW, Memory, connected, sizes_of
+from quadexp.control.part import Remedy
+from quadexp.control.wrapped import WrappedController, thrust_at_start
+from quadexp.models.residual import Residual
+from quadexp.names import named
+from quadexp.parts.settings import keyed
+from quadexp.physics.expression import named_function
+from quadexp.physics.vehicle import Vehicle
+
+FOUND = "found_"  # before the names of results that are no memory
+NO_BELIEF = np.hstack([*no_belief()])
+
+
+@keyed
+class LayerPart(Remedy):
+    """A remedy that is equations, see the module. logged: columns, by the name of the result that has them."""
+
+    logged: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+
+    def remembers(self, given: Inputs) -> Mapping[str, int]:
+        """What it remembers from instant to instant: names and lengths; zero at the start unless `start` says so."""
+        return {}
+
+    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """What it remembers at the start of a flight in the state x, (13,), where that is not zero. thrust: that the
+        rotors give then, (n,) (N)."""
+        return {}
+
+    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """`state` and `belief` for the controller inside, where they are others; of `memory` next values; the rest is
+        for `after` and the log."""
+        return {}
+
+    def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:
+        """`command`, thrusts within the limits (N), where it is another than given.command; of `memory` next values."""
+        return {}
+
+
+class Layer(WrappedController):
+    """A LayerPart around a controller, or on another backend than that.
+
+    about: what its equations know; the period is that of the layer, in whole parts of the controller's. residual: the
+    model of the air that they read. places: arrays of inputs that nobody else has, such as theta. memory: what it
+    remembers. kept: what is remembered as it is found behind the controller inside, name -> array.
+    """
+
+    def __init__(
+        self, inner: Controller, part: LayerPart, about: Circumstances, residual: Residual | None = None,
+        places: Mapping[str, np.ndarray] | None = None, *, backend: str | None = None,
+        kept: Mapping[str, np.ndarray] | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(inner)
+        self.part, self.about, self.control_period = part, about, about.period
+        self.every = round(inner.control_period / about.period)
+        asked = backend or inner.backend
+        self._functions = built(asked, layer_functions, replace(part, name="layer"), self.vehicle, about, residual)
+        reads = {name for function in self._functions for name in function.name_in()}
+        self._kept = dict(kept or {})
+        sizes = sizes_of(self._functions) | {name: values.size for name, values in self._kept.items()}
+        self._remembers_sent = NOW + "sent" in reads
+        self.memory = Memory(sizes | ({"sent": self.vehicle.n_rotors} if self._remembers_sent else {}))
+        self._places = dict(places or {})
+        self.results = {
+            name.removeprefix(FOUND): np.zeros(function.numel_out(name))
+            for function in self._functions
+            for name in function.name_out()
+            if name.startswith(FOUND)
+        }
+        if "belief" in self.results and in_operations(inner):
+            self.results["belief"] = inner.believed_numbers  # type: ignore[attr-defined]  # its part saw to it
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        thrust = thrust_at_start(window, self.vehicle)
+        start = at_start(self.vehicle, self.about, thrust) if self._remembers_sent else {}
+        start |= self.part.start(Inputs(self.vehicle, self.about, ca.SX), x, thrust)
+        self.memory.begin({name: value for name, value in start.items() if name in self.memory.sizes})
+        if "belief" in self.results:
+            self.results["belief"][...] = NO_BELIEF
+
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant; the record is that of the controller's last step."""
+        results = self.results
+        operations = self.calls("before", told, state)
+        inside = [*self.inside(told), *self._believing()]
+        inner = instant_of(self.inner, told, results.get("state", state))
+        inside += [*inner.operations, *(copy(self.memory.of_next[name], values) for name, values in self._kept.items())]
+        operations += [o._replace(every=o.every * self.every) for o in inside]
+        operations += self.calls("after", told, state, inner.command)
+        command = results.get("command", inner.command)
+        if self._remembers_sent:
+            operations.append(copy(self.memory.of_next["sent"], command))
+        logged = (*inner.logged, *(results[name] for name in self.part.logged))
+        memory = (*inner.memory, self.memory)
+        return inner._replace(operations=operations, command=command, logged=logged, memory=memory)
+
+    def calls(self, which: str, told: Told, state: np.ndarray, command: np.ndarray | None = None) -> list[Operation]:
+        """Its function `before`, or `after` the controller inside, whose command is found there. state: (13,)."""
+        results = {FOUND + name: values for name, values in self.results.items()}
+        found = results | {FOUND + name: values for name, values in self.memory.of_next.items()}
+        places = {**places_of(told, state), **self._places, **found}
+        if command is not None:
+            places["command"] = command
+        functions = [function for function in self._functions if function.name().endswith(which)]
+        return [call(connected(function, places, self.memory, results)) for function in functions]
+
+    def inside(self, told: Told) -> list[Operation]:
+        """What else is done before the controller inside acts."""
+        return []
+
+    def _believing(self) -> list[Operation]:
+        """What tells the controller inside of the belief, where that is not written where it reads it."""
+        inner, belief = self.inner, self.results.get("belief")
+        if belief is None or in_operations(inner):
+            return []
+        return [python(lambda: inner.believe(belief_of(belief)))]  # type: ignore[attr-defined]
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log."""
+        columns = self.inner.log()
+        for name, labels in self.part.logged.items():
+            columns |= named(labels, self.results[name].tolist())
+        return columns
+
+
+def layer_functions(
+    part: LayerPart, vehicle: Vehicle, about: Circumstances, residual: Residual | None
+) -> list[ca.Function]:
+    """`before` and `after` of a layer, as functions whose names end so; one that gives nothing is left out."""
+    functions, sizes = list[ca.Function](), dict[str, int]()
+    for which in ("before", "after"):
+        given = Inputs(vehicle, about, ca.MX, residual)
+        kept = part.remembers(given)
+        memory, found = remembered(given, kept), Symbols(given, FOUND, sizes, "what `before` gave")
+        more = [found] if which == "after" else []
+        left = given_by(part, given, partial(getattr(part, which), vehicle, given, memory, *more), {})
+        results = {(NEXT if name in kept else FOUND) + name: value for name, value in left.items()} | given.left
+        sizes = {name: value.numel() for name, value in left.items()}
+        if results:
+            functions.append(named_function(f"{type(part).__name__}_{which}", given.read, results))
+    return functions
