@@ -27,7 +27,7 @@ from benchmarks.step import make_residual
 from quadexp.control.auto.around_mpc import AutoMPC
 from quadexp.control.base import Controller, Measurement
 from quadexp.control.delay.prediction import Prediction
-from quadexp.control.delay.strapdown import Strapdown
+from quadexp.control.delay.strapdown import KnownDelay, Strapdown
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
@@ -59,6 +59,7 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
 
     disturbance, wind = DisturbanceObserver(name="disturbance"), WindObserver(name="wind")
     still = WindObserver(name="wind", targets=False)
+    strapdown, prediction = Strapdown(time=0.02).around, Prediction(time=0.02, dead_time=0.0, motor_lag=0.0).around
     return {
         f"{CASE}": mpc(disturbed=False),
         f"{CASE}, controller.fallback=true": mpc(disturbed=False, weighed=True),
@@ -73,20 +74,22 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
         ),
         f"{CASE}, observer=disturbance": disturbance.around(mpc()),
         f"{CASE}, observer=disturbance, dead time predicted": disturbance.around(mpc(dead_time=0.02)),
-        f"{CASE}, observer=disturbance, delay=strapdown": Strapdown(disturbance.around(mpc()), 0.02),
-        f"{CASE}, observer=disturbance, delay=prediction": Prediction(disturbance.around(mpc()), 0.02, 0.0, 0.0),
+        f"{CASE}, observer=disturbance, delay=strapdown": strapdown(disturbance.around(mpc())),
+        f"{CASE}, observer=disturbance, delay=prediction": prediction(disturbance.around(mpc())),
         f"{CASE}, observer=wind without targets": still.around(mpc()),
         f"{CASE}, observer=wind": wind.around(mpc()),
         f"{CASE}, observer=wind without targets, dead time predicted": still.around(mpc(dead_time=0.02)),
         f"{CASE}, observer=wind, dead time predicted": wind.around(mpc(dead_time=0.02)),
-        f"{CASE}, delay=strapdown (20 ms)": Strapdown(mpc(disturbed=False), 0.02),
-        f"{CASE}, delay=prediction (20 ms)": Prediction(mpc(disturbed=False), 0.02, 0.0, 0.0),
+        f"{CASE}, delay=strapdown (20 ms)": strapdown(mpc(disturbed=False)),
+        f"{CASE}, delay=prediction (20 ms)": prediction(mpc(disturbed=False)),
         f"{CASE}, motor=lead": mpc(disturbed=False, motor_lead=0.03),
         f"{CASE}, motor=states": mpc(disturbed=False, motor_lag=0.03),
-        f"{CASE}, observer=wind without targets, delay=strapdown": Strapdown(still.around(mpc()), 0.02),
-        f"{CASE}, observer=wind without targets, delay=prediction": Prediction(still.around(mpc()), 0.02, 0.0, 0.0),
-        f"{CASE}, observer=wind, delay=strapdown": Strapdown(wind.around(mpc()), 0.02),
-        f"{CASE}, observer=wind, delay=prediction": Prediction(wind.around(mpc()), 0.02, 0.0, 0.0),
+        f"{CASE}, observer=wind without targets, delay=strapdown": strapdown(still.around(mpc())),
+        f"{CASE}, observer=wind without targets, delay=prediction": Prediction(
+            time=0.02, dead_time=0.0, motor_lag=0.0
+        ).around(still.around(mpc())),
+        f"{CASE}, observer=wind, delay=strapdown": strapdown(wind.around(mpc())),
+        f"{CASE}, observer=wind, delay=prediction": prediction(wind.around(mpc())),
         f"{CASE}, remedies=auto": AutoMPC(mpc(input_hold="deviation"), SensorSheet()),
     }
 
@@ -105,10 +108,11 @@ def flown(loop: ControlLoop) -> Log:
 
 def in_wind(vehicle: Vehicle, controller: Controller) -> ControlLoop:
     """A loop on the circle; its plant has the delays that the controller knows."""
-    late, age = controller.node_times[0], getattr(controller, "delay", 0.0)
+    late, remedy = controller.node_times[0], getattr(controller, "part", None)
+    age = remedy.time if isinstance(remedy, KnownDelay) else 0.0
     link = [f"link.latency={late}", "link=latency"] if late else []
     if age:
-        gyro = "fresh" if isinstance(controller, Strapdown) else "late"
+        gyro = "fresh" if isinstance(remedy, Strapdown) else "late"
         link += ["estimator=late", f"estimator.delay={age}", f"estimator.gyro={gyro}"]
     return ControlLoop(controller, Circle(speed=8.0), build_world(compose(["world=only_wind", *link]), vehicle))
 

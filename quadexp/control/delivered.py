@@ -75,24 +75,6 @@ def delivered_by_commands(
     return acting[:, 1:], thrust, mean + numbers[4] * (first - thrust)
 
 
-def commands_function(
-    rotors: int, delays: Delays, backend: str, shared: Mapping[str, np.ndarray] | None = None
-) -> BufferedFunction:
-    """`delivered_by_commands` as a function of commands, thrust and sent: commands_next, thrust_next, mean.
-
-    backend: resolved. shared: see BufferedFunction."""
-    function = BufferedFunction(built(backend, _commands_function, rotors, delays.pending), shared)
-    function.arguments["numbers"][...] = delays.numbers
-    return function
-
-
-def _commands_function(rotors: int, pending: int) -> ca.Function:
-    shapes = {"commands": (rotors, pending), "thrust": rotors, "sent": rotors, "numbers": 6}
-    a = named_symbols(ca.SX, shapes)
-    commands, thrust, mean = delivered_by_commands(*a.values())
-    return named_function("delivered", a, {"commands_next": commands, "thrust_next": thrust, "mean": mean})
-
-
 def delivered_thrust(
     kept: Mapping[str, Any], sent: Any, numbers: Any, measured: Any = None, turning: Any = 0
 ) -> tuple[Any, Any, dict[str, Any]]:

@@ -188,7 +188,8 @@ class _Flown:
         that `_enter` prepared."""
         running, given, results = self._controller.running, self._function.arguments, self._function.results
         told, window, command = running.told, running.told.window, running.instant.command
-        sensors = [told.force, told.speed] if hasattr(self._plant, "rotor_places") else [told.force]
+        turning = np.array(getattr(self._plant, "rotor_places", []), int)
+        sensors = [told.force, told.speed] if len(turning) else [told.force]
         readings = [one for one in sensors if memory.reads(one)]
         read, m = [told.state, *readings], len(begun)
 
@@ -229,7 +230,7 @@ class _Flown:
         inner, n = N_TANGENT + len(given["inner"]), len(command)
         places = [np.arange(N_TANGENT) + (inner + 3) * self._estimates]
         for one in readings:
-            places.append(inner + np.arange(3) if one is told.force else N_TANGENT + np.array(self._plant.rotor_places))
+            places.append(inner + np.arange(3) if one is told.force else N_TANGENT + turning)
         body, places = len(by_plant), [*places, len(by_plant) + np.arange(m)]
         by_all = np.zeros((n + m, body + m))
         by_all[:, np.concatenate(places)] = by_told

@@ -140,7 +140,9 @@ class PredictiveController(InOperations):
         if self.believed is not None:
             delivering, command = self.believed.after(command)
             operations += delivering
-        return Instant(operations, command, lambda _: self.record, plan=self)
+        layers: list[Any] = [self.believed, self.predictor]
+        kept = tuple(layer.memory for layer in layers if hasattr(layer, "memory"))
+        return Instant(operations, command, lambda _: self.record, plan=self, memory=kept)
 
     def _plan(self) -> None:
         """The MPC's step from what lies in its arrays; what is out of the ordinary is here, and not in C."""

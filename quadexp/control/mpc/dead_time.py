@@ -18,11 +18,11 @@ import math
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
-from quadexp.control.delivered import Delays, commands_function
+from quadexp.control.delivered import Delays, delivered_by_commands, kept_sizes
 from quadexp.control.instant import Operation, call, copy, run
+from quadexp.control.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.settings import MPCSettings
@@ -39,62 +39,38 @@ class DeadTimePredictor:
     """Predicts the state after the dead time from the commands that have been sent but have not acted yet.
 
     mpc: its model, parameters, dead_time and known lag are used. `reset` begins a flight; its operations stand `before`
-    and `after` the plan, at every control instant.
-
-    commands: sent and not yet fully acting, (K, n) (N), the oldest first. thrust: of the rotors at the control instant,
-    (n,) (N), with a known lag only.
+    and `after` the plan, at every control instant. memory: those commands, and with a known lag thrusts of the rotors.
     """
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         settings, n = mpc.settings, mpc.vehicle.n_rotors
-        self._lag = settings.known_lag
-        delays = Delays(settings.control_period, settings.dead_time, self._lag)
-        self._pending = pending = delays.pending
-        self._full = np.zeros(N_STATE + n * bool(self._lag))
-        self._predict: BufferedFunction | None = None
-        commands = np.zeros((pending, n))
-        if pending:
-            form = {"lag": bool(self._lag), "disturbed": mpc.disturbance is not None}
-            function = built(mpc.backend, prediction_function, mpc.vehicle, mpc.residual, pending, **form)
-            shared = {"theta": mpc.parameters}
-            shared |= {} if mpc.disturbance is None else {"disturbance": mpc.disturbance}
-            self._predict = BufferedFunction(function, shared | {"x": self._full})
-            self._x_next = self._predict.results["x_next"]
-            commands = self._predict.arguments["U"]
-            durations = self._predict.arguments["dt"]
-            durations[...], durations[0] = delays.period, delays.durations[0]
-            if self._lag:
-                self._predict.arguments["tau"][...] = self._lag
-        # All of these are views of what `predict` reads.
-        self.commands = commands.reshape(pending, n)
-        self.thrust = self._full[N_STATE:] if self._lag else np.zeros(n)
-        self._x, sent = self._full[:N_STATE], commands.reshape(-1)
-        self._older, self._newer, self._newest = sent[:-n], sent[n:], sent[-n:]
-        if self._lag:
-            self._on = commands_function(n, delays, mpc.backend, {"commands": commands, "thrust": self.thrust})
+        self._delays = Delays(settings.control_period, settings.dead_time, settings.known_lag)
+        disturbed = mpc.disturbance is not None
+        form = mpc.vehicle, mpc.residual, self._delays
+        self._function = built(mpc.backend, prediction_function, *form, disturbed=disturbed)
+        self._places = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"disturbance": mpc.disturbance})
+        self.memory = Memory(sizes_of([self._function]) | {"sent": n})
+        self._predicted = {"x_next": np.zeros(self._function.size1_out("x_next"))}
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
-        self.commands[...] = self.thrust[...] = thrust
+        start = {"commands": np.tile(thrust, self._delays.pending), "thrust": thrust, "sent": thrust}
+        self.memory.begin({name: value for name, value in start.items() if name in self.memory.sizes})
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """State after the dead time, (13,), with a known lag (13 + n,), from the measured state x now, (13,)."""
-        operations, predicted = self.before(x)
+        operations, predicted = self.before(np.ascontiguousarray(x, float))
         run(operations)
         return predicted.copy()
 
     def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Predicts from the state that is found there, (13,), and the array that has the predicted one then."""
-        given = copy(self._x, state)
-        return ([given], self._full) if self._predict is None else ([given, call(self._predict)], self._x_next)
+        places = self._places | {"x": state}
+        return [call(connected(self._function, places, self.memory, self._predicted))], self._predicted["x_next"]
 
     def after(self, command: np.ndarray) -> list[Operation]:
-        """Goes on by one control period under the command that is found there, (n,) (N)."""
-        on = []
-        if self._lag:
-            on = [copy(self._on.arguments["sent"], command), call(self._on)]
-            on.append(copy(self.thrust, self._on.results["thrust_next"]))
-        return [*on, copy(self._older, self._newer), copy(self._newest, command)] if self._pending else on
+        """Remembers the command that is found there, (n,) (N)."""
+        return [copy(self.memory.of_next["sent"], command)]
 
 
 class MotorLead:
@@ -111,20 +87,20 @@ class MotorLead:
     def __init__(
         self, limits: tuple[np.ndarray, np.ndarray], settings: MPCSettings, backend: str = "interpreted"
     ) -> None:
-        function = built(backend, inversion_function, len(limits[0]))
-        self._invert = BufferedFunction(function, named(("low", "high"), limits))
+        self._function = built(backend, inversion_function, len(limits[0]))
+        self._places, self._gain = named(("low", "high"), limits), np.zeros(1)
+        self._inverted = {"command": np.zeros_like(limits[0])}
         self.tune(settings)
 
     def tune(self, settings: MPCSettings) -> None:
         """Go on with the lag of other settings; without one, a command is what is planned."""
         period, lag = settings.control_period, settings.motor_lead
-        self._invert.arguments["gain"][...] = -1 / math.expm1(-period / lag) if lag else 1.0
+        self._gain[...] = -1 / math.expm1(-period / lag) if lag else 1.0
 
     def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Inverts for the thrusts that are found there, (n,) (N), planned and now; and the array of the command."""
-        given = self._invert.arguments
-        operations = [copy(given["planned"], planned), copy(given["now"], thrust), call(self._invert)]
-        return operations, self._invert.results["command"]
+        places = self._places | {"gain": self._gain, "planned": planned, "now": thrust}
+        return [call(connected(self._function, places, Memory({}), self._inverted))], self._inverted["command"]
 
 
 def inversion_function(rotors: int) -> ca.Function:
@@ -136,21 +112,32 @@ def inversion_function(rotors: int) -> ca.Function:
 
 
 def prediction_function(
-    vehicle: Vehicle, residual: Residual, commands: int, *, lag: bool = False, disturbed: bool = False
+    vehicle: Vehicle, residual: Residual, delays: Delays, *, disturbed: bool = False
 ) -> ca.Function:
-    """The model's state after K = commands held inputs.
+    """The model's state after the dead time.
 
-    Inputs: x (m,), m = 13, with `lag` 13 + n; U (n, K) (N), the first to act first; dt (K,), for how long each acts
-    (s); theta (p,); with `lag` tau (s); with `disturbed` disturbance (6,), see physics.rigid_body. Output: x_next (m,),
-    its quaternion of unit length.
+    Inputs: x (13,); theta (p,); with `disturbed` disturbance (6,), see physics.rigid_body; and the memory: commands
+    that are pending, thrust, the command that was sent last. Output: x_next, its quaternion of unit length, (13,), with
+    a lag (13 + n,); the memory's next values.
     """
-    n = vehicle.n_rotors
-    node = node_function(vehicle, residual, lag=lag, disturbed=disturbed)
-    shapes = {"x": N_STATE + n * lag, "U": (n, commands), "dt": commands, "theta": residual.function.size1_in(1)}
-    shapes |= {"tau": 1} if lag else {}
+    n, lag, kept = vehicle.n_rotors, bool(delays.lag), kept_sizes(vehicle.n_rotors, delays)
+    shapes = {"x": N_STATE, "theta": residual.function.size1_in(1)}
     shapes |= {"disturbance": N_DISTURBANCE} if disturbed else {}
-    arguments = named_symbols(ca.MX, shapes)
-    x, further = arguments["x"], [arguments[name] for name in ("tau", "disturbance") if name in arguments]
-    for u, dt in zip(ca.horzsplit(arguments["U"]), ca.vertsplit(arguments["dt"]), strict=True):
-        x = node(x, u, arguments["theta"], dt, *further)
-    return named_function("mpc_prediction", arguments, {"x_next": with_unit_attitude(x)})
+    arguments = named_symbols(ca.MX, shapes | {NOW + name: kept[name] for name in ("commands", "thrust", "sent")})
+    x, theta = arguments["x"], arguments["theta"]
+    before = ca.reshape(arguments[f"{NOW}commands"], n, delays.pending)
+    numbers = ca.DM(delays.numbers)
+    commands, thrust, _ = delivered_by_commands(before, arguments[f"{NOW}thrust"], arguments[f"{NOW}sent"], numbers)
+    further = [ca.MX(delays.lag)] if lag else []
+    if disturbed:
+        further.append(arguments["disturbance"])
+    if lag:
+        x = ca.vertcat(x, thrust)
+    if delays.pending:
+        node = node_function(vehicle, residual, lag=lag, disturbed=disturbed)
+        durations = [delays.durations[0], *[delays.period] * (delays.pending - 1)]  # for how long each command acts
+        for u, dt in zip(ca.horzsplit(commands), durations, strict=True):
+            x = node(x, u, theta, dt, *further)
+        x = with_unit_attitude(x)
+    left = {"x_next": x, f"{NEXT}commands": ca.vec(commands)} | ({f"{NEXT}thrust": thrust} if lag else {})
+    return named_function("mpc_prediction", arguments, left)

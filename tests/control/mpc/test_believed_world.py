@@ -102,7 +102,7 @@ def test_the_dead_time_is_predicted_in_the_believed_world(vehicle, rng, lag):
     inside = entered(controller, x, window)
     thrust, u = np.full(4, 3.0), rng.uniform(1, 4, 4)
     controller.predictor.reset(thrust)
-    controller.predictor.commands[...] = u
+    controller.predictor.memory.of_now["sent"][...] = u
     found = controller.predictor.predict(inside)
     expected = in_a_world(
         vehicle, residual, x, u, 0.02, belief.force, belief.torque, belief.wind, lag, thrust if lag else u

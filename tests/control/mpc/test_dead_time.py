@@ -51,6 +51,12 @@ def integrated(vehicle, residual, x, thrust, commands, dead_time, lag, period=0.
     return state if lag else state[:13]
 
 
+def pend(predictor, commands):
+    """These commands, (K, 4), have been sent last."""
+    memory = predictor.memory
+    memory.of_now["commands"][4:], memory.of_now["sent"][...] = commands[:-1].ravel(), commands[-1]
+
+
 @pytest.mark.parametrize("lag", [0.0, 0.03])
 @pytest.mark.parametrize("dead_time", [0.013, 0.02, 0.047])
 @pytest.mark.parametrize("name", RESIDUALS)
@@ -61,10 +67,12 @@ def test_the_prediction_is_the_model_integrated_over_the_commands_sent(vehicle, 
     x, thrust = random_state(rng, speed=3.0, rate=1.0), rng.uniform(1, 5, 4)
     commands = rng.uniform(1, 5, (int(np.ceil(dead_time / 0.02)), 4))
     predictor.reset(thrust)
-    predictor.commands[...] = commands
+    pend(predictor, commands)
+    found = predictor.predict(x)
+    thrust = predictor.memory.of_next.get("thrust", thrust)  # now
     expected = integrated(vehicle, residual, x, thrust, commands, dead_time, lag)
     error = 5e-4 if lag or name == "gp_thrust" else 3e-6  # of one Runge-Kutta step over a control period
-    assert predictor.predict(x) == pytest.approx(expected, rel=error, abs=error)
+    assert found == pytest.approx(expected, rel=error, abs=error)
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.013, 0.02, 0.047])
@@ -75,13 +83,16 @@ def test_the_thrust_follows_the_commands_as_they_arrive(vehicle, rng, dead_time)
     first, commands = rng.uniform(1, 5, 4), rng.uniform(1, 5, (6, 4))
     predictor.reset(first)
     for command in commands:
+        predictor.predict(np.eye(13)[3])
         run(predictor.after(command))
+        predictor.memory.commit()
+    predictor.predict(np.eye(13)[3])
     thrust, fine = first.copy(), 1e-3
     for i in range(round(len(commands) * period / fine)):
         sent = int(np.floor((i * fine - dead_time) / period + 1e-9))
         acting = commands[sent] if sent >= 0 else first
         thrust = acting + (thrust - acting) * np.exp(-fine / lag)
-    assert predictor.thrust == pytest.approx(thrust)
+    assert predictor.memory.of_next["thrust"] == pytest.approx(thrust)
 
 
 @pytest.mark.parametrize("settings", [{}, {"motor_lag": 0.03}], ids=["thrusts", "lagging rotors"])
@@ -211,7 +222,9 @@ def test_the_prediction_that_may_change_is_that_of_fixed_times(vehicle, rng, dea
     commands = vehicle.hover_thrust * (1 + 0.2 * rng.standard_normal((60, 4)))
     fixed.reset(commands[0])
     for u in commands:
+        fixed.predict(np.eye(13)[3])
         run(fixed.after(u))
+        fixed.memory.commit()
     free.tune(dead_time, lag, commands)
     x = np.r_[1.0, 2, 3, 1, 0, 0, 0, 2, -1, 0.5, 0.3, 0.2, -0.4]
     ours, theirs = free.predict(x), fixed.predict(x)
