@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.memory import Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.instant import Operation, Told, call, copy
-from quadexp.control.memory import Memory, connected, sizes_of
 from quadexp.physics.expression import Expression, named_function, named_symbols, symbols
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle

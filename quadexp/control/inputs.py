@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Belief
 from quadexp.control.delivered import Delays, delivered_thrust, kept_sizes
 from quadexp.control.instant import Told
-from quadexp.control.memory import NEXT, NOW
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.physics.expression import symbols
 from quadexp.physics.rotation import air_velocity
@@ -45,15 +45,18 @@ class Circumstances:
 class Inputs:
     """What equations may read, as symbols; what they do not read costs nothing.
 
-    state: (13,), position, quaternion body to world, velocity (world), body rate. reference: (13,), of the trajectory
-    now, by flatness. thrusts: of the reference now, (n,) (N); thrusts_middle: in the middle of the control period.
-    path: (3, 5), position of the reference to snap, world. heading: of the reference, its rate and acceleration (rad),
-    (3,). specific_force: of the accelerometer, (3,), body (m/s^2). rotor_speed: (n,) (rad/s). fresh: (2,), whether
-    these two were measured now; otherwise they are as they were. delivered: what the rotors give now, (n,) (N),
-    measured, or by the commands that were sent; mean: over the last period. belief: what an observer tells; see
-    control.base.Belief. air, air_reference: (6,), acceleration (m/s^2) and torque (N m) by the controller's model of
-    the air, body, at state and reference; without a model zero. theta: of that model. command: of the controller
-    inside, (n,) (N), for what is done after it. period: of control (s); about: all that is known, Circumstances.
+    state: (13,), position, quaternion body to world, velocity (world), body rate.
+    reference: (13,), of the trajectory now, by flatness. thrusts: of the reference now, (n,) (N); thrusts_middle: in
+    the middle of the control period. path: (3, 5), position of the reference to snap, world.
+    heading: of the reference, its rate and acceleration (rad), (3,); drift: how fast it turns beside these, where it is
+    left free (rad/s).
+    specific_force: of the accelerometer, (3,), body (m/s^2). rotor_speed: (n,) (rad/s). fresh: (2,), whether these two
+    were measured now; otherwise they are as they were.
+    delivered: what the rotors give now, (n,) (N), measured, or by the commands that were sent; mean: over the last
+    control period. command: of the controller inside, (n,) (N), for what is done after it.
+    belief: what an observer tells; see control.base.Belief. air, air_reference: (6,), acceleration (m/s^2) and torque
+    (N m) by the controller's model of the air, body, at state and reference; without a model zero. theta: its
+    parameters. period: of control (s); about: all that is known, Circumstances.
     """
 
     def __init__(
@@ -71,8 +74,8 @@ class Inputs:
         self.kind, self._later, n = kind, later, vehicle.n_rotors
         self._shapes = {
             "state": (N_STATE, 1), "reference": (N_STATE, 1), "thrusts": (n, 1), "thrusts_middle": (n, 1),
-            "path": (3, 5), "heading": (3, 1), "specific_force": (3, 1), "rotor_speed": (n, 1), "fresh": (2, 1),
-            "belief": (N_BELIEF, 1), "command": (n, 1), **dict.fromkeys(AIR, (N_OUTPUTS, 1)),
+            "path": (3, 5), "heading": (3, 1), "drift": (1, 1), "specific_force": (3, 1), "rotor_speed": (n, 1),
+            "fresh": (2, 1), "belief": (N_BELIEF, 1), "command": (n, 1), **dict.fromkeys(AIR, (N_OUTPUTS, 1)),
         }  # fmt: skip
         self.read: dict[str, Any] = {}
         self.left: dict[str, Any] = {}  # next values of what it remembers of commands
@@ -159,6 +162,7 @@ def places_of(told: Told, state: np.ndarray) -> dict[str, np.ndarray]:
         "state": state,
         "path": told.path,
         "heading": told.yaw[:3],
+        "drift": told.yaw[3:],
         "specific_force": told.force,
         "rotor_speed": told.speed,
         "fresh": told.fresh,

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.memory import Memory
 from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.memory import Memory
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import N_STATE

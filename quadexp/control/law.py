@@ -27,12 +27,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from quadexp.compile.backend import resolve
+from quadexp.compile.memory import NEXT
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import held
 from quadexp.control.built import built
 from quadexp.control.inputs import AIR, Circumstances, Inputs, remembered
 from quadexp.control.laws.explicit import BelievingController, ExplicitController, Rate
-from quadexp.control.memory import NEXT
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
@@ -67,6 +67,10 @@ class Law(ControllerPart):
         `held`, how many rotors are at a limit, where the command does not show it."""
         raise NotImplementedError
 
+    def remembers(self, given: Inputs) -> Mapping[str, int]:
+        """`memory`, where lengths are of this vehicle (given.vehicle)."""
+        return self.memory
+
     def start(self, vehicle: Vehicle, x: np.ndarray) -> dict[str, np.ndarray]:
         """What it remembers at the start of a flight in the state x, (13,), where that is not zero."""
         return {}
@@ -75,8 +79,11 @@ class Law(ControllerPart):
         """See ControllerPart."""
         return self.controller(given.vehicle, given.residual(*self.kinds))
 
-    def controller(self, vehicle: Vehicle, residual: Residual | None = None) -> ExplicitController:
-        """The Controller (see control.base) of a vehicle. residual: its model of the air, None for none.
+    def controller(
+        self, vehicle: Vehicle, residual: Residual | None = None, places: Mapping[str, np.ndarray] | None = None
+    ) -> ExplicitController:
+        """The Controller (see control.base) of a vehicle. residual: its model of the air, None for none. places: values
+        of inputs that nobody else has.
 
         Raises UsageError for equations that do not give what they must."""
         known = None if residual is None or residual.is_zero else residual
@@ -84,7 +91,7 @@ class Law(ControllerPart):
         about = Circumstances(1 / self.rate, compiled=resolve(self.backend) == "compiled")
         function = built(self.backend, law_function, structure, vehicle, about, known)
         kind = BelievingController if "belief" in function.name_in() else ExplicitController
-        return kind(vehicle, self, about, function, known)
+        return kind(vehicle, self, about, function, known, places)
 
 
 def law_function(law: Law, vehicle: Vehicle, about: Circumstances, residual: Residual | None) -> ca.Function:
@@ -106,10 +113,11 @@ def law_function(law: Law, vehicle: Vehicle, about: Circumstances, residual: Res
 
 def _outputs(law: Law, vehicle: Vehicle, inputs: Inputs) -> dict[str, Any]:
     """The outputs of `law_function`, which reads inputs."""
-    sizes = {**dict.fromkeys(law.logged), "command": vehicle.n_rotors, **law.memory}
-    found = given_by(law, inputs, lambda: law.equations(vehicle, inputs, remembered(inputs, law.memory)), sizes)
+    kept = law.remembers(inputs)
+    sizes = {**dict.fromkeys(law.logged), "command": vehicle.n_rotors, **kept}
+    found = given_by(law, inputs, lambda: law.equations(vehicle, inputs, remembered(inputs, kept)), sizes)
     outputs = {"command": found["command"], "held": found.get("held", held(vehicle, found["command"]))}
-    outputs |= {NEXT + name: found[name] for name in law.memory} | inputs.left
+    outputs |= {NEXT + name: found[name] for name in kept} | inputs.left
     return outputs | {f"log_{name}": found[name] for name in law.logged}
 
 

@@ -22,13 +22,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window, belief_of, no_belief
 from quadexp.control.built import built
 from quadexp.control.inputs import Circumstances, Inputs, Symbols, at_start, places_of, remembered
 from quadexp.control.instant import Instant, Operation, Told, call, copy, in_operations, instant_of, python
 from quadexp.control.law import given_by
-from quadexp.control.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.models.residual import Residual
@@ -88,7 +88,8 @@ class Layer(WrappedController):
         self._kept = dict(kept or {})
         sizes = sizes_of(self._functions) | {name: values.size for name, values in self._kept.items()}
         self._remembers_sent = NOW + "sent" in reads
-        self.memory = Memory(sizes | ({"sent": self.vehicle.n_rotors} if self._remembers_sent else {}))
+        commands = {"sent": self._remembers_sent, "held": self.every > 1}  # of those the newest: sent, and inside
+        self.memory = Memory(sizes | {name: self.vehicle.n_rotors for name, kept in commands.items() if kept})
         self._places = dict(places or {})
         self.results = {
             name.removeprefix(FOUND): np.zeros(function.numel_out(name))
@@ -116,8 +117,12 @@ class Layer(WrappedController):
         inside = [*self.inside(told), *self._believing()]
         inner = instant_of(self.inner, told, results.get("state", state))
         inside += [*inner.operations, *(copy(self.memory.of_next[name], values) for name, values in self._kept.items())]
+        given = inner.command
+        if self.every > 1:
+            given = self.memory.of_next["held"]
+            inside.append(copy(given, inner.command))
         operations += [o._replace(every=o.every * self.every) for o in inside]
-        operations += self.calls("after", told, state, inner.command)
+        operations += self.calls("after", told, state, given)
         command = results.get("command", inner.command)
         if self._remembers_sent:
             operations.append(copy(self.memory.of_next["sent"], command))

@@ -38,18 +38,21 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.backend import realise, resolve
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
-from quadexp.physics.expression import Expression, symbols
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
 from quadexp.physics.vehicle import Vehicle
 
 SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)
 AXES = ((C_D0, C_LA, C_DX), (C_D0, C_LA, C_DY), (C_LA, C_DZ))  # coefficients that the force along x, y, z depends on
+INNOVATION_SAMPLES = 10  # time constant, in samples, of the mean square error
+FIRST_WAIT, NEXT_WAIT = 100, 50  # samples without change detection: at the start, and after a detected change
 ITERATIONS = 16  # of the safeguarded Newton method, from its upper bound
 
 
@@ -156,62 +159,44 @@ class Identification(RLSSettings, BladeKeys):
         None, "mean square error over noise variance at which P is reset; null: never", "(1, 1e9]"
     )
 
-    def build(self, vehicle: Vehicle, backend: str) -> BladeElementRLS:
-        """The estimators, before a flight."""
-        return BladeElementRLS(vehicle, part(BladeCoefficients, self), part(RLSSettings, self), backend=backend)
+    @property
+    def remembered(self) -> dict[str, np.ndarray]:
+        """What is known before the first sample, see `remembered` of this module."""
+        return remembered(part(BladeCoefficients, self), part(RLSSettings, self))
+
+    def update(self, vehicle: Vehicle) -> ca.Function:
+        """See update_function."""
+        first, settings = part(BladeCoefficients, self), part(RLSSettings, self)
+        return update_function(vehicle, first, settings, self.change_threshold)
 
 
 class BladeElementRLS:
     """Estimator of theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz): `update` at every sample, `reset` at the start of a flight.
 
     vehicle: with rotor and thrust coefficient. initial: theta_0 (the paper starts from half of the true values).
-    theta: values to use, clipped, (5,). raw: not clipped, (5,). clips: number of samples on which each was clipped,
-    (5,). axis_theta, covariance: of the estimators of x, y, z. Of the last sample: induced_velocity (n,) (m/s), error
-    (3,), before the update (m/s^2), regressors (3, 5). samples: number of updates. skipped: number of samples with a
-    stopped rotor.
+    change_threshold: detects a change of the vehicle: where the mean square error over the last samples exceeds that of
+    the assumed noise by this factor, P = P_0 again. None: never. memory: see `remembered`, what it knows by name.
     """
 
     def __init__(
-        self, vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings | None = None, *,
-        backend: str = "interpreted",
+        self, vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings | None = None,
+        change_threshold: float | None = None, *, backend: str = "interpreted",
     ) -> None:  # fmt: skip
         _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
         self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
-        theta_0, s = initial.parameters(), self.settings
-        if not (np.isfinite(theta_0).all() and min(theta_0[:2]) > 0):
+        if not (np.isfinite(initial.parameters()).all() and min(initial.parameters()[:2]) > 0):
             raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
-        function = rls_step_function(vehicle, gauss_newton=s.gauss_newton)
-        self._step = BufferedFunction(realise(function, resolve(backend)))
-        rotor = theta_0[: C_LA + 1]
-        self.lower = np.r_[s.rotor_range[0] * rotor, [s.drag_range[0]] * 3]
-        self.upper = np.r_[s.rotor_range[1] * rotor, [s.drag_range[1]] * 3]
-        arguments = self._step.arguments
-        arguments["sigma"][...], arguments["forgetting"][...] = s.noise, s.forgetting
-        arguments["lift_weight"][...] = s.lift_weight
+        function = update_function(vehicle, initial, self.settings, change_threshold)
+        self.memory = Memory(sizes_of([function]))
+        self._update = connected(realise(function, resolve(backend)), {"read": np.ones(1)}, self.memory, {})
+        self.lower, self.upper = bounds(initial, self.settings)
         self.reset()
 
     def reset(self) -> None:
         """Restart from the initial values."""
-        theta_0, arguments = self.initial.parameters(), self._step.arguments
-        for axis, at in zip("xyz", AXES, strict=True):
-            arguments[f"theta_{axis}"][...] = theta_0[list(at)]
-        self.reset_covariance()
-        self.weight, self.samples, self.skipped = 0.5, 0, 0
-        self.clips = np.zeros(len(THETA), int)
-        self.raw = theta_0.copy()
-        self.theta = self._within_bounds(theta_0)
-        self.error, self.regressors = np.full(3, np.nan), np.full((3, len(THETA)), np.nan)
-        self.induced_velocity = np.full(self.vehicle.n_rotors, np.nan)
-
-    def reset_covariance(self) -> None:
-        """Set P = P_0 and keep the estimates, as after a change of the vehicle."""
-        theta_0, s = self.initial.parameters(), self.settings
-        for axis, at in zip("xyz", AXES, strict=True):
-            spread = np.full(len(at), s.covariance)
-            if s.relative_std is not None:
-                spread = (s.relative_std * np.maximum(np.abs(theta_0[list(at)]), 1e-3)) ** 2
-            self._step.arguments[f"P_{axis}"][...] = np.diag(spread)
-            self._step.arguments[f"prior_{axis}"][...] = spread
+        self.memory.begin(remembered(self.initial, self.settings))
+        for name in ("error", "regressors", "induced"):
+            self._update.results[name][...] = np.nan
 
     def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
         """Update with one sample; returns the values to use, (5,).
@@ -219,23 +204,57 @@ class BladeElementRLS:
         body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All at the
         same instant, and finite.
         """
-        arguments, results = self._step.arguments, self._step.results
+        arguments = self._update.arguments
         v, w, y = (arguments[name] for name in ("v", "w", "y"))
         v[...], w[...], y[...] = body_velocity, rotor_speed, specific_force
-        if min(w.tolist()) < SLOWEST:
-            self.skipped += 1
-            return self.theta
-        arguments["used"][...] = self.theta
-        self._step()
-        for axis in "xyz":
-            arguments[f"theta_{axis}"][...] = results[f"new_theta_{axis}"]
-            arguments[f"P_{axis}"][...] = results[f"new_P_{axis}"]
-        self.samples += 1
-        self.weight = float(results["weight"][0])
-        self.raw, self.error = results["raw"].copy(), results["error"].copy()
-        self.induced_velocity, self.regressors = results["induced"].copy(), results["regressors"].T.copy()
-        self.theta = self._within_bounds(self.raw)
+        self._update()
+        self.memory.commit()
         return self.theta
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Values to use, clipped, (5,)."""
+        return self.memory.of_now["used"].copy()
+
+    @property
+    def raw(self) -> np.ndarray:
+        """Not clipped, (5,)."""
+        return self.memory.of_now["raw"].copy()
+
+    @property
+    def clips(self) -> np.ndarray:
+        """Number of samples on which each was clipped, (5,)."""
+        return self.memory.of_now["clips"].astype(int)
+
+    @property
+    def samples(self) -> int:
+        """Number of updates."""
+        return int(self.memory.of_now["samples"][0])
+
+    @property
+    def skipped(self) -> int:
+        """Number of samples with a stopped rotor."""
+        return int(self.memory.of_now["skipped"][0])
+
+    @property
+    def weight(self) -> float:
+        """beta_x of the last sample."""
+        return float(self.memory.of_now["weight"][0])
+
+    @property
+    def error(self) -> np.ndarray:
+        """Of the last sample, before the update, (3,) (m/s^2)."""
+        return self._update.results["error"].copy()
+
+    @property
+    def regressors(self) -> np.ndarray:
+        """Of the last sample, (3, 5) (m/s^2)."""
+        return self._update.results["regressors"].T.copy()
+
+    @property
+    def induced_velocity(self) -> np.ndarray:
+        """Of the last sample, (n,) (m/s)."""
+        return self._update.results["induced"].copy()
 
     @property
     def coefficients(self) -> BladeCoefficients:
@@ -245,12 +264,13 @@ class BladeElementRLS:
     @property
     def axis_theta(self) -> tuple[np.ndarray, ...]:
         """Estimates of the axes: x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la, C_Dz)."""
-        return tuple(self._step.arguments[f"theta_{axis}"].copy() for axis in "xyz")
+        return tuple(self.memory.of_now[f"theta_{axis}"].copy() for axis in "xyz")
 
     @property
     def covariance(self) -> tuple[np.ndarray, ...]:
         """P of the axes, in the order of `axis_theta`: the estimates' covariance where sigma is the true noise."""
-        return tuple(self._step.arguments[f"P_{axis}"].copy() for axis in "xyz")
+        kept = self.memory.of_now
+        return tuple(kept[f"P_{axis}"].reshape(len(at), len(at)).copy() for axis, at in zip("xyz", AXES, strict=True))
 
     def standard_error(self) -> np.ndarray:
         """Standard errors of `raw`, (5,), where the readings have the assumed deviation."""
@@ -261,9 +281,67 @@ class BladeElementRLS:
         variance = [horizontal[0, 0], lift, P_x[2, 2], P_y[2, 2], P_z[1, 1]]
         return np.sqrt(np.maximum(variance, 0.0))
 
-    def _within_bounds(self, theta: np.ndarray) -> np.ndarray:
-        if not self.settings.clip:
-            return theta.copy()
-        used = np.minimum(np.maximum(theta, self.lower), self.upper)
-        self.clips += used != theta
-        return used
+
+def bounds(initial: BladeCoefficients, settings: RLSSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest values in use, (5,) each."""
+    rotor = initial.parameters()[: C_LA + 1]
+    low, high = (np.r_[settings.rotor_range[i] * rotor, [settings.drag_range[i]] * 3] for i in (0, 1))
+    return low, high
+
+
+def spread(initial: BladeCoefficients, settings: RLSSettings, at: Sequence[int]) -> np.ndarray:
+    """The diagonal of P_0 of an axis."""
+    if settings.relative_std is None:
+        return np.full(len(at), settings.covariance)
+    return (settings.relative_std * np.maximum(np.abs(initial.parameters()[list(at)]), 1e-3)) ** 2
+
+
+def remembered(initial: BladeCoefficients, settings: RLSSettings) -> dict[str, np.ndarray]:
+    """What is known before the first sample: theta and P of the axes; values combined, raw, and in use; how often each
+    was clipped; numbers of updates, and of samples with a stopped rotor; beta_x; mean square error over that of the
+    noise, samples until a change may be found, and changes so far."""
+    theta = initial.parameters()
+    kept = {f"theta_{axis}": theta[list(at)] for axis, at in zip("xyz", AXES, strict=True)}
+    kept |= {f"P_{axis}": np.diag(spread(initial, settings, at)).ravel() for axis, at in zip("xyz", AXES, strict=True)}
+    used = np.clip(theta, *bounds(initial, settings)) if settings.clip else theta
+    kept |= {"raw": theta, "used": used, "clips": 1.0 * (used != theta)}
+    ones = {"samples": 0, "skipped": 0, "weight": 0.5, "innovation": 1, "wait": FIRST_WAIT, "reopened": 0}
+    return kept | {name: np.array([float(value)]) for name, value in ones.items()}
+
+
+def update_function(
+    vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings, change_threshold: float | None = None
+) -> ca.Function:
+    """One sample: v, w, y, see rls_step_function; read, whether there is one; and what is `remembered` -> its next
+    values, and of the sample error, regressors and induced velocity."""
+    start = remembered(initial, settings)
+    shapes = {"v": 3, "w": vehicle.n_rotors, "y": 3, "read": 1}
+    shapes |= {NOW + name: value.size for name, value in start.items()}
+    a = named_symbols(ca.MX, shapes)
+    kept = {name: a[NOW + name] for name in start}
+    given: dict[str, Any] = {name: a[name] for name in ("v", "w", "y")} | {"used": kept["used"]}
+    for axis, at in zip("xyz", AXES, strict=True):
+        given[f"theta_{axis}"], given[f"P_{axis}"] = kept[f"theta_{axis}"], ca.reshape(kept[f"P_{axis}"], len(at), -1)
+        given[f"prior_{axis}"] = spread(initial, settings, at)
+    given |= {"sigma": settings.noise, "forgetting": settings.forgetting, "lift_weight": settings.lift_weight}
+    found = rls_step_function(vehicle, gauss_newton=settings.gauss_newton).call(given)
+    left = {name: found[f"new_{name}"] for name in kept if f"new_{name}" in found}
+    used = limited(found["raw"], *map(ca.DM, bounds(initial, settings))) if settings.clip else found["raw"]
+    left |= {"raw": found["raw"], "used": used, "clips": kept["clips"] + (used != found["raw"])}
+    left |= {"samples": kept["samples"] + 1, "weight": found["weight"]}
+    if change_threshold is not None:
+        square = ca.sumsqr(found["error"] / settings.noise) / 3
+        innovation = kept["innovation"] + (square - kept["innovation"]) / INNOVATION_SAMPLES
+        wait = kept["wait"] - 1
+        changed = ca.logic_and(wait <= 0, innovation > change_threshold)
+        left |= {"innovation": innovation, "wait": ca.if_else(changed, NEXT_WAIT, wait)}
+        left["reopened"] = kept["reopened"] + changed
+        for axis in "xyz":
+            left[f"P_{axis}"] = ca.if_else(changed, start[f"P_{axis}"], ca.vec(left[f"P_{axis}"]))
+    turns = ca.mmin(a["w"]) >= SLOWEST
+    counts = ca.logic_and(a["read"], turns)
+    results = {NEXT + name: value for name, value in kept.items()}
+    results |= {NEXT + name: ca.if_else(counts, ca.vec(value), kept[name]) for name, value in left.items()}
+    results[f"{NEXT}skipped"] = kept["skipped"] + ca.logic_and(a["read"], ca.logic_not(turns))
+    results |= {name: found[name] for name in ("error", "regressors", "induced")}
+    return named_function("rls_update", a, results)

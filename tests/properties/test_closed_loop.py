@@ -6,18 +6,19 @@ frame, or with one weight on all four components of the plain difference of quat
 (0, .1, .1, .1) on the plain difference know a heading, because a turn mixes its components.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.control.feedback.controller import FeedbackController, KnownCoefficients
-from quadexp.control.feedback.law import VARIANTS, FeedbackSettings
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import no_residual
+from quadexp.parts.compose import compose
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.blade_element import BladeElementPlant
@@ -81,8 +82,8 @@ def test_turning_feedback_control_in_blade_element_air(lei_li, blade, angle, rng
         (path, start),
         (Transformed(path, z_turn(angle).as_matrix(), angle=angle), turned_world(start, angle)),
     ):
-        known = KnownCoefficients(blade.parameters(), "true")
-        controller = FeedbackController(lei_li, FeedbackSettings(), VARIANTS["static"], known, backend="interpreted")
+        law = replace(compose(["controller=static_feedback"]).controller, backend="interpreted")
+        controller = law.controller(lei_li)
         plant = BladeElementPlant(lei_li, blade, step=2e-3, method="rk4", backend="interpreted")
         reference = SampledReference(turned, controller)
         flight = fly(plant, controller, reference, np.random.default_rng(0), start=x)

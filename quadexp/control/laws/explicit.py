@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
 
 from quadexp.compile.backend import resolve
+from quadexp.compile.memory import NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Belief, Window, no_belief
 from quadexp.control.inputs import Circumstances, at_start, places_of
 from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, law_record
-from quadexp.control.memory import NOW, Memory, connected, sizes_of
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
@@ -34,8 +35,9 @@ class ExplicitController(InOperations):
     reference_period = 0.0
 
     def __init__(
-        self, vehicle: Vehicle, law: Any, about: Circumstances, function: ca.Function, residual: Residual | None
-    ) -> None:
+        self, vehicle: Vehicle, law: Any, about: Circumstances, function: ca.Function, residual: Residual | None,
+        places: Mapping[str, np.ndarray] | None = None,
+    ) -> None:  # fmt: skip
         self.vehicle, self.law, self.control_period, self._about = vehicle, law, about.period, about
         self.backend = resolve(law.backend)
         self.node_times = np.array(law.nodes) * self.control_period
@@ -43,7 +45,7 @@ class ExplicitController(InOperations):
         self._function, reads, n = function, set(function.name_in()), vehicle.n_rotors
         self.air, self.residual = residual, residual if OF_REFERENCE & reads else None
         self.memory = Memory(sizes_of([function]) | ({"sent": n} if f"{NOW}sent" in reads else {}))
-        self._places = {"belief": NO_BELIEF.copy()}
+        self._places = {"belief": NO_BELIEF.copy(), **(places or {})}
         if residual is not None:
             self._places["theta"] = np.array(residual.theta, float)
         results = {name: np.zeros(function.size1_out(name)) for name in ("command", "held")}

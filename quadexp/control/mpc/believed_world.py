@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.compile.memory import NEXT, NOW, Memory, connected
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_thrust, kept_sizes
 from quadexp.control.instant import Operation, Told, call, copy, move
-from quadexp.control.memory import NEXT, NOW, Memory, connected
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.models.residual import Residual

@@ -18,11 +18,11 @@ import math
 
 import numpy as np
 
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_by_commands, kept_sizes
 from quadexp.control.instant import Operation, call, copy, run
-from quadexp.control.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.settings import MPCSettings

@@ -16,10 +16,13 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
+from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
+from quadexp.control.built import built
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.feedback.controller import IdentifiedCoefficients
-from quadexp.control.instant import Instant, Told, copy, python
+from quadexp.control.inputs import Circumstances, Inputs, places_of
+from quadexp.control.instant import Instant, Told, call, copy, python
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.part import PredictivePart, check_models
@@ -30,8 +33,13 @@ from quadexp.errors import UsageError
 from quadexp.models.online import Adapting, Law, prior_belief, update_function
 from quadexp.models.residual import LEARNED, Residual, sum_residual
 from quadexp.models.rls import Identification
+from quadexp.names import named
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
+from quadexp.physics.expression import named_function
+from quadexp.physics.rotation import air_velocity
+from quadexp.physics.rotor import THETA, BladeCoefficients
+from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters
@@ -227,55 +235,73 @@ NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
 class IdentifyingController(PredictiveController):
     """See Controller.
 
-    mpc: with a blade-element residual. identified: its coefficients. reference_period: s, 0 keeps the first reference.
+    mpc: with a blade-element residual. rls: how its coefficients are identified. reference_period: s, 0 keeps the first
+    reference.
     """
 
-    def __init__(
-        self, mpc: ModelPredictiveController, identified: IdentifiedCoefficients, reference_period: float
-    ) -> None:
+    def __init__(self, mpc: ModelPredictiveController, rls: Identification, reference_period: float) -> None:
         super().__init__(mpc)
-        self.identified, self.reference_period = identified, reference_period
-        self._believed, self._commanded = mpc.residual, np.zeros(mpc.vehicle.n_rotors)
+        self.rls, self.reference_period = rls, reference_period
+        self._believed = mpc.residual
+        self._identify = built(mpc.backend, in_flight, rls, mpc.vehicle)
+        self.memory = Memory(sizes_of([self._identify]) | {"sent": mpc.vehicle.n_rotors})
+        self.forget()
+
+    @property
+    def theta(self) -> np.ndarray:
+        """The coefficients in use, (5,)."""
+        return self.memory.of_now["used"]
 
     @property
     def residual(self) -> Residual | None:
         """The model with the newest coefficients; the same object while no change exceeds NOTABLE."""
-        theta = self.identified.theta
-        if np.any(np.abs(theta - self._believed.theta) > NOTABLE):
-            self._believed = replace(self._believed, theta=theta.copy())
+        if np.any(np.abs(self.theta - self._believed.theta) > NOTABLE):
+            self._believed = replace(self._believed, theta=self.theta.copy())
         return self._believed if self.settings.feedforward else None
 
     def forget(self) -> None:
         """See Controller.forget."""
-        self.identified.reset()
+        self.memory.begin(self.rls.remembered)
         self._believed = self.mpc.residual
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
         self.forget()
-        self._commanded[...] = thrust_at_start(window, self.vehicle)
+        self.memory.begin(self.rls.remembered | {"sent": thrust_at_start(window, self.vehicle)})
 
     def prepare(self, window: Window) -> None:
         """Does nothing: the coefficients of the next step depend on its measurement."""
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant; rotor speeds that are not measured are replaced by the commanded ones."""
-        inner = super().instant(told, state)
-
-        def identify() -> None:
-            speed = told.speed
-            if not told.turning[0]:
-                speed = np.sqrt(np.maximum(self._commanded, 0.0) / self.vehicle.static_thrust_coefficient)
-            self.identified.update(state, told.force, speed)
-
-        use = python(lambda: self.mpc.set_parameters(self.identified.theta))
-        operations = [python(identify, told.read), use, *inner.operations, copy(self._commanded, inner.command)]
-        return inner._replace(operations=operations)
+        """See control.instant."""
+        inner, kept = super().instant(told, state), self.memory.of_next
+        clips = np.zeros(1)
+        identify = call(connected(self._identify, places_of(told, state), self.memory, {"clips": clips}))
+        operations = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]
+        operations += [*inner.operations, copy(kept["sent"], inner.command)]
+        logged = (*inner.logged, kept["used"], clips, kept["reopened"])
+        return inner._replace(operations=operations, logged=logged, memory=(*inner.memory, self.memory))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the coefficients in use."""
-        return self.identified.log()
+        kept = self.memory.of_now
+        counts = {"clips": float(kept["clips"].sum()), "reopened": float(kept["reopened"][0])}
+        return named(THETA, kept["used"].tolist()) | counts
+
+
+def in_flight(rls: Identification, vehicle: Vehicle) -> ca.Function:
+    """Identification as an operation: rotor speeds that are not measured are replaced by the commanded ones."""
+    given = Inputs(vehicle, Circumstances(0.0), ca.MX)
+    kept = {name: given.symbol(NOW + name, (values.size, 1)) for name, values in rls.remembered.items()}
+    read, turning = ca.vertsplit(given.fresh)
+    sent = given.symbol(f"{NOW}sent", (vehicle.n_rotors, 1))
+    commanded = ca.sqrt(ca.fmax(sent, 0) / vehicle.static_thrust_coefficient)
+    told = {"v": air_velocity(given.state[ATTITUDE], given.state[VELOCITY]), "y": given.specific_force, "read": read}
+    told["w"] = ca.if_else(turning, given.rotor_speed, commanded)
+    found = rls.update(vehicle).call(told | {NOW + name: value for name, value in kept.items()})
+    left = {NEXT + name: found[NEXT + name] for name in kept} | {"clips": ca.sum1(found[f"{NEXT}clips"])}
+    return named_function("identify", given.read, left)
 
 
 @keyed
@@ -294,8 +320,7 @@ class RLSMPC(PredictivePart):
         """See ControllerPart."""
         from quadexp.models.blade_element import blade_element_residual
 
-        estimator = self.rls.build(given.vehicle, self.backend)
-        identified = IdentifiedCoefficients(estimator, self.rls.change_threshold)
-        residual = blade_element_residual(given.vehicle, estimator.initial, identified.source)
+        first = part(BladeCoefficients, self.rls)
+        residual = blade_element_residual(given.vehicle, first, "RLS in flight")
         mpc = ModelPredictiveController(given.vehicle, residual, part(MPCSettings, self), backend=self.backend)
-        return IdentifyingController(mpc, identified, self.reference_period)
+        return IdentifyingController(mpc, self.rls, self.reference_period)

@@ -1,13 +1,17 @@
 """One controller call equals (27)-(40) computed apart, in the paper's frames; and the pieces mean what they say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from quadexp.control.base import Measurement, Window
-from quadexp.control.feedback.controller import FeedbackController, KnownCoefficients, body_velocity
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, state_from_ned, yaw_ned
 from quadexp.control.feedback.law import VARIANTS, FeedbackSettings, law_function, observer_matrices
 from quadexp.errors import UsageError
+from quadexp.parts.compose import compose
+from quadexp.physics.rotation import air_velocity
+from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.reference.lei_li import Rectangle
 from tests.control.feedback import paper
 
@@ -107,12 +111,12 @@ class TestFrames:
         assert x[:3].tolist() == [2.0, 1.0, -3.0] and x[7:10].tolist() == [5.0, 4.0, -6.0]
         assert x[10:].tolist() == [0.1, -0.2, -0.3]
         # heading north: the body's x axis along the world's y
-        assert body_velocity(x) == pytest.approx([4.0, -5.0, -6.0])
+        assert air_velocity(x[ATTITUDE], x[VELOCITY]) == pytest.approx([4.0, -5.0, -6.0])
 
     def test_angles_keep_their_sense(self):
         """Nose up is positive in the paper; its pitch is the opposite of FLU's, its yaw runs clockwise."""
         x = state_from_ned(np.zeros(3), [0.0, 0.3, 0.0], [10.0, 0.0, 0.0], np.zeros(3))
-        forward = FRD_FLU @ body_velocity(x)
+        forward = FRD_FLU @ air_velocity(x[ATTITUDE], x[VELOCITY])
         assert forward == pytest.approx([10 * np.cos(0.3), 0.0, 10 * np.sin(0.3)])
         assert yaw_ned(yaw_ned(1.234)) == pytest.approx(1.234)
 
@@ -188,17 +192,22 @@ class TestController:
         return Window(np.zeros((1, 13)), np.zeros((0, 4)), flat.position[0], flat.yaw[0])
 
     def make(self, vehicle, variant="oracle", theta=(0.22, 3.32, 0.01, 0.01, 0.02), backend="interpreted"):
-        known = KnownCoefficients(np.array(theta), "test")
-        return FeedbackController(vehicle, FeedbackSettings(), VARIANTS[variant], known, backend=backend)
+        law = replace(compose(["controller=oracle_feedback"]).controller, variant=variant, backend=backend)
+        return law.controller(vehicle, places={"coefficients": np.array(theta)})
 
     def test_without_delay_the_secondary_terms_are_those_of_the_command(self, lei_li):
         """A second round from the answer changes nothing."""
         controller, x = self.make(lei_li, "oracle_impl"), Rectangle().start_state
         controller.reset(x, self.window())
         u, _ = controller.step(Measurement(0.0, x, None, None), self.window())
-        arguments, results = controller._law.arguments, controller._law.results
-        assert np.abs(arguments["rotor_speed_last"] - np.sqrt(u / lei_li.thrust_coefficient)).max() < 1e-7
-        assert np.abs(arguments["eta_d_last"] - results["eta_d"]).max() < 1e-9
+        last = {f"{name}_last": controller.memory.of_now[name] for name in ("rotor_speed", "eta_d", "velocity")}
+        flat = Rectangle().flat_output(np.zeros(1))
+        function = law_function(lei_li, controller.law, VARIANTS["oracle_impl"])
+        theta = [0.22, 3.32, 0.01, 0.01, 0.02]
+        given = {"x": x, "reference": flat.position[0, :3].T, "yaw": flat.yaw[0], "theta": theta}
+        again = function.call({**given, **last, "observer_last": np.zeros((3, 2))})
+        assert np.abs(np.array(again["thrust"]).ravel() - u).max() < 1e-6 * lei_li.hover_thrust
+        assert np.abs(np.array(again["eta_d"]).ravel() - last["eta_d_last"]).max() < 1e-9
 
     def test_back_ends_agree(self, lei_li):
         x, commands = Rectangle().start_state, []
@@ -211,8 +220,6 @@ class TestController:
     def test_vehicles_that_it_cannot_fly_are_refused(self, vehicle, lei_li, odd_vehicle):
         with pytest.raises(UsageError, match="vehicle=torrente: feedback control needs vehicle.rotor"):
             self.make(vehicle)
-        from dataclasses import replace
-
         six = replace(odd_vehicle, rotor=lei_li.rotor, thrust_coefficient=lei_li.thrust_coefficient)
         with pytest.raises(UsageError, match="needs 4 rotors, this vehicle has 6"):
             self.make(six)
