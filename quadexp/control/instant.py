@@ -213,9 +213,9 @@ class InOperations:
 
 
 def in_operations(controller: Any) -> bool:
-    """Whether a controller is of this program, and its class, which may step in another way than its parent, says what
-    its own instant is."""
-    if not type(controller).__module__.startswith("quadexp.") or not hasattr(controller, "instant"):
+    """Whether a controller says by `instant` what it does; its class may step in another way than its parent, and then
+    has to say what its own instant is."""
+    if not isinstance(controller, InOperations) or not hasattr(controller, "instant"):
         return False
     steps, knows = (next(c for c in type(controller).__mro__ if name in vars(c)) for name in ("step", "instant"))
     return issubclass(knows, steps)

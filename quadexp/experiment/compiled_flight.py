@@ -22,7 +22,7 @@ from quadexp.control.compiled_loop import CompiledLoop, CompiledReference, addre
 from quadexp.control.instant import in_operations
 from quadexp.physics.state import N_STATE
 from quadexp.world.base import Plant
-from quadexp.world.integrator import SimulatedPlant
+from quadexp.world.integrator import RotorSpeedPlant, SimulatedPlant
 from quadexp.world.streams import Streams
 from quadexp.world.world import World
 
@@ -41,21 +41,16 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> bool:
-    """Whether plant and noise are of this program, compiled, so that C can fly a controller of operations.
+def covers(plant: Plant, controller: Controller, rng: Any) -> bool:
+    """Whether C can fly them: a plant whose period is its compiled function, under a controller of operations.
 
-    logged: how many numbers of the plant's inner states are columns of the flight; a plant from outside may have others
-    under the same names.
-    """
+    A plant that overrides `advance`, or says in Python how fast its rotors turn, is flown in Python."""
     if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
         return False
-    ours = type(plant).__module__.startswith("quadexp.world.")
-    if logged and not (ours and (isinstance(plant, World) or logged == len(plant.inner))):
-        return False
-    if not ours and hasattr(plant, "rotor_speed"):
-        return False
+    turns = getattr(type(plant), "rotor_speed", None)
     return (
-        plant.prepared(controller.control_period).for_c is not None
+        turns in (None, RotorSpeedPlant.rotor_speed, World.rotor_speed)
+        and plant.prepared(controller.control_period).for_c is not None
         and isinstance(rng, np.random.Generator)
         and controller.backend == "compiled"
         and controller.reference_period == 0

@@ -190,7 +190,7 @@ def fly(
     compiled: CompiledFlight | None = None
     box = None if lost_box is None else reference.box(lost_box)
     inside = lost_distance if lost_box is None else min(lost_distance, lost_box)  # surely not lost
-    in_c = covers(plant, controller, rng, len(inner.names))
+    in_c = inner.places is not None and covers(plant, controller, rng)
     outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
     k, commanded = 0, False
     while k < len(reference):
@@ -289,22 +289,24 @@ class Renewal:
 class _Inner:
     """Which inner states of a plant are columns of a flight.
 
-    names: of the columns. places: which of the inner states they are; None where the plant gives them by attributes.
+    names: of the columns. places: which of the inner states they are; None where the plant gives them by attributes
+    alone.
     """
 
     def __init__(self, plant: Plant, period: float) -> None:
         self._plant, self._attributes = plant, [name for name in INNER_STATES if hasattr(plant, name)]
+        sizes = [] if isinstance(plant, World) else [(name, len(getattr(plant, name))) for name in self._attributes]
+        self.names = [f"{name}_{j}" for name, size in sizes for j in range(size)]
         self.places: np.ndarray | None = None
         if isinstance(plant, World):
             columns = plant.columns(period)
             self.names, self.places = [*columns], np.array([*columns.values()], np.int64)
-        else:
-            sizes = [(name, len(getattr(plant, name))) for name in self._attributes]
-            self.names = [f"{name}_{j}" for name, size in sizes for j in range(size)]
+        elif isinstance(plant, SimulatedPlant) and [*plant.inner_columns] == self.names:
+            self.places = np.arange(len(self.names))
 
     def values(self) -> np.ndarray:
         """What they are now."""
-        if isinstance(self._plant, World):
+        if self.places is not None and isinstance(self._plant, SimulatedPlant):
             return self._plant.inner[self.places]
         values = [getattr(self._plant, name) for name in self._attributes]
         return np.concatenate(values) if values else np.empty(0)

@@ -408,11 +408,16 @@ class TestWhatItCovers:
                 return super().advance(x, 0.9 * u, duration, rng)
 
         class OwnController(PredictiveController):
-            pass
+            """As its parent."""
+
+        class OwnStep(PredictiveController):
+            def step(self, measurement, window):
+                return super().step(measurement, window)
 
         assert covers(plant, controller, rng)
         assert not covers(OwnPlant(vehicle, step=1e-3), controller, rng)
-        assert not covers(plant, OwnController(controller.mpc), rng)
+        assert covers(plant, OwnController(controller.mpc), rng)
+        assert not covers(plant, OwnStep(controller.mpc), rng)
         assert not covers(plant, controller, object())
         learning = ["controller=online_mpc", "controller.residual=[terms]"]
         assert not covers(plant, build_controller(compose(learning), vehicle, None, None), rng)
@@ -429,7 +434,7 @@ class TestWhatItCovers:
                 return 100.0 + self.inner
 
         assert covers(MotorLagPlant(vehicle, **LAGGING), mpc(vehicle), np.random.default_rng(0))
-        assert not covers(Named(vehicle, **LAGGING), mpc(vehicle), np.random.default_rng(0), logged=4)
+        assert not covers(Named(vehicle, **LAGGING), mpc(vehicle), np.random.default_rng(0))
         flown = both(monkeypatch, MotorLagPlant(vehicle, **LAGGING), mpc(vehicle), Circle(speed=4.0))
         assert flown.periods_in_c > 100 and "rotor_speed_0" not in flown.flight.columns
 
