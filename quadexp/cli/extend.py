@@ -84,12 +84,15 @@ TEMPLATES = {
     "plant": Template("motor_lag", "plant", words="MotorLag"),
     "residual": Template("cubic_drag", "controller", "_mpc", words="CubicDrag"),
     "controller": Template("geometric", "controller", words="Geometric"),
+    "remedy": Template("height_integral", "adaptive", words="HeightIntegral"),
 }
 
 
 @command
 def new(
-    part: Annotated[Literal["vehicle", "trajectory", "plant", "residual", "controller"], Ask("What to begin.", "PART")],
+    part: Annotated[
+        Literal["vehicle", "trajectory", "plant", "residual", "controller", "remedy"], Ask("What to begin.", "PART")
+    ],
     name: Annotated[str, Ask("Of module, option and test: a Python identifier.", "NAME")],
     to: Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")] = Path("my_parts"),
 ) -> Answer:

@@ -20,7 +20,7 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -122,9 +122,13 @@ def _outputs(law: Law, vehicle: Vehicle, inputs: Inputs) -> dict[str, Any]:
 
 
 def given_by(
-    part: Any, inputs: Inputs, equations: Callable[[], dict[str, Any]], sizes: Mapping[str, int | None]
+    part: Any,
+    inputs: Inputs,
+    equations: Callable[[], dict[str, Any]],
+    sizes: Mapping[str, int | None],
+    needed: Collection[str] | None = None,
 ) -> dict[str, Any]:
-    """What equations of a part give, dense. sizes: of what they must give; None: any.
+    """What equations of a part give, dense. sizes: of what they may give; None: any. needed: what they must; None: all.
 
     Raises UsageError where they fail or give something else."""
     try:
@@ -134,7 +138,9 @@ def given_by(
     except Exception as error:
         raise UsageError(f"equations of {type(part).__name__}: {type(error).__name__}: {error}") from error
     for name, size in sizes.items():
-        if name not in found or size not in (None, found[name].numel()):
+        lacks = name not in found and (needed is None or name in needed)
+        differs = name in found and size not in (None, found[name].numel())
+        if lacks or differs:
             numbers = "" if size is None else f", {size} numbers"
             raise UsageError(f"equations of {type(part).__name__}: must give {name!r}{numbers}")
     return found

@@ -1,7 +1,8 @@
 """A layer around a controller, as equations: what is done before the controller inside acts, and what after it.
 
     class Mine(LayerPart):
-        memory = {"filtered": 3}
+        def remembers(self, given):
+            return {"filtered": 3}
 
         def before(self, vehicle, given, memory):   # from what is told: what the controller inside is told
             return {"state": .., "belief": .., "filtered": ..}
@@ -24,17 +25,19 @@ import numpy as np
 
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Window, belief_of, no_belief
+from quadexp.control.base import N_BELIEF, Controller, Window, belief_of, no_belief
 from quadexp.control.built import built
 from quadexp.control.inputs import Circumstances, Inputs, Symbols, at_start, places_of, remembered
 from quadexp.control.instant import Instant, Operation, Told, call, copy, in_operations, instant_of, python
 from quadexp.control.law import given_by
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
+from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
 from quadexp.names import named
 from quadexp.parts.settings import keyed
 from quadexp.physics.expression import named_function
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 FOUND = "found_"  # before the names of results that are no memory
@@ -64,6 +67,10 @@ class LayerPart(Remedy):
     def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:
         """`command`, thrusts within the limits (N), where it is another than given.command; of `memory` next values."""
         return {}
+
+    def around(self, controller: Any) -> Layer:
+        """See Remedy; the equations know of no delay and of no model."""
+        return Layer(controller, self, Circumstances(controller.control_period))
 
 
 class Layer(WrappedController):
@@ -126,7 +133,7 @@ class Layer(WrappedController):
         command = results.get("command", inner.command)
         if self._remembers_sent:
             operations.append(copy(self.memory.of_next["sent"], command))
-        logged = (*inner.logged, *(results[name] for name in self.part.logged))
+        logged = (*inner.logged, *self._logged.values())
         memory = (*inner.memory, self.memory)
         return inner._replace(operations=operations, command=command, logged=logged, memory=memory)
 
@@ -155,23 +162,35 @@ class Layer(WrappedController):
         """See Controller.log."""
         columns = self.inner.log()
         for name, labels in self.part.logged.items():
-            columns |= named(labels, self.results[name].tolist())
+            columns |= named(labels, self._logged[name].tolist())
         return columns
+
+    @property
+    def _logged(self) -> dict[str, np.ndarray]:
+        """What is logged, results or memory, by name."""
+        found = self.memory.of_next | self.results
+        return {name: found[name] for name in self.part.logged}
 
 
 def layer_functions(
     part: LayerPart, vehicle: Vehicle, about: Circumstances, residual: Residual | None
 ) -> list[ca.Function]:
     """`before` and `after` of a layer, as functions whose names end so; one that gives nothing is left out."""
-    functions, sizes = list[ca.Function](), dict[str, int]()
+    functions, sizes, given_names = list[ca.Function](), dict[str, int](), set[str]()
     for which in ("before", "after"):
         given = Inputs(vehicle, about, ca.MX, residual)
         kept = part.remembers(given)
         memory, found = remembered(given, kept), Symbols(given, FOUND, sizes, "what `before` gave")
         more = [found] if which == "after" else []
-        left = given_by(part, given, partial(getattr(part, which), vehicle, given, memory, *more), {})
+        equations = partial(getattr(part, which), vehicle, given, memory, *more)
+        wanted = {"state": N_STATE, "belief": N_BELIEF, "command": vehicle.n_rotors, **kept}
+        left = given_by(part, given, equations, wanted, needed=())
+        given_names |= left.keys()
         results = {(NEXT if name in kept else FOUND) + name: value for name, value in left.items()} | given.left
         sizes = {name: value.numel() for name, value in left.items()}
         if results:
             functions.append(named_function(f"{type(part).__name__}_{which}", given.read, results))
+    for name in (*kept, *part.logged):
+        if name not in given_names:
+            raise UsageError(f"equations of {type(part).__name__}: neither `before` nor `after` gives {name!r}")
     return functions

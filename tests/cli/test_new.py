@@ -15,6 +15,7 @@ NAMES = {
     "plant": "soft_arms",
     "residual": "flapping",
     "controller": "Pid2",
+    "remedy": "level",
 }
 
 
