@@ -19,10 +19,11 @@ NOW, NEXT = "memory_", "next_"  # before the names of what a function reads and 
 
 
 class Memory:
-    """sizes: how many numbers there are of each name. now, next: all of them, one after another, (m,)."""
+    """owner: whose it is, as users see it. sizes: how many numbers there are of each name. now, next: all of them, one
+    after another, (m,)."""
 
-    def __init__(self, sizes: Mapping[str, int]) -> None:
-        self.sizes = dict(sizes)
+    def __init__(self, owner: str, sizes: Mapping[str, int]) -> None:
+        self.owner, self.sizes = owner, dict(sizes)
         self.now, self.next = np.zeros((2, sum(self.sizes.values())))
         ends = accumulate(self.sizes.values())
         places = {name: slice(end - size, end) for (name, size), end in zip(self.sizes.items(), ends, strict=True)}
@@ -56,11 +57,16 @@ def sizes_of(functions: Iterable[ca.Function]) -> dict[str, int]:
 
 
 def connected(
-    function: ca.Function, places: Mapping[str, np.ndarray], memory: Memory, results: Mapping[str, np.ndarray]
+    function: ca.Function,
+    places: Mapping[str, np.ndarray],
+    results: Mapping[str, np.ndarray],
+    memory: Memory | None = None,
 ) -> BufferedFunction:
     """The function on the arrays that it reads and writes, so that nothing is copied.
 
     places: of arguments, results: of results that are no memory; what is in neither gets an array of its own."""
-    read = {**places, **{NOW + name: values for name, values in memory.of_now.items()}}
-    left = {**results, **{NEXT + name: values for name, values in memory.of_next.items()}}
+    read, left = dict(places), dict(results)
+    if memory is not None:
+        read |= {NOW + name: values for name, values in memory.of_now.items()}
+        left |= {NEXT + name: values for name, values in memory.of_next.items()}
     return BufferedFunction(function, read, left)

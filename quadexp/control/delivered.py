@@ -109,7 +109,7 @@ class DeliveredThrust:
     ) -> None:
         delays = Delays(period, dead_time, lag)
         self._function, self._pending = built(backend, _delivered_function, vehicle, delays), delays.pending
-        self.memory = Memory(sizes_of([self._function]) | {"sent": vehicle.n_rotors})
+        self.memory = Memory("DeliveredThrust", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
         self.thrust, self.mean = np.zeros((2, vehicle.n_rotors))
 
     def reset(self, thrust: np.ndarray) -> None:
@@ -120,7 +120,7 @@ class DeliveredThrust:
         """Leaves `thrust` and `mean`."""
         places = {"speed": told.speed, "turning": told.turning}
         results = {"thrust": self.thrust, "mean": self.mean}
-        return [call(connected(self._function, places, self.memory, results))]
+        return [call(connected(self._function, places, results, self.memory))]
 
     def after(self, command: np.ndarray) -> list[Operation]:
         """Remembers the command that is found there, (n,) (N)."""

@@ -147,12 +147,13 @@ class INDI(LayerPart):
     def remembers(self, given: Inputs) -> dict[str, int]:
         """See LayerPart: the low pass, what it gave last, rates that have been told."""
         size = 3 + given.vehicle.n_rotors
-        return {"low_pass": 2 * size, "filtered": size, "rates": kept_size(3, given.about.late, given.period)}
+        late = {"rates": kept_size(3, given.about.late, given.period)} if given.about.late else {}
+        return {"low_pass": 2 * size, "filtered": size, **late}
 
     def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart: as if rates and thrusts of the start had always been there."""
         values = np.concatenate([x[RATE], np.sqrt(thrust)])
-        rates = np.tile(x[RATE], self.remembers(given)["rates"] // 3)
+        rates = np.tile(x[RATE], kept_size(3, given.about.late, given.period) // 3)
         return {"low_pass": settled_memory(self, values), "filtered": values, "rates": rates}
 
     def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:

@@ -178,6 +178,14 @@ class Running:
         self.instant = made._replace(operations=[*made.operations, *kept])
         self._operations = [o for o in self.instant.operations if o.kind not in ("finite", "near")]  # which are C's
 
+    @property
+    def memory(self) -> dict[str, np.ndarray]:
+        """What is remembered now, OWNER.NAME -> the array; empty where a part remembers what it does not declare."""
+        if any(o.kind in ("move", "python") for o in self.instant.operations):
+            return {}
+        kept = self.instant.memory
+        return {f"{one.owner}.{name}": values for one in kept for name, values in one.of_now.items()}
+
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
         began = time.perf_counter()

@@ -96,7 +96,8 @@ class Layer(WrappedController):
         sizes = sizes_of(self._functions) | {name: values.size for name, values in self._kept.items()}
         self._remembers_sent = NOW + "sent" in reads
         commands = {"sent": self._remembers_sent, "held": self.every > 1}  # of those the newest: sent, and inside
-        self.memory = Memory(sizes | {name: self.vehicle.n_rotors for name, kept in commands.items() if kept})
+        sizes |= {name: self.vehicle.n_rotors for name, kept in commands.items() if kept}
+        self.memory = Memory(type(part).__name__, sizes)
         self._places = dict(places or {})
         self.results = {
             name.removeprefix(FOUND): np.zeros(function.numel_out(name))
@@ -104,6 +105,10 @@ class Layer(WrappedController):
             for name in function.name_out()
             if name.startswith(FOUND)
         }
+        remembers = part.remembers(Inputs(self.vehicle, about, ca.SX, residual))
+        for name in (*remembers, *part.logged):
+            if name not in self.memory.sizes.keys() | self.results.keys():
+                raise UsageError(f"equations of {type(part).__name__}: neither `before` nor `after` gives {name!r}")
         if "belief" in self.results and in_operations(inner):
             self.results["belief"] = inner.believed_numbers  # type: ignore[attr-defined]  # its part saw to it
 
@@ -145,7 +150,7 @@ class Layer(WrappedController):
         if command is not None:
             places["command"] = command
         functions = [function for function in self._functions if function.name().endswith(which)]
-        return [call(connected(function, places, self.memory, results)) for function in functions]
+        return [call(connected(function, places, results, self.memory)) for function in functions]
 
     def inside(self, told: Told) -> list[Operation]:
         """What else is done before the controller inside acts."""
@@ -176,7 +181,7 @@ def layer_functions(
     part: LayerPart, vehicle: Vehicle, about: Circumstances, residual: Residual | None
 ) -> list[ca.Function]:
     """`before` and `after` of a layer, as functions whose names end so; one that gives nothing is left out."""
-    functions, sizes, given_names = list[ca.Function](), dict[str, int](), set[str]()
+    functions, sizes = list[ca.Function](), dict[str, int]()
     for which in ("before", "after"):
         given = Inputs(vehicle, about, ca.MX, residual)
         kept = part.remembers(given)
@@ -185,12 +190,8 @@ def layer_functions(
         equations = partial(getattr(part, which), vehicle, given, memory, *more)
         wanted = {"state": N_STATE, "belief": N_BELIEF, "command": vehicle.n_rotors, **kept}
         left = given_by(part, given, equations, wanted, needed=())
-        given_names |= left.keys()
         results = {(NEXT if name in kept else FOUND) + name: value for name, value in left.items()} | given.left
         sizes = {name: value.numel() for name, value in left.items()}
         if results:
             functions.append(named_function(f"{type(part).__name__}_{which}", given.read, results))
-    for name in (*kept, *part.logged):
-        if name not in given_names:
-            raise UsageError(f"equations of {type(part).__name__}: neither `before` nor `after` gives {name!r}")
     return functions

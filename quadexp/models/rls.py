@@ -187,8 +187,8 @@ class BladeElementRLS:
         if not (np.isfinite(initial.parameters()).all() and min(initial.parameters()[:2]) > 0):
             raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
         function = update_function(vehicle, initial, self.settings, change_threshold)
-        self.memory = Memory(sizes_of([function]))
-        self._update = connected(realise(function, resolve(backend)), {"read": np.ones(1)}, self.memory, {})
+        self.memory = Memory("RLS", sizes_of([function]))
+        self._update = connected(realise(function, resolve(backend)), {"read": np.ones(1)}, {}, self.memory)
         self.lower, self.upper = bounds(initial, self.settings)
         self.reset()
 

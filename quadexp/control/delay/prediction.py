@@ -81,6 +81,8 @@ class Prediction(KnownDelay):
         """See LayerPart: the last commands, the oldest first, and the newest; what an observer inside told last, (11,);
         instants since the start."""
         n = given.vehicle.n_rotors
+        if not self._parts(given.about):
+            return {}
         return {"commands": n * self._count(given.about), "sent": n, "believed": N_BELIEF, "since": 1}
 
     def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
@@ -90,8 +92,7 @@ class Prediction(KnownDelay):
     def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
         """The prediction. Until `time` has passed since the start, the measured state is that of the start."""
         about, residual = given.about, given.residual or no_residual(vehicle)
-        parts = math.ceil((self.time + about.ahead) / STEP - 1e-9)
-        if not parts:
+        if not (parts := self._parts(about)):
             return {}
         elapsed = memory.since * about.period
         late = ca.fmin(self.time, elapsed)
@@ -115,6 +116,10 @@ class Prediction(KnownDelay):
         spans = ca.horzcat(begins, -ends).T
         weights = weights_function(self._count(about), about.period, parts)(spans, [about.dead_time, about.lag])
         return ca.vertcat(starts - ends, ca.vec(weights[::-1, :]))
+
+    def _parts(self, about: Circumstances) -> int:
+        """In how many parts of at most STEP the time is predicted."""
+        return math.ceil((self.time + about.ahead) / STEP - 1e-9)
 
     def _count(self, about: Circumstances) -> int:
         """How many commands may act yet."""

@@ -47,6 +47,8 @@ class Strapdown(KnownDelay):
         """See LayerPart: readings, the oldest first; whether a force was read; whether the flight goes on, and for how
         many instants."""
         kept = 3 * (self._periods(given) + 1)
+        if not self._periods(given):
+            return {}
         return {"rates": kept, "forces": kept, "read": 1, "flown": 1, "since": 1}
 
     def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:

@@ -44,7 +44,8 @@ class ExplicitController(InOperations):
         self.name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
         self._function, reads, n = function, set(function.name_in()), vehicle.n_rotors
         self.air, self.residual = residual, residual if OF_REFERENCE & reads else None
-        self.memory = Memory(sizes_of([function]) | ({"sent": n} if f"{NOW}sent" in reads else {}))
+        sizes = sizes_of([function]) | ({"sent": n} if f"{NOW}sent" in reads else {})
+        self.memory = Memory(type(law).__name__, sizes)
         self._places = {"belief": NO_BELIEF.copy(), **(places or {})}
         if residual is not None:
             self._places["theta"] = np.array(residual.theta, float)
@@ -74,7 +75,7 @@ class ExplicitController(InOperations):
         looks = ahead.keys() & set(self._function.name_in())
         operations = [Operation("window", states, self.rows, thrusts)] if looks else []
         command, memory = self._results["command"], self.memory
-        operations.append(call(connected(self._function, places, memory, self._results)))
+        operations.append(call(connected(self._function, places, self._results, memory)))
         operations.append(Operation("finite", source=command))
         if "sent" in memory.sizes:
             operations.append(copy(memory.of_next["sent"], command))

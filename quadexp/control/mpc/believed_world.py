@@ -80,7 +80,7 @@ class BelievedWorld:
             mpc.backend, enter_function, vehicle, model, update, settings.nodes, settings.samples,
             kept=tuple(sizes.items()), **form,
         )  # fmt: skip
-        self._function, self.memory = function, Memory(sizes)
+        self._function, self.memory = function, Memory("BelievedWorld", sizes)
         self.numbers, self.told, self._sent = np.zeros(N_BELIEF), np.zeros(N_BELIEF), np.zeros(n)
         samples = settings.samples * settings.nodes + 1
         self._horizon = np.zeros((samples, N_STATE)), np.zeros((samples - 1, n))
@@ -124,7 +124,7 @@ class BelievedWorld:
         left, (X, U), (X_ref, U_ref) = self._left, self._mpc.reference, self._horizon
         places = {**self._places, "x": state, "reading": told.force, "fresh": told.fresh, "speed": told.speed}
         operations = [Operation("window", X_ref, self.rows, U_ref)]
-        operations.append(call(connected(self._function, places, self.memory, left)))
+        operations.append(call(connected(self._function, places, left, self.memory)))
         operations.append(Operation("finite", source=left["squares"]))
         operations.append(move(self._mpc.prediction[0], left["X_moved"], left["moved"]))
         if self._air_scale is not None:

@@ -49,7 +49,7 @@ class DeadTimePredictor:
         form = mpc.vehicle, mpc.residual, self._delays
         self._function = built(mpc.backend, prediction_function, *form, disturbed=disturbed)
         self._places = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"disturbance": mpc.disturbance})
-        self.memory = Memory(sizes_of([self._function]) | {"sent": n})
+        self.memory = Memory("DeadTime", sizes_of([self._function]) | {"sent": n})
         self._predicted = {"x_next": np.zeros(self._function.size1_out("x_next"))}
 
     def reset(self, thrust: np.ndarray) -> None:
@@ -66,7 +66,7 @@ class DeadTimePredictor:
     def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Predicts from the state that is found there, (13,), and the array that has the predicted one then."""
         places = self._places | {"x": state}
-        return [call(connected(self._function, places, self.memory, self._predicted))], self._predicted["x_next"]
+        return [call(connected(self._function, places, self._predicted, self.memory))], self._predicted["x_next"]
 
     def after(self, command: np.ndarray) -> list[Operation]:
         """Remembers the command that is found there, (n,) (N)."""
@@ -100,7 +100,7 @@ class MotorLead:
     def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Inverts for the thrusts that are found there, (n,) (N), planned and now; and the array of the command."""
         places = self._places | {"gain": self._gain, "planned": planned, "now": thrust}
-        return [call(connected(self._function, places, Memory({}), self._inverted))], self._inverted["command"]
+        return [call(connected(self._function, places, self._inverted))], self._inverted["command"]
 
 
 def inversion_function(rotors: int) -> ca.Function:

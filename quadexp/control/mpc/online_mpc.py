@@ -244,7 +244,7 @@ class IdentifyingController(PredictiveController):
         self.rls, self.reference_period = rls, reference_period
         self._believed = mpc.residual
         self._identify = built(mpc.backend, in_flight, rls, mpc.vehicle)
-        self.memory = Memory(sizes_of([self._identify]) | {"sent": mpc.vehicle.n_rotors})
+        self.memory = Memory("Identification", sizes_of([self._identify]) | {"sent": mpc.vehicle.n_rotors})
         self.forget()
 
     @property
@@ -277,7 +277,7 @@ class IdentifyingController(PredictiveController):
         """See control.instant."""
         inner, kept = super().instant(told, state), self.memory.of_next
         clips = np.zeros(1)
-        identify = call(connected(self._identify, places_of(told, state), self.memory, {"clips": clips}))
+        identify = call(connected(self._identify, places_of(told, state), {"clips": clips}, self.memory))
         operations = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]
         operations += [*inner.operations, copy(kept["sent"], inner.command)]
         logged = (*inner.logged, kept["used"], clips, kept["reopened"])

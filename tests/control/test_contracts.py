@@ -1,0 +1,158 @@
+"""What every law, and every layer around a controller, must keep: all that are registered, those of a folder of one's
+own among them. A new one is found by itself."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadexp.compile.compiler import compiler
+from quadexp.control.base import Measurement
+from quadexp.control.law import Law
+from quadexp.control.laws.explicit import ExplicitController
+from quadexp.control.layer import Layer, LayerPart
+from quadexp.control.wrapped import layers
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, unshared
+from quadexp.experiment.compiled_flight import covers
+from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.linearised import UnknownLoopError
+from quadexp.experiment.loop_margins import loop_margins
+from quadexp.experiment.rollout import SampledReference
+from quadexp.parts.compose import compose
+from quadexp.parts.options import OptionFiles
+
+OWN = Path(__file__).parents[2] / "examples"
+FILES = OptionFiles()
+LAWS = [f"controller={name}" for name, kind in FILES.parts("controller").items() if kind and issubclass(kind, Law)]
+LAYERS = [
+    f"{group}={name}"
+    for group in ("observer", "adaptive", "inner", "delay")
+    for name, kind in FILES.parts(group).items()
+    if kind and issubclass(kind, LayerPart)
+]
+OF_ONE_S_OWN = ["own controller=geometric"]
+OF_ONE_S_OWN += [f"own adaptive={file.stem}" for file in (OWN / "adaptive").glob("*.yaml")]
+ELSEWHERE = {  # what a part needs beside the defaults
+    "feedback": ("vehicle=lei_li", "plant=blade_element"),
+    "raptor": ("vehicle=crazyflie",),
+    "observer=wind": ("controller.residual=plant",),
+}
+MOST = 1e-6  # m and N: C and Python over a second, rounding amplified by feedback
+
+
+def composed(part: str, *more: str):
+    """The configuration of a short flight with the part: laws by themselves, layers around a law that can be told of a
+    belief."""
+    own, part = part.startswith("own "), part.removeprefix("own ")
+    return compose([*settings(part), *more], OWN if own else None)
+
+
+def settings(part: str) -> list[str]:
+    inner = [part] if part.startswith("controller=") else ["controller=geometric", part]
+    if part == "inner=indi":
+        inner.append("inner.rate=400")
+    more = [word for name, words in ELSEWHERE.items() if name in part for word in words]
+    path = ["trajectory=ellipse", "trajectory.speed=2", "trajectory.duration=1.5", "controller.allow_unstable=true"]
+    return [*inner, *more, *path, "seed=3"]
+
+
+class Flown:
+    """The part in a loop of its own, and a flight that can be gone on with."""
+
+    def __init__(self, part: str, backend: str = "interpreted") -> None:
+        config = composed(part, f"controller.backend={backend}", "plant.backend=interpreted")
+        with unshared():
+            vehicle = build_vehicle(config.vehicle)
+            self.plant = build_world(config, vehicle)
+            self.controller = build_controller(config, vehicle, self.plant, None)
+        self.reference = SampledReference(build_trajectory(config.trajectory, vehicle), self.controller)
+        self.x, self.k = self.reference.at(0)[0].copy(), 0
+        self.noise = self.plant.begin(self.x, self.controller.control_period, 5.0, np.random.default_rng(0))
+        self.reading = None
+        self.controller.reset(self.x, self.reference.window(0))
+
+    def told(self) -> Measurement:
+        return Measurement(self.k * self.controller.control_period, self.x.copy(), self.reading, None)
+
+    def go_on(self, periods: int) -> np.ndarray:
+        """Commands, (k, n)."""
+        commands = []
+        for _ in range(periods):
+            u, _ = self.controller.step(self.told(), self.reference.window(self.k))
+            commands.append(u)
+            self.x, self.reading = self.plant.advance(self.x, u, self.controller.control_period, self.noise)
+            self.k += 1
+        return np.array(commands)
+
+
+@pytest.mark.parametrize("part", [*LAWS, *LAYERS, *OF_ONE_S_OWN])
+class TestEach:
+    def test_it_goes_on_from_a_memory_that_was_kept(self, part):
+        """The same measurements again from the same memory: the same bits. Nothing is remembered elsewhere."""
+        flown = Flown(part)
+        flown.go_on(12)
+        running = flown.controller.running
+        kept = [memory.now.copy() for memory in running.instant.memory]
+        told = [(flown.told(), flown.reference.window(flown.k))]
+        first = [flown.go_on(1)[0]]
+        for _ in range(7):
+            told.append((flown.told(), flown.reference.window(flown.k)))
+            first.append(flown.go_on(1)[0])
+        for memory, values in zip(running.instant.memory, kept, strict=True):
+            memory.restore(values)
+        running.k -= len(told)
+        again = [flown.controller.step(*one)[0] for one in told]
+        np.testing.assert_array_equal(again, first)
+
+    def test_what_it_remembers_has_names(self, part):
+        flown = Flown(part)
+        flown.go_on(3)
+        for memory in flown.controller.running.instant.memory:
+            assert memory.owner and all(memory.sizes) and sum(memory.sizes.values()) == memory.now.size
+            np.testing.assert_array_equal(memory.now, memory.next)  # an instant has been committed
+
+    def test_its_second_flight_is_its_first(self, part):
+        one, other = Flown(part), Flown(part)
+        first = one.go_on(10)
+        other.go_on(25)
+        other.x, other.k, other.reading = other.reference.at(0)[0].copy(), 0, None
+        other.noise = other.plant.begin(other.x, other.controller.control_period, 5.0, np.random.default_rng(0))
+        other.controller.reset(other.x, other.reference.window(0))
+        np.testing.assert_array_equal(other.go_on(10), first)
+
+    @pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+    def test_it_flies_in_c_as_in_python(self, part):
+        flights = []
+        for backend in ("compiled", "interpreted"):
+            flown = Flown(part, backend)
+            config = composed(part, f"controller.backend={backend}")
+            flights.append(fly_one(config))
+            if backend == "compiled" and flown.controller.backend == "compiled" and "ahead" not in part:
+                plant = build_world(config, flown.controller.vehicle)
+                assert covers(plant, flown.controller, np.random.default_rng(0))
+        names = ["p_x", "p_y", "p_z", "u_0", "u_1", "u_2", "u_3"]
+        one, other = (flight.stack(names) for flight in flights)
+        assert one.shape == other.shape and np.abs(one - other).max() < MOST
+
+    def test_its_columns_are_in_the_flight(self, part):
+        config = composed(part)
+        controller = Flown(part).controller
+        owners = [layer.part.logged for layer in layers(controller) if isinstance(layer, Layer)]
+        columns = fly_one(config).columns
+        for logged in owners:
+            assert all(name in columns for names in logged.values() for name in names)
+        inside = layers(controller)[-1].inner if layers(controller) else controller
+        if isinstance(inside, ExplicitController):
+            assert inside.log().keys() <= columns.keys()
+
+    def test_the_delay_that_its_loop_stands_is_known(self, part):
+        flown = Flown(part)
+        try:
+            margins = loop_margins(flown.controller, flown.plant)
+        except UnknownLoopError as error:
+            pytest.fail(str(error))
+        assert np.isfinite(margins["growth"])
+
+
+def test_all_kinds_are_there():
+    assert len(LAWS) >= 6 and len(LAYERS) >= 6 and "own adaptive=height_integral" in OF_ONE_S_OWN
