@@ -87,15 +87,37 @@ def held_deviation(
     first_share: part of the first node for which its command is held. tau: motor time constant (s). The thrust at the
     end of the last node is extrapolated; without a terminal weight nothing depends on it.
     """
-    samples = [limited(thrust, u_min, u_max) for thrust in ca.horzsplit(thrusts)]
-    samples.append(2 * samples[-1] - samples[-2])
+    pairs = [ca.vec(pair) for pair in ca.horzsplit(thrusts, SAMPLES)]
     commands, added = [], []
     for k, dt_k in enumerate(ca.vertsplit(dt)):
-        node = [*samples[SAMPLES * k : SAMPLES * k + 3], dt_k, first_share if k == 0 else ca.MX(1)]
-        command, beyond = as_scalars(_node)(*node, *([] if tau is None else [tau]))
-        commands.append(limited(command, u_min, u_max))
+        last, number = k == len(pairs) - 1, type(dt)
+        share = number(1) if k else first_share
+        node = [pairs[k], pairs[k if last else k + 1], number(last), dt_k, share, u_min, u_max]
+        command, beyond = as_scalars(held_thrust)(*node, *([] if tau is None else [tau]))
+        commands.append(command)
         added.append(beyond)
     return HeldDeviation(ca.horzcat(*commands), added)
+
+
+def held_thrust(
+    thrusts: Expression,
+    thrusts_next: Expression,
+    last: Expression,
+    dt: Expression,
+    share: Expression,
+    u_min: Expression,
+    u_max: Expression,
+    tau: Expression | None = None,
+) -> list[Expression]:
+    """u* and the added thrusts of one node, from the reference's at its start and middle, (2 n,), and the next node's.
+
+    last: 1 in the last node, 0 otherwise. share: part of the node for which its command is held.
+    """
+    n = u_min.size1()
+    start, middle, after = (limited(T, u_min, u_max) for T in (thrusts[:n], thrusts[n:], thrusts_next[:n]))
+    end = last * (2 * middle - start) + (1 - last) * after
+    command, added = _node(start, middle, end, dt, share, tau)
+    return [limited(command, u_min, u_max), added]
 
 
 def _node(

@@ -117,7 +117,7 @@ def at_hover(vehicle):
     controller.reset(state[0], state, hover)
     controller.command(state[0], state, hover)
     rollout = rollout_function(vehicle, controller.residual, controller.settings.nodes)
-    return FirstSolve(rollout, controller._step, controller._direction), controller, hover
+    return FirstSolve(rollout, controller.step, controller._direction), controller, hover
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
