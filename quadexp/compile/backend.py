@@ -144,7 +144,7 @@ def _library(name: str, sources: Sequence[str], flags: Sequence[str]) -> Path:
     def link(scratch: Path, built: Path) -> None:
         parts = []
         for i, source in enumerate(sources):
-            structure, numbers = numbers_apart(source)
+            structure, numbers = numbers_apart(source, i)
             unlinked, data = scratch / f"built{i}.o", scratch / f"numbers{i}.c"
             if numbers or len(sources) > 1:
                 unlinked.write_bytes(_cached(name, structure, flags, ".o", compiled(structure)).read_bytes())
@@ -165,15 +165,15 @@ def _library(name: str, sources: Sequence[str], flags: Sequence[str]) -> Path:
     return _cached(name, "\n".join(sources), flags, ".so", link)
 
 
-def numbers_apart(source: str) -> tuple[str, str]:
+def numbers_apart(source: str, part: int = 0) -> tuple[str, str]:
     """Generated C without its numbers, each of which is an element of an array; and the source of that array, "" where
-    there are none."""
-    numbers = NUMBER.findall(source)
+    there are none. part: of a library, whose parts have arrays of their own."""
+    numbers, name = NUMBER.findall(source), f"casadi_numbers{part or ''}"
     if not numbers:
         return source, ""
-    array = f'const double casadi_numbers[{len(numbers)}] __attribute__((visibility("hidden")))'
+    array = f'const double {name}[{len(numbers)}] __attribute__((visibility("hidden")))'
     places = iter(range(len(numbers)))
-    structure = NUMBER.sub(lambda _: f"=casadi_numbers[{next(places)}];", source)
+    structure = NUMBER.sub(lambda _: f"={name}[{next(places)}];", source)
     return f"extern {array};\n{structure}", f"extern {array};\n{array.partition(' _')[0]} = {{{', '.join(numbers)}}};\n"
 
 

@@ -4,8 +4,8 @@
    Declared before: STATES m, N_INPUTS n, SAMPLES s, FRAMES, LAG, DISTURBED, LENGTH_MIN, LENGTH_MAX, see node.py; IN_..
    and OUT_.., places of the arrays of step.py in `arg` and `res`, null where the form has none. iw: N, and the number p
    of the model's parameters; w: as many numbers as mpc_memory says, aligned to 64 bytes. The functions of a node are
-   another object, of node.py: linearise, held and frame; linearise_lanes is linearise at as many nodes as a register
-   has lanes. Compiled with -ffast-math: whether a number is finite is seen from its bits alone. */
+   another object, of node.py: linearise, held and frame; node_lanes is linearise at as many nodes as a register has
+   lanes. Compiled with -ffast-math: whether a number is finite is seen from its bits alone. */
 #include <math.h>
 
 #ifndef REAL
@@ -30,11 +30,11 @@ enum { PUSHED = 6 }; /* numbers of a disturbance */
 enum { IS_DOUBLE = sizeof(real) == 8 };
 
 #define HIDDEN __attribute__((visibility("hidden")))
-HIDDEN extern const integer node_memory, node_lanes; /* numbers for work; whether there is linearise_lanes */
-HIDDEN void linearise(const real *const *given, real *const *results, real *work);
-HIDDEN void linearise_lanes(const lanes *const *given, lanes *const *results, lanes *work);
-HIDDEN void held(const real *const *given, real *const *results, real *work);
-HIDDEN void frame(const real *const *given, real *const *results, real *work);
+HIDDEN extern const integer node_memory, has_lanes; /* numbers for work; whether there is node_lanes */
+HIDDEN void node_linearise(const real *const *given, real *const *results, real *work);
+HIDDEN void node_lanes(const lanes *const *given, lanes *const *results, lanes *work);
+HIDDEN void node_held(const real *const *given, real *const *results, real *work);
+HIDDEN void node_frame(const real *const *given, real *const *results, real *work);
 
 static int is_finite(real number) {
   unsigned long long bits = 0;
@@ -98,7 +98,7 @@ static void linearise_node(const real **arg, real **res, integer k, const real *
                          frame_of(res, k),
                          frame_of(res, k + 1)};
   real *const rows = res[OUT_rows] + BLOCK * k;
-  linearise(given, &rows, work);
+  node_linearise(given, &rows, work);
 }
 
 /* Numbers of the nodes `first` .. `last` - 1, LANES at most, side by side: `size` of each. */
@@ -131,7 +131,7 @@ static void linearise_side_by_side(const real **arg, real **res, const lanes *th
                           DISTURBED ? in_all(pushed, arg[IN_disturbance], PUSHED) : 0,
                           FRAMES ? side_by_side(frames[0], frame_of(res, 0), 16, first, last) : 0,
                           FRAMES ? side_by_side(frames[1], frame_of(res, 1), 16, first, last) : 0};
-  linearise_lanes(given, &results, work);
+  node_lanes(given, &results, work);
   for (int l = 0; l < LANES && first + l < last; ++l) {
     real *to = res[OUT_rows] + BLOCK * (first + l);
     for (int j = 0; j < BLOCK; ++j) to[j] = rows[j][l];
@@ -142,7 +142,7 @@ static void linearise_side_by_side(const real **arg, real **res, const lanes *th
 static void linearise_all(const real **arg, real **res, integer nodes, integer parameters, real *w) {
   lanes *const theta = (lanes *)w, *const work = theta + parameters;
   integer k = 1;
-  if (node_lanes) {
+  if (has_lanes) {
     in_all(theta, arg[IN_theta], parameters);
     for (; k < nodes - 1; k += LANES)
       linearise_side_by_side(arg, res, theta, k, nodes < k + LANES ? nodes : k + LANES, work);
@@ -202,7 +202,7 @@ static void move_and_weigh(const real **arg, real **res, integer nodes, real *wo
       const real *given[] = {thrusts,       after,         last ? &one : &zero, arg[IN_dt] + k, hold,
                              arg[IN_u_min], arg[IN_u_max], arg[IN_tau]};
       real *const results[] = {reference, res[OUT_added] + 3 * N_INPUTS * k};
-      held(given, results, work);
+      node_held(given, results, work);
     }
     for (int a = 0; a < N_INPUTS; ++a)
       r[a] = arg[IN_R][N_INPUTS * k + a] * (u[a] - (SAMPLES > 1 ? reference : thrusts)[a]);
@@ -211,7 +211,7 @@ static void move_and_weigh(const real **arg, real **res, integer nodes, real *wo
 
 /* Of w, for N nodes and p parameters. */
 integer mpc_memory(integer nodes, integer parameters) {
-  const integer node = node_lanes ? LANES * (node_memory + parameters) : node_memory;
+  const integer node = has_lanes ? LANES * (node_memory + parameters) : node_memory;
   const integer bounded = active_set_memory(nodes) + nodes * (2 * STATES + 4 * N_INPUTS);
   return node > bounded ? node : bounded;
 }
@@ -226,7 +226,7 @@ int mpc_prepare(const real **arg, real **res, integer *iw, real *w, int memory) 
   for (integer k = 0; FRAMES && k <= nodes; ++k) {
     const real *x_ref = arg[IN_X_ref] + SAMPLES * STATES * k;
     real *const matrix = res[OUT_frames] + 16 * k;
-    frame(&x_ref, &matrix, w);
+    node_frame(&x_ref, &matrix, w);
   }
   move_and_weigh(arg, res, nodes, w);
   linearise_all(arg, res, nodes, iw[1], w);

@@ -8,7 +8,6 @@ time: all horizons use one library.
 from __future__ import annotations
 
 import ctypes
-import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.backend import CFunction, generated, linked_library
+from quadexp.compile.lanes import in_lanes
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.interpreted import InterpretedStages
 from quadexp.control.mpc.node import LENGTH_MAX, LENGTH_MIN, Form, frame_function, held_function, linearise_function
@@ -29,10 +29,14 @@ KERNELS = ("riccati_backward.c", "active_set.c")  # included there
 PRELUDE = """#ifndef REAL
 #define REAL double
 #endif
+#ifndef casadi_real
 #define casadi_real REAL
-#define REALS const casadi_real *const *
+#endif
 #define HIDDEN __attribute__((visibility("hidden")))
+#define WEAK __attribute__((weak))
 """
+SIGNATURE = "(const casadi_real *const *given, casadi_real *const *results, casadi_real *work)"
+MOST_IN_LANES = 1000  # parameters of a model; each of them is copied to all lanes in every step
 PHASES = ("mpc_prepare", "mpc_feedback", "mpc_bounded")
 
 
@@ -44,7 +48,10 @@ def stages_of(vehicle: Vehicle, residual: Residual, backend: str, **structure: A
     functions = [linearise_function(vehicle, residual, form, scalar=True)]
     functions += [held_function(form)] if form.deviation else []
     functions += [frame_function(form)] if form.frames else []
-    return CompiledStages(form, linked_library("mpc", node_source(functions), stages_source(form)))
+    sources = [node_source(functions), stages_source(form)]
+    side_by_side = lanes_source(functions[0]) if form.parameters <= MOST_IN_LANES else None
+    sources += [] if side_by_side is None else [side_by_side]
+    return CompiledStages(form, linked_library("mpc", *sources))
 
 
 def stages_source(form: Form) -> str:
@@ -61,29 +68,32 @@ def stages_source(form: Form) -> str:
 
 
 def node_source(functions: list[ca.Function]) -> str:
-    """What CasADi generates of a node's functions, and each of them as stages.c calls it; those that are missing do
-    nothing."""
-    wrapped = []
-    for name in ("linearise", "linearise_lanes", "held", "frame"):
-        function = next((f for f in functions if f.name() == name), None)
-        call = "" if function is None else _call(function)
-        wrapped.append(f"HIDDEN void {name}(REALS given, casadi_real *const *results, casadi_real *work) {{{call}}}")
+    """What CasADi generates of a node's functions, and each of them as stages.c calls it; others do nothing."""
     memory = max(function.sz_w() for function in functions)
-    exported = r"CASADI_SYMBOL_EXPORT int (linearise|held|frame)\("
-    source = re.sub(exported, r"static int generated_\1(", generated(functions))
-    numbers = f"HIDDEN const casadi_int node_memory = {memory}, node_lanes = 0;"
-    return "\n".join([PRELUDE, source, numbers, *wrapped, ""])
+    constants = f"HIDDEN const casadi_int node_memory = {memory};\nHIDDEN WEAK const casadi_int has_lanes = 0;\n"
+    wrapped = {name: f"HIDDEN WEAK void node_{name}{SIGNATURE} {{}}\n" for name in ("lanes", "held", "frame")}
+    wrapped |= {function.name(): _wrapped(function, function.name()) for function in functions}
+    return "".join([PRELUDE, generated(functions), constants, *wrapped.values()])
 
 
-def _call(f: ca.Function) -> str:
-    """The body of a function that calls the generated one, which needs longer arrays of pointers than it is given."""
+def lanes_source(linearise: ca.Function) -> str | None:
+    """`linearise` at several nodes at once, see compile.lanes; None where it has no such form."""
+    source = PRELUDE + generated([linearise]) + _wrapped(linearise, "lanes")
+    source = source.replace("linearise", "linearise_lanes")  # both are in one library
+    return in_lanes(source + "HIDDEN const casadi_int has_lanes = 1;\n")
+
+
+def _wrapped(f: ca.Function, name: str) -> str:
+    """A function as stages.c calls it: the generated one needs longer arrays of pointers than it is given."""
     return f"""
+HIDDEN void node_{name}{SIGNATURE} {{
   const casadi_real *arg[{f.sz_arg()}];
   casadi_real *res[{f.sz_res()}];
   casadi_int iw[{f.sz_iw() + 1}];
   for (int i = 0; i < {f.n_in()}; ++i) arg[i] = given[i];
   for (int i = 0; i < {f.n_out()}; ++i) res[i] = results[i];
-  generated_{f.name()}(arg, res, iw, work, 0);
+  {f.name()}(arg, res, iw, work, 0);
+}}
 """
 
 
