@@ -21,6 +21,7 @@ import shlex
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,7 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     source = generated(functions)
     if len(functions) > 1:
         source = source.replace(PRODUCT, f"__attribute__((noclone, noinline)) {PRODUCT}")
-    library = _library(functions[0].name(), [source], compile_flags())
+    library = _library(functions[0].name(), [(source, compile_flags())])
     try:
         from quadexp.compile.library_function import LibraryFunction
 
@@ -102,17 +103,17 @@ def generated(functions: Sequence[ca.Function]) -> str:
     return generator.dump()
 
 
-def linked_library(name: str, *sources: str) -> Path:
-    """C sources compiled apart, each under a hash of its own in the cache, and linked. Raises QuadexpError where that
-    fails."""
-    return _library(name, sources, compile_flags())
+def linked_library(name: str, *sources: tuple[str, Sequence[str]]) -> Path:
+    """C sources, each with flags beside the usual ones, compiled apart, each under a hash of its own in the cache, and
+    linked. Raises QuadexpError where that fails."""
+    return _library(name, [(source, [*compile_flags(), *flags]) for source, flags in sources])
 
 
 def strict_library(name: str, *bodies: Path, loader: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL:
     """C of our own, one file behind another, compiled without any liberty in its arithmetic. Raises QuadexpError where
     that fails."""
     source = "\n".join(body.read_text(encoding="utf-8") for body in bodies)
-    library = _library(name, [source], STRICT_FLAGS)
+    library = _library(name, [(source, STRICT_FLAGS)])
     try:
         return loader(str(library))
     except OSError as error:
@@ -138,23 +139,27 @@ def handwritten(
     return ca.Function.jit(name, source, [*inputs], [*outputs], [*inputs.values()], [*outputs.values()], options)
 
 
-def _library(name: str, sources: Sequence[str], flags: Sequence[str]) -> Path:
-    """Path of the shared library of C sources, made unless the cache has it."""
+def _library(name: str, sources: Sequence[tuple[str, Sequence[str]]]) -> Path:
+    """Path of the shared library of C sources, each with its flags, made unless the cache has it."""
 
     def link(scratch: Path, built: Path) -> None:
-        parts = []
-        for i, source in enumerate(sources):
-            structure, numbers = numbers_apart(source, i)
-            unlinked, data = scratch / f"built{i}.o", scratch / f"numbers{i}.c"
-            if numbers or len(sources) > 1:
-                unlinked.write_bytes(_cached(name, structure, flags, ".o", compiled(structure)).read_bytes())
-            else:
-                compiled(source)(scratch, unlinked)
-            data.write_text(numbers, encoding="utf-8")
-            parts += [str(unlinked), str(data)]
-        run_compiler(["-fPIC", "-shared", *parts, "-o", str(built), "-lm"], f"link {name}", str(scratch))
+        with ThreadPoolExecutor() as together:
+            parts = together.map(lambda i: one_part(i, scratch), range(len(sources)))
+            files = [str(file) for part in parts for file in part]
+        run_compiler(["-fPIC", "-shared", *files, "-o", str(built), "-lm"], f"link {name}", str(scratch))
 
-    def compiled(source: str) -> Callable[[Path, Path], None]:
+    def one_part(i: int, scratch: Path) -> tuple[Path, Path]:
+        text, flags = sources[i]
+        structure, numbers = numbers_apart(text, i)
+        unlinked, data = scratch / f"built{i}.o", scratch / f"numbers{i}.c"
+        if numbers or len(sources) > 1:
+            unlinked.write_bytes(_cached(name, structure, flags, ".o", compiled(structure, flags)).read_bytes())
+        else:
+            compiled(text, flags)(scratch, unlinked)
+        data.write_text(numbers, encoding="utf-8")
+        return unlinked, data
+
+    def compiled(source: str, flags: Sequence[str]) -> Callable[[Path, Path], None]:
         def make(scratch: Path, built: Path) -> None:
             code = scratch / "built.c"
             code.write_text(source, encoding="utf-8")
@@ -162,7 +167,8 @@ def _library(name: str, sources: Sequence[str], flags: Sequence[str]) -> Path:
 
         return make
 
-    return _cached(name, "\n".join(sources), flags, ".so", link)
+    parts = ("\n".join([*flags, source]) for source, flags in sources)
+    return _cached(name, "\n".join(parts), (), ".so", link)
 
 
 def numbers_apart(source: str, part: int = 0) -> tuple[str, str]:
