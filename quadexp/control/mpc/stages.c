@@ -110,10 +110,44 @@ static const lanes *side_by_side(lanes *to, const real *from, int size, integer 
   return to;
 }
 
+/* Of every 2 h lanes, the upper h of a for the lower h of b. */
+static inline void exchange(vector *a, vector *b, int h) {
+  const vector low = *a, high = *b;
+#ifdef __AVX512F__
+  if (h == 1) {
+    *a = __builtin_shufflevector(low, high, 0, 8, 2, 10, 4, 12, 6, 14);
+    *b = __builtin_shufflevector(low, high, 1, 9, 3, 11, 5, 13, 7, 15);
+  } else if (h == 2) {
+    *a = __builtin_shufflevector(low, high, 0, 1, 8, 9, 4, 5, 12, 13);
+    *b = __builtin_shufflevector(low, high, 2, 3, 10, 11, 6, 7, 14, 15);
+  } else {
+    *a = __builtin_shufflevector(low, high, 0, 1, 2, 3, 8, 9, 10, 11);
+    *b = __builtin_shufflevector(low, high, 4, 5, 6, 7, 12, 13, 14, 15);
+  }
+#else
+  for (int l = 0; l < LANES; ++l) {
+    (*a)[l] = l & h ? high[l - h] : low[l];
+    (*b)[l] = l & h ? high[l] : low[l + h];
+  }
+#endif
+}
+
 /* Numbers that all nodes have. */
 static const lanes *in_all(lanes *to, const real *from, integer size) {
   for (integer i = 0; i < size; ++i) to[i] = from[i] - (lanes){0};
   return to;
+}
+
+/* The other way round, rows of `count` nodes: blocks are transposed, each time exchanging halves of half the size. */
+static void apart(real *to, const lanes *rows, integer count) {
+  for (int j = 0; j < BLOCK; j += LANES) {
+    vector v[LANES];
+    for (int l = 0; l < LANES; ++l) v[l] = rows[j + l];
+    for (int half = 1; half < LANES; half *= 2)
+      for (int l = 0; l < LANES; ++l)
+        if (!(l & half)) exchange(v + l, v + l + half, half);
+    for (integer l = 0; l < count; ++l) *(vector *)(to + BLOCK * l + j) = v[l];
+  }
 }
 
 /* Rows of the nodes `first` .. `last` - 1, LANES at most. */
@@ -132,10 +166,7 @@ static void linearise_side_by_side(const real **arg, real **res, const lanes *th
                           FRAMES ? side_by_side(frames[0], frame_of(res, 0), 16, first, last) : 0,
                           FRAMES ? side_by_side(frames[1], frame_of(res, 1), 16, first, last) : 0};
   node_lanes(given, &results, work);
-  for (int l = 0; l < LANES && first + l < last; ++l) {
-    real *to = res[OUT_rows] + BLOCK * (first + l);
-    for (int j = 0; j < BLOCK; ++j) to[j] = rows[j][l];
-  }
+  apart(res[OUT_rows] + BLOCK * first, rows, last - first);
 }
 
 /* Rows of the nodes 1 .. N - 1. */
