@@ -99,7 +99,7 @@ class InterpretedSolver:
                 d_input, side, error = bounded_minimum(H, g, low, high)
             d_state = (offsets + maps @ d_input).reshape(len(U), -1)
         turn = norms(d_state[:, ATTITUDE]).max()
-        if "frames" in data:  # from the cost's coordinates, see control.attitude_error: dq = L de
+        if self._form.frames:  # from the cost's coordinates, see control.attitude_error: dq = L de
             d_state[:, ATTITUDE] = np.einsum("kcr,kc->kr", data["frames"][1:], d_state[:, ATTITUDE])
         data["bounded_X"][...] = data["X_lin"]
         data["bounded_X"][1:] += d_state

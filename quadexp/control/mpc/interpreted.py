@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -92,29 +93,37 @@ class _Loops:
         a["checks"][:2], a["checks"][2] = a["extremes"][-1] if finite else math.nan, a["kkt"][0, 0]
 
 
+class Horizon:
+    """Symbols of arguments of a step by their names, and what follows from its reference: states and inputs at the
+    nodes, the thrust added in them (one for each, none without `deviation`), and the coordinates of the error."""
+
+    def __init__(self, form: Form, nodes: int, kind: Any, names: Iterable[str]) -> None:
+        shapes, _ = array_shapes(form, nodes)
+        self.given = a = named_symbols(kind, {name: shapes[name][::-1] for name in names})
+        self.X_ref, self.U_ref, self.added = a["X_ref"][:, :: form.samples], a["U_ref"], list[Expression]()
+        if form.deviation:
+            limits, tau = (a["u_min"], a["u_max"]), a["tau"] if form.lag else None
+            self.U_ref, self.added = held_deviation(self.U_ref, *limits, a["dt"], a["first_share"], tau)
+        self.frames = reference_frames(self.X_ref, form.attitude_error)
+        self.error = attitude_error_in(*self.frames or [None])
+
+
 def guess_function(form: Form, nodes: int) -> ca.Function:
     """Where the horizon is linearised, and the gradients of its cost there: X_lin and q of the nodes from 1 on, U_lin,
     r, added, frames, named as in step.py like the inputs."""
     names = ("X", "U", "X_ref", "U_ref", "Q", "Q_end", "R", "dt", "shift", "u_min", "u_max", "first_share", "tau")
-    shapes = array_shapes(form, nodes)
-    a = named_symbols(ca.SX, {name: shapes[name][::-1] for name in names if name in shapes})
-    X, U, along, reference = a["X"][:, 1:], a["U"], a["shift"].T, a["U_ref"]
-    X_ref, left = a["X_ref"][:, :: form.samples], dict[str, Expression]()
+    horizon = Horizon(form, nodes, ca.SX, names)
+    a, left = horizon.given, {"added": horizon.added, "frames": horizon.frames}
 
     def moved(values: Expression, share: Expression) -> Expression:
         return ca.horzcat(values[:, :-1] + ca.repmat(share, values.size1(), 1) * ca.diff(values, 1, 1), values[:, -1])
 
-    if form.deviation:
-        limits = a["u_min"], a["u_max"]
-        reference, added = held_deviation(reference, *limits, a["dt"], a["first_share"], a.get("tau"))
-        left["added"] = ca.horzcat(*added)
-    frames = reference_frames(X_ref, form.attitude_error)
-    left |= {"frames": frames[0]} if frames else {}
-    X_lin, U_lin = moved(X, along[1:]), moved(U, along[:-1])
+    X_lin, U_lin = moved(a["X"][:, 1:], a["shift"][1:].T), moved(a["U"], a["shift"][:-1].T)
     length = ca.sqrt(ca.sum1(X_lin[ATTITUDE, :] ** 2))  # integration alone leaves it within half a percent of one, but
     scale = limited(length, LENGTH_MIN, LENGTH_MAX) / length  # at a length of zero a quaternion is no attitude
     X_lin[ATTITUDE, :] *= ca.repmat(scale, 4, 1)
-    error, errors = attitude_error_in(*frames or [None]), ca.horzsplit(X_lin - X_ref[:, 1:])
-    q = ca.horzcat(*(error.deviation(k + 1, dx) for k, dx in enumerate(errors)))
-    left |= {"X_lin": X_lin, "q": ca.horzcat(a["Q"][:, 1:], a["Q_end"]) * q}
-    return dense_function("guess", a, left | {"U_lin": U_lin, "r": a["R"] * (U_lin - reference)})
+    errors = ca.horzsplit(X_lin - horizon.X_ref[:, 1:])
+    q = ca.horzcat(*(horizon.error.deviation(k, dx) for k, dx in enumerate(errors, 1)))
+    results = {name: ca.horzcat(*parts) for name, parts in left.items() if parts}
+    results |= {"X_lin": X_lin, "q": ca.horzcat(a["Q"][:, 1:], a["Q_end"]) * q}
+    return dense_function("guess", a, results | {"U_lin": U_lin, "r": a["R"] * (U_lin - horizon.U_ref)})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,8 +64,10 @@ class ModelPredictiveController:
     ) -> None:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
-        self.backend, self._form = resolve(backend), _form(settings, disturbed)
-        self.step = Step(built(self.backend, stages_of, vehicle, residual, self.backend, **self._form), settings.nodes)
+        self.backend, deviation = resolve(backend), settings.input_hold == "deviation"
+        structure = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
+        structure |= {"deviation": deviation, "disturbed": disturbed}
+        self.step = Step(built(self.backend, stages_of, vehicle, residual, self.backend, **structure), settings.nodes)
         arguments = self.step.arguments
         self._active_set = ActiveSet(self.step)
 
@@ -135,7 +137,7 @@ class ModelPredictiveController:
     def disturbance(self) -> np.ndarray | None:
         """Acceleration, world (m/s^2), and angular acceleration, body (rad/s^2), in use, (6,), changed in place by
         `set_disturbance`; None where the model has none."""
-        return self.step.arguments.get("disturbance")
+        return self.step.arguments["disturbance"] if self.step.form.disturbed else None
 
     def set_disturbance(self, disturbance: np.ndarray) -> None:
         """Use another disturbance, (6,), from the next step on; nothing is compiled again.
@@ -291,7 +293,7 @@ class ModelPredictiveController:
         None where the trajectory of neither is finite.
         """
         if self._first_solve is None:
-            rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, **self._form)
+            rollout = rollout_function(self.vehicle, self.residual, self.step.form, self.settings.nodes)
             self._first_solve = FirstSolve(rollout, self.step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
         found = self._first_solve.solve([reached, guess], iterations)
@@ -340,9 +342,3 @@ class ModelPredictiveController:
         length = MAX_TURN / turn
         self._X[...] = x + length * (X_new - x)
         self._U[...] = u + length * (U_new - u)
-
-
-def _form(settings: MPCSettings, disturbed: bool) -> dict[str, Any]:
-    """What decides the structure of the step besides model and nodes, see node.Form."""
-    form = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
-    return form | {"deviation": settings.input_hold == "deviation", "disturbed": disturbed}

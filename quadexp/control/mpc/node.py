@@ -103,16 +103,11 @@ def linearise_function(vehicle: Vehicle, residual: Residual, form: Form, *, scal
 
 
 def held_function(form: Form) -> ca.Function:
-    """(thrusts (2 n,) of a node, at its start and middle; thrusts_next (2 n,); last; dt; share; u_min; u_max; tau with
-    a lag) -> reference u* (n,), added (n, 3): see control.mpc.prediction.
-
-    last: 1 in the last node, 0 otherwise. share: part of the node for which its command is held.
-    """
-    n = form.inputs
-    shapes = {"thrusts": 2 * n, "thrusts_next": 2 * n, "last": 1, "dt": 1, "share": 1, "u_min": n, "u_max": n}
-    a = named_symbols(ca.SX, shapes | ({"tau": 1} if form.lag else {}))
-    results = held_thrust(*a.values())
-    return dense_function("held", a, named(("reference", "added"), results))
+    """(start, middle, end, dt, share, u_min, u_max, with a lag tau) -> reference u* (n,), added (n, 3), see
+    prediction.held_thrust."""
+    n, names = form.inputs, ("start", "middle", "end", "dt", "share", "u_min", "u_max", *(["tau"] if form.lag else []))
+    a = named_symbols(ca.SX, {name: 1 if name in ("dt", "share", "tau") else n for name in names})
+    return dense_function("held", a, named(("reference", "added"), held_thrust(*a.values())))
 
 
 def frame_function(form: Form) -> ca.Function:

@@ -87,12 +87,11 @@ def held_deviation(
     first_share: part of the first node for which its command is held. tau: motor time constant (s). The thrust at the
     end of the last node is extrapolated; without a terminal weight nothing depends on it.
     """
-    pairs = [ca.vec(pair) for pair in ca.horzsplit(thrusts, SAMPLES)]
+    samples = [limited(thrust, u_min, u_max) for thrust in ca.horzsplit(thrusts)]
+    samples.append(2 * samples[-1] - samples[-2])
     commands, added = [], []
     for k, dt_k in enumerate(ca.vertsplit(dt)):
-        last, number = k == len(pairs) - 1, type(dt)
-        share = number(1) if k else first_share
-        node = [pairs[k], pairs[k if last else k + 1], number(last), dt_k, share, u_min, u_max]
+        node = [*samples[SAMPLES * k : SAMPLES * k + 3], dt_k, first_share if k == 0 else type(dt)(1), u_min, u_max]
         command, beyond = as_scalars(held_thrust)(*node, *([] if tau is None else [tau]))
         commands.append(command)
         added.append(beyond)
@@ -100,40 +99,22 @@ def held_deviation(
 
 
 def held_thrust(
-    thrusts: Expression,
-    thrusts_next: Expression,
-    last: Expression,
+    start: Expression,
+    middle: Expression,
+    end: Expression,
     dt: Expression,
     share: Expression,
     u_min: Expression,
     u_max: Expression,
     tau: Expression | None = None,
 ) -> list[Expression]:
-    """u* and the added thrusts of one node, from the reference's at its start and middle, (2 n,), and the next node's.
-
-    last: 1 in the last node, 0 otherwise. share: part of the node for which its command is held.
-    """
-    n = u_min.size1()
-    start, middle, after = (limited(T, u_min, u_max) for T in (thrusts[:n], thrusts[n:], thrusts_next[:n]))
-    end = last * (2 * middle - start) + (1 - last) * after
-    command, added = _node(start, middle, end, dt, share, tau)
-    return [limited(command, u_min, u_max), added]
-
-
-def _node(
-    start: Expression,
-    middle: Expression,
-    end: Expression,
-    dt: Expression,
-    share: Expression,
-    tau: Expression | None = None,
-) -> list[Expression]:
-    """u* and the added thrusts for T*(s dt) = start + slope s + bend s^2, 0 <= s <= 1; u* is held until s = share."""
+    """u* within its limits and the added thrusts for T*(s dt) = start + slope s + bend s^2, 0 <= s <= 1; u* is held
+    until s = share."""
     slope, bend = 4 * middle - 3 * start - end, 2 * (start + end - 2 * middle)
     command = start + share * (slope / 2 + share * bend / 3)
     if tau is None:
-        return [command, ca.horzcat(start, middle, end) - command]
+        return [limited(command, u_min, u_max), ca.horzcat(start, middle, end) - command]
     command += tau / dt * (slope + share * bend)
     decay = [ca.exp(-t / tau) for t in (dt / 2, dt)]
     added = [T - a * start - (1 - a) * command for T, a in zip((middle, end), decay, strict=True)]
-    return [command, ca.horzcat(ca.SX.zeros(start.shape), *added)]
+    return [limited(command, u_min, u_max), ca.horzcat(ca.SX.zeros(start.shape), *added)]

@@ -210,7 +210,7 @@ static real gap(const real *rows) {
 
 /* Linearisation point of the nodes, and gradients of the cost there. */
 static void move_and_weigh(const real **arg, real **res, integer nodes, real *work) {
-  static const real zero = 0, one = 1;
+  static const real one = 1;
   const real *X = arg[IN_X], *U = arg[IN_U], *shift = arg[IN_shift];
   for (integer k = 1; k <= nodes; ++k) {
     real *x = res[OUT_X_lin] + STATES * k, *q = res[OUT_q] + STATES * k;
@@ -228,9 +228,13 @@ static void move_and_weigh(const real **arg, real **res, integer nodes, real *wo
     const real *from = U + N_INPUTS * k, *to = last ? from : from + N_INPUTS, share = last ? 0 : shift[k];
     const real *thrusts = arg[IN_U_ref] + SAMPLES * N_INPUTS * k;
     for (int a = 0; a < N_INPUTS; ++a) u[a] = from[a] + share * (to[a] - from[a]);
-    if (SAMPLES > 1) {
-      const real *after = last ? thrusts : thrusts + SAMPLES * N_INPUTS, *hold = k ? &one : arg[IN_first_share];
-      const real *given[] = {thrusts,       after,         last ? &one : &zero, arg[IN_dt] + k, hold,
+    if (SAMPLES > 1) { /* the thrust at the end of the last node is extrapolated */
+      real sampled[3][N_INPUTS];
+      for (int i = 0; i < 3 - last; ++i)
+        for (int a = 0; a < N_INPUTS; ++a)
+          sampled[i][a] = limited(thrusts[N_INPUTS * i + a], arg[IN_u_min][a], arg[IN_u_max][a]);
+      for (int a = 0; last && a < N_INPUTS; ++a) sampled[2][a] = 2 * sampled[1][a] - sampled[0][a];
+      const real *given[] = {sampled[0],    sampled[1],    sampled[2], arg[IN_dt] + k, k ? &one : arg[IN_first_share],
                              arg[IN_u_min], arg[IN_u_max], arg[IN_tau]};
       real *const results[] = {reference, res[OUT_added] + 3 * N_INPUTS * k};
       node_held(given, results, work);

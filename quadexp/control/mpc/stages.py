@@ -20,7 +20,7 @@ from quadexp.compile.lanes import in_lanes
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.interpreted import InterpretedStages
 from quadexp.control.mpc.node import LENGTH_MAX, LENGTH_MIN, Form, frame_function, held_function, linearise_function
-from quadexp.control.mpc.step import ARGUMENTS, RESULTS, Arrays, Stages, aligned
+from quadexp.control.mpc.step import Arrays, Stages, aligned, array_shapes
 from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
@@ -61,7 +61,7 @@ def stages_source(form: Form) -> str:
     constants: dict[str, float] = {"LENGTH_MIN": LENGTH_MIN, "LENGTH_MAX": LENGTH_MAX}
     constants |= {"STATES": form.states, "N_INPUTS": form.inputs, "SAMPLES": form.samples, "FRAMES": int(form.frames)}
     constants |= {"LAG": int(form.lag), "DISTURBED": int(form.disturbed)}
-    for kind, names in (("IN", ARGUMENTS), ("OUT", RESULTS)):
+    for kind, names in zip(("IN", "OUT"), array_shapes(form, 1), strict=True):
         constants |= {f"{kind}_{name}": place for place, name in enumerate(names)}
     text = SOURCE.read_text(encoding="utf-8")
     for kernel in KERNELS:
@@ -112,8 +112,8 @@ class CompiledStages:
         self._code.mpc_memory.restype = ctypes.c_longlong
         numbers = self._code.mpc_memory(*map(ctypes.c_longlong, sizes.tolist()))
         given, left = (
-            np.array([arrays[name].ctypes.data if name in arrays else 0 for name in names], np.uintp)
-            for names, arrays in ((ARGUMENTS, arguments), (RESULTS, results))
+            np.array([array.ctypes.data if array.size else 0 for array in arrays.values()], np.uintp)
+            for arrays in (arguments, results)
         )
         memory = [given, left, sizes, aligned((numbers,))]
         return [Phase(getattr(self._code, name), memory) for name in PHASES]

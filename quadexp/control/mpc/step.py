@@ -22,14 +22,6 @@ import numpy as np
 from quadexp.control.mpc.node import N_PLACE, Form
 from quadexp.physics.rigid_body import N_DISTURBANCE
 
-ARGUMENTS = (
-    "x0", "X", "U", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift", "tau", "first_share",
-    "disturbance", "guess",
-)  # fmt: skip
-RESULTS = (
-    "X_new", "U_new", "checks", "X_lin", "U_lin", "rows", "q", "r", "K", "k", "factor", "cost", "multiplier", "kkt",
-    "added", "frames", "bounded_X", "bounded_U", "side", "bounded_checks",
-)  # fmt: skip
 ALIGNMENT = 64  # bytes: a vector register
 
 Arrays = dict[str, np.ndarray]
@@ -66,9 +58,8 @@ class Step:
 
     def __init__(self, stages: Stages, nodes: int) -> None:
         self.stages, self.form = stages, stages.form
-        shapes = array_shapes(stages.form, nodes)
         self.arguments, self.results = (
-            {name: aligned(shapes[name]) for name in names if name in shapes} for names in (ARGUMENTS, RESULTS)
+            {name: aligned(shape) for name, shape in shapes.items()} for shapes in array_shapes(stages.form, nodes)
         )
         self.prepare, self.feedback, self.bounded = stages.on(self.arguments, self.results)
 
@@ -90,21 +81,42 @@ def dynamics_of(rows: np.ndarray, form: Form) -> tuple[np.ndarray, np.ndarray, n
     return A, rows[:, :, motion : motion + n], rows[:, :, motion + n]
 
 
-def array_shapes(form: Form, nodes: int) -> dict[str, tuple[int, ...]]:
-    """Of the arrays that the form has."""
+def array_shapes(form: Form, nodes: int) -> list[dict[str, tuple[int, ...]]]:
+    """Of all arguments and all results, in the order of stages.c; those that the form lacks are empty."""
     m, n, samples = form.states, form.inputs, form.samples
     states, inputs = (nodes + 1, m), (nodes, n)
-    shapes = {"x0": (m,), "X": states, "U": inputs, "X_ref": (samples * nodes + 1, m), "U_ref": (samples * nodes, n)}
-    shapes |= {"theta": (form.parameters,), "Q": (nodes, m), "Q_end": (m,), "R": inputs, "u_min": (n,), "u_max": (n,)}
-    shapes |= {"dt": (nodes,), "shift": (nodes,), "guess": inputs}
-    shapes |= {"X_new": states, "U_new": inputs, "checks": (3,), "X_lin": states, "U_lin": inputs}
-    shapes |= {"rows": (nodes, m, form.line), "q": states, "r": inputs, "K": (nodes, m, n), "k": inputs}
-    shapes |= {"factor": (nodes, n, n), "cost": (m * form.line + N_PLACE**2,), "multiplier": (m,), "kkt": (1,)}
-    shapes |= {"bounded_X": states, "bounded_U": inputs, "side": inputs, "bounded_checks": (5,)}
-    shapes |= {"tau": (1,)} if form.lag else {}
-    shapes |= {"first_share": (1,), "added": (nodes, 3, n)} if form.deviation else {}
-    shapes |= {"disturbance": (N_DISTURBANCE,)} if form.disturbed else {}
-    return shapes | ({"frames": (nodes + 1, 4, 4)} if form.frames else {})
+    arguments: dict[str, tuple[int, ...]] = {
+        "x0": (m,),
+        "X": states,
+        "U": inputs,
+        "X_ref": (samples * nodes + 1, m),
+        "U_ref": (samples * nodes, n),
+    }
+    arguments |= {
+        "theta": (form.parameters,),
+        "Q": (nodes, m),
+        "Q_end": (m,),
+        "R": inputs,
+        "u_min": (n,),
+        "u_max": (n,),
+    }
+    arguments |= {"dt": (nodes,), "shift": (nodes,), "tau": (int(form.lag),)}
+    arguments |= {
+        "first_share": (int(form.deviation),),
+        "disturbance": (N_DISTURBANCE * form.disturbed,),
+        "guess": inputs,
+    }
+    results: dict[str, tuple[int, ...]] = {
+        "X_new": states,
+        "U_new": inputs,
+        "checks": (3,),
+        "X_lin": states,
+        "U_lin": inputs,
+    }
+    results |= {"rows": (nodes, m, form.line), "q": states, "r": inputs, "K": (nodes, m, n), "k": inputs}
+    results |= {"factor": (nodes, n, n), "cost": (m * form.line + N_PLACE**2,), "multiplier": (m,), "kkt": (1,)}
+    results |= {"added": (nodes, 3, n * form.deviation), "frames": (nodes + 1, 4, 4 * form.frames)}
+    return [arguments, results | {"bounded_X": states, "bounded_U": inputs, "side": inputs, "bounded_checks": (5,)}]
 
 
 def aligned(shape: tuple[int, ...]) -> np.ndarray:

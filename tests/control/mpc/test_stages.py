@@ -49,7 +49,7 @@ def pose(step: Step, vehicle, theta: np.ndarray, rng: np.random.Generator) -> No
     a["u_min"][...], a["u_max"][...] = 0.5, 12.0
     a["dt"][...], a["shift"][...] = rng.uniform(0.02, 0.1, nodes), rng.uniform(0.1, 0.9, nodes)
     for name, value in (("tau", 0.03), ("first_share", 0.3), ("disturbance", rng.normal(size=6))):
-        if name in a:
+        if a[name].size:
             a[name][...] = value
 
 
@@ -122,8 +122,10 @@ def test_the_type_of_numbers_is_a_parameter(vehicle, rng):
     exact.arguments["X"][...] = exact.arguments["X_ref"][...] = exact.arguments["x0"]
     exact()
     single = built(vehicle, residual, "-DREAL=float")
-    shapes = array_shapes(single.form, nodes)
-    arrays = [{name: np.zeros(shapes[name], np.float32) for name in each} for each in (exact.arguments, exact.results)]
+    arrays = [
+        {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+        for shapes in array_shapes(single.form, nodes)
+    ]
     for name, values in exact.arguments.items():
         arrays[0][name][...] = values
     prepare, feedback, bounded = single.on(*arrays)
