@@ -6,9 +6,7 @@ FOLDER: another checkout, for example of an earlier version. Each tree has one p
 over the circle at 8 m/s (wall clock, us), as Python calls it: `command` of the MPC; `step` of a ControlLoop along its
 own reference, then along a reference that is given to it; `answer`, the same after `prepare`. With bounds as in
 bounded.py. Flights: simulated seconds per second of processor time, without the reference. Printed are the best of the
-rounds, and the median of the rounds' ratios. `acados`: the ratio of version efd5fc1 to acados v0.6.0, measured on one
-machine (best of its options through Python; its strongest single C call; its feedback phase), times the ratio here: it
-holds where FOLDER is efd5fc1.
+rounds, and the median of the rounds' ratios.
 """
 
 from __future__ import annotations
@@ -34,14 +32,7 @@ FLIGHTS = {
     "perfect, wind": "controller=perfect_mpc remedies=wind",
     "geometric": "controller=geometric",
 }
-ACADOS = {  # of efd5fc1, command: to its best, to its strongest call; answer: to its feedback phase
-    "none 10": (0.108, 0.60, 0.141),
-    "none 20": (0.084, 0.30, 0.106),
-    "gp20 10": (0.108, 0.48, 0.149),
-    "gp20 20": (0.087, 0.35, 0.093),
-    "none 10 bounded": (0.11, 0.41, 0.21),
-    "none 20 bounded": (0.13, 0.30, 0.20),
-}
+CASES = ("none 10", "none 20", "gp20 10", "gp20 20", "none 10 bounded", "none 20 bounded")
 
 
 def works() -> Iterator[tuple[str, Callable[[], float]]]:
@@ -53,7 +44,7 @@ def works() -> Iterator[tuple[str, Callable[[], float]]]:
     from quadexp.reference.circle import Circle
 
     vehicle = step.build_vehicle(step.compose([]).vehicle)
-    for name in ACADOS:
+    for name in CASES:
         case, nodes, *bounded = name.split()
         flown = replace(vehicle, thrust_max=BOUND * vehicle.hover_thrust) if bounded else vehicle
         residual, settings = step.make_residual(case, flown)[0], step.MPCSettings(nodes=int(nodes))
@@ -139,25 +130,15 @@ def measure(folders: list[Path], rounds: int) -> list[dict[str, np.ndarray]]:
 
 def table(now: dict[str, np.ndarray], before: dict[str, np.ndarray]) -> str:
     """Lines of Markdown."""
-    lines = ["| step (us) | before | now | ratio | acados best | its strongest call | its feedback phase |"]
-    lines.append("|---|--:|--:|--:|--:|--:|--:|")
-    commands = {name: before[f"{name}: command"] for name in ACADOS}
-    for name, times in now.items():
-        ratio = float(np.median(times / before[name]))
-        case, _, kind = name.partition(": ")
-        if not kind:
-            lines += (
-                []
-                if name != next(iter(FLIGHTS))
-                else ["", "| flight (s/s) | before | now | ratio |", "|---|--:|--:|--:|"]
-            )
-            lines.append(f"| {name} | {before[name].max():.0f} | {times.max():.0f} | {ratio:.2f} |")
+    lines = ["| step (us) | before | now | ratio |", "|---|--:|--:|--:|"]
+    for name, found in now.items():
+        ratio = float(np.median(found / before[name]))
+        if ":" in name:
+            lines.append(f"| {name} | {before[name].min():.1f} | {found.min():.1f} | {ratio:.2f} |")
             continue
-        best, call, phase = ACADOS[case]
-        shares = [best, call, None] if kind != "answer" else [None, None, phase]
-        against = ratio if kind == "answer" else float(np.median(times / commands[case]))
-        cells = " | ".join("" if share is None else f"{share * against:.3f}" for share in shares)
-        lines.append(f"| {name} | {before[name].min():.1f} | {times.min():.1f} | {ratio:.2f} | {cells} |")
+        if name == next(iter(FLIGHTS)):
+            lines += ["", "| flight (s/s) | before | now | ratio |", "|---|--:|--:|--:|"]
+        lines.append(f"| {name} | {before[name].max():.0f} | {found.max():.0f} | {ratio:.2f} |")
     return "\n".join(lines)
 
 

@@ -11,8 +11,11 @@ quartiles of all steps, and the medians over the rounds of a round's 99th percen
 are robust to speed changes of the machine between rounds. acados runs in separate processes (its libraries conflict
 with CasADi's); options: acados_step.py.
 
-"prepare" and "feedback" are the two phases of our compiled step (ModelPredictiveController.prepare and .feedback);
-beside them stand acados's, of its best options through Python (rti_phase 1 and 2). Only feedback needs the measurement.
+"step" is what a user calls, ControlLoop.step along the reference of the loop; "answer" is the same after
+ControlLoop.prepare. "compiled" and "interpreted" are ModelPredictiveController.command on both back ends, with the
+reference as an argument; "prepare" and "feedback" are its two phases; beside them stand acados's, of its best options
+through Python (rti_phase 1 and 2). Only feedback needs the measurement. "strongest call" is the shortest of acados's
+own times in its C call (time_tot) over its options.
 
 Two checks accompany the times. "same problem": some steps iterated to convergence by both solvers, largest difference
 of the first input. "left by one iteration": difference between the first input after one iteration per step and the
@@ -40,10 +43,12 @@ import numpy as np
 
 from benchmarks.machine import cores, machine, pin
 from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.controller import as_controller
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
+from quadexp.loop import ControlLoop
 from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import linear_drag_residual
@@ -63,6 +68,7 @@ BACKENDS = ("interpreted", "compiled")
 ACADOS_OPTIONS = ("default", "best", "tuned", "expert")
 SKIPPED = 50  # steps of the closed loop before the first that is measured
 CONVERGE_EVERY = 25  # as in acados_step.py
+CIRCLE = Circle(speed=8.0, acceleration=1.0)
 DRAG = np.array([0.3, 0.3, 0.1])  # 1/s
 QUADRATIC_DRAG = 0.012  # 1/m, in the cases with a GP
 LENGTHSCALE = np.array([3.0, 3.0, 2.0])  # m/s
@@ -71,6 +77,9 @@ COEFFICIENTS = BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(
 
 # ratio and its limit; for the blade-element residual the second one is 0.6 and the others do not apply
 RATIOS = {
+    ("step", "acados best"): 0.065,
+    ("step", "acados strongest call"): 0.35,
+    ("answer", "acados feedback"): 0.1,
     ("compiled", "acados default"): 0.25,
     ("compiled", "acados best"): 0.15,
     ("interpreted", "acados default"): 1.0,
@@ -80,6 +89,7 @@ RATIOS = {
     ("feedback", "compiled"): None,
 }
 PHASES = ("prepare", "feedback")
+LOOP = ("step", "answer")
 
 Log = list[tuple[np.ndarray, np.ndarray, np.ndarray]]  # measured state (13,), references (N + 1, 13) and (N, n)
 
@@ -134,7 +144,7 @@ def fly_circle(
     jump: standard deviation (m) of a displacement of the vehicle in every `every`-th step; without it, no bound may be
     active.
     """
-    reference = SampledReference(Circle(speed=8.0, acceleration=1.0), controller)
+    reference = SampledReference(CIRCLE, controller)
     x, rng, log = reference.along()[0][0], np.random.default_rng(0), []
     plant.reset()
     controller.reset(x, *reference.horizon(0))
@@ -194,6 +204,26 @@ def measure_phases(controller: ModelPredictiveController, log: Log) -> tuple[np.
         seconds[0].append(between - began)
     gc.enable()
     return np.array(seconds[0]), np.array(seconds[1])
+
+
+def measure_loop(loop: ControlLoop, log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of each step of a loop, and of each step that has been prepared."""
+    seconds = []
+    for prepare in (False, True):
+        loop.reset(log[0][0])
+        took = []
+        gc.collect()
+        gc.disable()
+        for k, (x, _, _) in enumerate(log):
+            t = (SKIPPED + k) * loop.period
+            if prepare:
+                loop.prepare(t)
+            began = time.perf_counter()
+            loop.step(x, t)
+            took.append(time.perf_counter() - began)
+        gc.enable()
+        seconds.append(np.array(took))
+    return seconds[0], seconds[1]
 
 
 def converge(controller: ModelPredictiveController, log: Log) -> np.ndarray:
@@ -290,10 +320,14 @@ def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, ac
     residual, numbers = make_residual(case, vehicle)
     settings = MPCSettings(nodes=nodes)
     own = {name: ModelPredictiveController(vehicle, residual, settings, backend=name) for name in BACKENDS}
-    log = fly_circle(make_plant(case, vehicle), own["compiled"], steps)
+    plant = make_plant(case, vehicle)
+    log = fly_circle(plant, own["compiled"], steps)
+    looped = ModelPredictiveController(vehicle, residual, settings, backend="compiled")
+    loop = ControlLoop(as_controller(looped), CIRCLE, plant)
     every = cores()
     one = {min(every)}
     seconds: dict[str, list[np.ndarray]] = {}
+    inside: dict[str, list[np.ndarray]] = {}
     inputs, missing = {}, {}
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
@@ -307,7 +341,8 @@ def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, ac
             for name, controller in own.items():
                 times, inputs[name], _ = measure(controller, log)
                 seconds.setdefault(name, []).append(times)
-            for name, times in zip(PHASES, measure_phases(own["compiled"], log), strict=True):
+            ours = *measure_loop(loop, log), *measure_phases(own["compiled"], log)
+            for name, times in zip((*LOOP, *PHASES), ours, strict=True):
                 seconds.setdefault(name, []).append(times)
             if answer := others["acados best"].ask("phases"):
                 for name in PHASES:
@@ -317,6 +352,7 @@ def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, ac
                     if answer["failed"]:
                         raise SystemExit(f"{name}: cannot solve steps {answer['failed']}")
                     seconds.setdefault(name, []).append(np.array(answer["seconds"]))
+                    inside.setdefault(name, []).append(np.array(answer["internal"]))
                     inputs[name] = np.array(answer["u0"])
         converged = {name: converge(controller, log) for name, controller in own.items()}
         for name, other in others.items():
@@ -327,6 +363,8 @@ def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, ac
         version = next((other.version for other in others.values() if other.version), "")
         pin(0, every)
 
+    if inside:
+        seconds["acados strongest call"] = min(inside.values(), key=lambda times: float(np.median(times)))
     micro = {name: 1e6 * np.array(times) for name, times in seconds.items()}  # (rounds, K)
     medians = {name: np.median(times, axis=1) for name, times in micro.items()}
     left = {name: np.abs(inputs[name][::CONVERGE_EVERY] - u).max(axis=1) for name, u in converged.items()}
@@ -354,6 +392,9 @@ def table(rows: list[dict[str, Any]]) -> str:
     contestants, every = [*BACKENDS, *(f"acados {options}" for options in ACADOS_OPTIONS)], rows
     parts = ["Microseconds a step, median [quartiles] (99th percentile):", ""]
     parts += markdown(contestants, rows, lambda row, name: time_cell(row["times_us"].get(name)))
+    called = [*LOOP, "acados strongest call"]
+    parts += ["", "What a user calls, ControlLoop.step, and the shortest of acados's C calls:", ""]
+    parts += markdown(called, rows, lambda row, name: time_cell(row["times_us"].get(name)))
     phases = [*PHASES, *(f"acados {name}" for name in PHASES)]
     parts += ["", "Phases of the compiled step and of acados best, before and after the measurement:", ""]
     parts += markdown(phases, rows, lambda row, name: time_cell(row["times_us"].get(name)))

@@ -20,8 +20,7 @@ import numpy as np
 
 from benchmarks.machine import machine
 from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.subproblem import TOLERANCE
+from quadexp.control.mpc.mpc import TOLERANCE, ModelPredictiveController
 from quadexp.errors import QuadexpError
 from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import gaussian_process_residual, mean_only

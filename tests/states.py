@@ -1,11 +1,14 @@
 """Random states for property-like tests."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
 
 
 def random_state(rng: np.random.Generator, *, speed: float = 6.0, rate: float = 3.0) -> np.ndarray:
@@ -14,6 +17,14 @@ def random_state(rng: np.random.Generator, *, speed: float = 6.0, rate: float = 
     return np.concatenate(
         [rng.normal(size=3), q / np.linalg.norm(q), speed * rng.normal(size=3), rate * rng.normal(size=3)]
     )
+
+
+def with_rotor_count(vehicle: Vehicle, rotors: int) -> Vehicle:
+    """The vehicle with so many rotors on an ellipse, turning either way."""
+    angle = 2 * np.pi * (np.arange(rotors) + 0.3) / rotors
+    place = np.stack([0.2 * np.cos(angle), 0.17 * np.sin(angle), 0 * angle], axis=1)
+    spin = tuple(1 - 2 * (i % 2) for i in range(rotors))
+    return replace(vehicle, rotor_position=tuple(map(tuple, place)), rotor_spin=spin)
 
 
 def ned_from_state(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

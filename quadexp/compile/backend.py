@@ -20,10 +20,11 @@ import re
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -42,11 +43,8 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
 from quadexp.writer import unfollowed, write_text, written
 
-if TYPE_CHECKING:
-    from quadexp.compile.library_function import LibraryFunction
-
 PRODUCT = "void casadi_mtimes_dense("  # one function for all of a library: its sums do not depend on what else is there
-FORM = "numbers linked"  # how libraries are made: another word where that changes
+FORM = "numbers and parts linked"  # how libraries are made: another word where that changes
 NUMBER = re.compile(r"=(-?\d\.\d{16}e[-+]\d+);")  # in generated code, but for whole ones
 BACKENDS = ("auto", "compiled", "interpreted")
 
@@ -81,13 +79,10 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     """Functions on a resolved back end, compiled into one library: what they have in common is compiled once."""
     if backend != "compiled":
         return list(functions)
-    generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
-    for function in functions:
-        generator.add(function)
-    source = generator.dump()
+    source = generated(functions)
     if len(functions) > 1:
         source = source.replace(PRODUCT, f"__attribute__((noclone, noinline)) {PRODUCT}")
-    library = _library(functions[0].name(), source, compile_flags())
+    library = _library(functions[0].name(), [(source, compile_flags())])
     try:
         from quadexp.compile.library_function import LibraryFunction
 
@@ -100,10 +95,25 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
         raise QuadexpError(f"{library.name}: {error}") from None
 
 
+def generated(functions: Sequence[ca.Function]) -> str:
+    """C of CasADi functions."""
+    generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    return generator.dump()
+
+
+def linked_library(name: str, *sources: tuple[str, Sequence[str]]) -> Path:
+    """C sources, each with flags beside the usual ones, compiled apart, each under a hash of its own in the cache, and
+    linked. Raises QuadexpError where that fails."""
+    return _library(name, [(source, [*compile_flags(), *flags]) for source, flags in sources])
+
+
 def strict_library(name: str, *bodies: Path, loader: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL:
     """C of our own, one file behind another, compiled without any liberty in its arithmetic. Raises QuadexpError where
     that fails."""
-    library = _library(name, "\n".join(body.read_text(encoding="utf-8") for body in bodies), STRICT_FLAGS)
+    source = "\n".join(body.read_text(encoding="utf-8") for body in bodies)
+    library = _library(name, [(source, STRICT_FLAGS)])
     try:
         return loader(str(library))
     except OSError as error:
@@ -129,22 +139,27 @@ def handwritten(
     return ca.Function.jit(name, source, [*inputs], [*outputs], [*inputs.values()], [*outputs.values()], options)
 
 
-def _library(name: str, source: str, flags: Sequence[str]) -> Path:
-    """Path of the shared library of a C source, made unless the cache has it."""
+def _library(name: str, sources: Sequence[tuple[str, Sequence[str]]]) -> Path:
+    """Path of the shared library of C sources, each with its flags, made unless the cache has it."""
 
     def link(scratch: Path, built: Path) -> None:
-        structure, numbers = numbers_apart(source)
-        unlinked, data = scratch / "built.o", scratch / "numbers.c"
-        if numbers:
-            unlinked.write_bytes(_cached(name, structure, flags, ".o", compiled(structure)).read_bytes())
-        else:
-            compiled(source)(scratch, unlinked)
-        data.write_text(numbers, encoding="utf-8")
-        run_compiler(
-            ["-fPIC", "-shared", str(unlinked), str(data), "-o", str(built), "-lm"], f"link {name}", str(scratch)
-        )
+        with ThreadPoolExecutor() as together:
+            parts = together.map(lambda i: one_part(i, scratch), range(len(sources)))
+            files = [str(file) for part in parts for file in part]
+        run_compiler(["-fPIC", "-shared", *files, "-o", str(built), "-lm"], f"link {name}", str(scratch))
 
-    def compiled(source: str) -> Callable[[Path, Path], None]:
+    def one_part(i: int, scratch: Path) -> tuple[Path, Path]:
+        text, flags = sources[i]
+        structure, numbers = numbers_apart(text, i)
+        unlinked, data = scratch / f"built{i}.o", scratch / f"numbers{i}.c"
+        if numbers or len(sources) > 1:
+            unlinked.write_bytes(_cached(name, structure, flags, ".o", compiled(structure, flags)).read_bytes())
+        else:
+            compiled(text, flags)(scratch, unlinked)
+        data.write_text(numbers, encoding="utf-8")
+        return unlinked, data
+
+    def compiled(source: str, flags: Sequence[str]) -> Callable[[Path, Path], None]:
         def make(scratch: Path, built: Path) -> None:
             code = scratch / "built.c"
             code.write_text(source, encoding="utf-8")
@@ -152,18 +167,19 @@ def _library(name: str, source: str, flags: Sequence[str]) -> Path:
 
         return make
 
-    return _cached(name, source, flags, ".so", link)
+    parts = ("\n".join([*flags, source]) for source, flags in sources)
+    return _cached(name, "\n".join(parts), (), ".so", link)
 
 
-def numbers_apart(source: str) -> tuple[str, str]:
+def numbers_apart(source: str, part: int = 0) -> tuple[str, str]:
     """Generated C without its numbers, each of which is an element of an array; and the source of that array, "" where
-    there are none."""
-    numbers = NUMBER.findall(source)
+    there are none. part: of a library, whose parts have arrays of their own."""
+    numbers, name = NUMBER.findall(source), f"casadi_numbers{part or ''}"
     if not numbers:
         return source, ""
-    array = f'const double casadi_numbers[{len(numbers)}] __attribute__((visibility("hidden")))'
+    array = f'const double {name}[{len(numbers)}] __attribute__((visibility("hidden")))'
     places = iter(range(len(numbers)))
-    structure = NUMBER.sub(lambda _: f"=casadi_numbers[{next(places)}];", source)
+    structure = NUMBER.sub(lambda _: f"={name}[{next(places)}];", source)
     return f"extern {array};\n{structure}", f"extern {array};\n{array.partition(' _')[0]} = {{{', '.join(numbers)}}};\n"
 
 
@@ -279,7 +295,14 @@ class BufferedFunction:
 
         if not isinstance(self.function, LibraryFunction):
             return None
-        return CFunction(self.function, self.arguments.values(), self.results.values())
+        code = getattr(ctypes.CDLL(str(self.function.library)), self.function.name())
+        sizes = self.function.sz_arg(), self.function.sz_res()
+        pointers = [np.zeros(size, np.uintp) for size in sizes]
+        for places, arrays in zip(pointers, (self.arguments, self.results), strict=True):
+            for i, array in enumerate(arrays.values()):
+                places[i] = array.ctypes.data if array.size else 0
+        work = np.zeros(self.function.sz_iw() + 1, np.int64), np.zeros(self.function.sz_w() + 1)
+        return CFunction(code, *pointers, *work)
 
 
 @cache
@@ -292,14 +315,7 @@ class CFunction(ctypes.Structure):
 
     _fields_ = [(name, ctypes.c_void_p) for name in ("call", "arguments", "results", "iw", "w")]
 
-    def __init__(
-        self, function: LibraryFunction, arguments: Iterable[np.ndarray], results: Iterable[np.ndarray]
-    ) -> None:
-        code = getattr(ctypes.CDLL(str(function.library)), function.name())
-        pointers = []
-        for arrays, size in ((arguments, function.sz_arg()), (results, function.sz_res())):
-            pointers.append(np.zeros(size, np.uintp))
-            for i, array in enumerate(arrays):
-                pointers[-1][i] = array.ctypes.data if array.size else 0
-        self.arrays = [*pointers, np.zeros(function.sz_iw() + 1, np.int64), np.zeros(function.sz_w() + 1)]
-        super().__init__(ctypes.cast(code, ctypes.c_void_p), *(array.ctypes.data for array in self.arrays))
+    def __init__(self, code: Any, *arrays: np.ndarray) -> None:
+        """code: of the library. arrays: addresses of the arguments and of the results, then iw and w."""
+        self.arrays = arrays  # kept alive
+        super().__init__(ctypes.cast(code, ctypes.c_void_p), *(array.ctypes.data for array in arrays))

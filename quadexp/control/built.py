@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 from quadexp.compile.backend import realise, realise_together, resolve
+from quadexp.compile.symbolic import ca
 
 MOST = 256  # functions that are kept
 
@@ -13,7 +14,7 @@ _built: dict[tuple[Hashable, ...], Any] = {}
 
 
 def built(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) -> Any:
-    """What make(*arguments, **form) gives, a function or a list of functions, on a back end.
+    """What make(*arguments, **form) gives, on a back end where it is a function or a list of functions.
 
     Vehicles count by their numbers, residuals and functions by their structure: parameters may be others.
     """
@@ -21,8 +22,10 @@ def built(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) 
     functions = _built.get(key)
     if functions is None:
         functions = make(*arguments, **form)
-        together = isinstance(functions, (list, tuple))
-        functions = (realise_together if together else realise)(functions, resolve(backend))
+        if isinstance(functions, (list, tuple)):
+            functions = realise_together(functions, resolve(backend))
+        elif isinstance(functions, ca.Function):
+            functions = realise(functions, resolve(backend))
         for oldest in list(_built)[: len(_built) + 1 - MOST]:  # another thread may have gone before
             _built.pop(oldest, None)
         _built[key] = functions

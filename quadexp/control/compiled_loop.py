@@ -19,8 +19,7 @@ from quadexp.compile.backend import BufferedFunction, CFunction, strict_library
 from quadexp.control.base import Window
 from quadexp.control.instant import KINDS, Operation, Running, in_operations
 from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.mpc import MAX_TURN, ModelPredictiveController, StepRecord
-from quadexp.control.mpc.subproblem import TOLERANCE
+from quadexp.control.mpc.mpc import MAX_TURN, TOLERANCE, ModelPredictiveController, StepRecord
 from quadexp.control.readings import ReadingGate
 from quadexp.physics.state import N_STATE
 
@@ -86,18 +85,16 @@ class CompiledLoop:
         )
 
     def _mpc(self, plan: Any) -> ctypes.Structure:
-        step, bounded = plan.mpc.functions
-        states, (nodes, inputs) = step.arguments["X"].shape[1], step.arguments["U"].shape
-        arrays = {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U")}
-        arrays |= {name: step.results[name] for name in ("checks", "X_new", "U_new", "X_lin", "U_lin")}
-        arrays |= {"guess": bounded.arguments["guess"], "bounded_checks": bounded.results["checks"]}
-        arrays |= {"bounded_X": bounded.results["X_new"], "bounded_U": bounded.results["U_new"]}
-        arrays |= {"side": bounded.results["side"], "unprepared": plan.unprepared}
+        step = plan.mpc.step
+        states, (nodes, inputs) = step.form.states, step.arguments["U"].shape
+        arrays = {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U", "guess")}
+        solved = ("checks", "X_new", "U_new", "X_lin", "U_lin", "bounded_checks", "bounded_X", "bounded_U", "side")
+        arrays |= {name: step.results[name] for name in solved} | {"unprepared": plan.unprepared}
         return MPC(
             **addresses(arrays),
             prepare=step.prepare.for_c,
             feedback=step.feedback.for_c,
-            bounded=bounded.for_c,
+            bounded=step.bounded.for_c,
             states=states,
             inputs=inputs,
             nodes=nodes,
@@ -196,11 +193,8 @@ def goes_in_c(controller: Any) -> bool:
         return False
     instant = controller.running.instant
     functions = [o.function for o in instant.operations if o.function is not None]
-    if instant.plan is not None:
-        if type(instant.plan.mpc) is not ModelPredictiveController:
-            return False
-        step, bounded = instant.plan.mpc.functions
-        functions += [step.prepare, step.feedback, bounded]
+    if instant.plan is not None and type(instant.plan.mpc) is not ModelPredictiveController:
+        return False
     arrays = [(o, a) for o in instant.operations for a in (o.to, o.source, o.other, o.when) if a is not None]
     return (
         not any(o.kind == "python" and o.when is None for o in instant.operations)

@@ -261,7 +261,7 @@ def _on_the_way(operations: list[Operation], instant: Instant) -> list[Operation
         for i, o in enumerate(operations):
             reads, writes = _touched(o, targets)
             if i not in kept and (o.kind in ("plan", "python") or _places(writes) & needed):
-                planned = instant.plan.mpc.functions[0].arguments.values() if o.kind == "plan" else []
+                planned = instant.plan.mpc.step.arguments.values() if o.kind == "plan" else []
                 needed |= _places([*reads, *planned, *([] if o.when is None else [o.when])])
                 kept.add(i)
                 more = True

@@ -40,7 +40,7 @@ from quadexp.physics.vehicle import Vehicle
 
 N_MOTION = N_STATE - 3  # s = [q, v, w]
 MOTION_VELOCITY = slice(4, 7)  # v within s
-FLAT_LIMIT = 100  # scalar operations of a residual; above, one function called four times is faster than four copies
+FLAT_LIMIT = 100  # scalar operations of a residual; above, functions called at every stage are faster than copies
 
 
 def rk4_sensitivity_function(
@@ -83,6 +83,7 @@ def rk4_sensitivity_function(
 
     parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
     stage, combine = (as_scalars(f) if scalar else f for f in parts)
+    compact = scalar and not flat
 
     def pushed(k: Expression) -> Expression:
         return as_scalars(disturbed_derivative)(k, disturbance) if disturbed else k
@@ -96,7 +97,10 @@ def rk4_sensitivity_function(
         if added:
             delivered = delivered + plus[:, column]
         x_stage, z = as_scalars(_stage_point)(x, delivered, slopes[-1], c)
-        k, S = stage(x_stage, delivered, *residual.function(z, theta), sensitivities[-1], c, *share)
+        given = [x_stage, delivered, *residual.function(z, theta), sensitivities[-1], c, *share]
+        if compact and len(slopes) == 1:
+            stage = _one_stage_function(chained_stage, given)
+        k, S = stage(*given)
         slopes.append(pushed(k))
         sensitivities.append(S)
     outputs = combine(x, dt, *slopes, *sensitivities)
@@ -104,10 +108,25 @@ def rk4_sensitivity_function(
         x_next, A, by_inputs = outputs
         outputs = _with_thrusts(x_next, A, by_inputs, delivered, ca.exp(-dt / tau))
     outputs = ca.cse(outputs) if flat else outputs if scalar else [ca.densify(output) for output in outputs]
-    given = {"x": start, "u": u, "theta": theta, "dt": dt}
+    inputs = {"x": start, "u": u, "theta": theta, "dt": dt}
     further = {"tau": (lag, tau), "added": (added, plus), "disturbance": (disturbed, disturbance)}
-    given |= {name: symbol for name, (asked, symbol) in further.items() if asked}
-    return named_function("node", given, named(("x_next", "A", "B"), outputs))
+    inputs |= {name: symbol for name, (asked, symbol) in further.items() if asked}
+    return named_function("node", inputs, named(("x_next", "A", "B"), outputs))
+
+
+def _one_stage_function(chained_stage: Callable[..., Expression], given: list[Expression]) -> ca.Function:
+    """A stage as one function for all of them: of S only those zeros are left out that no stage fills.
+
+    given: arguments of the first stage that is chained, S the fifth of them.
+    """
+    patterns = [argument.sparsity() for argument in given]
+    while True:
+        arguments = [ca.SX.sym(f"a{i}", pattern) for i, pattern in enumerate(patterns)]
+        k, S = chained_stage(*arguments)
+        filled = patterns[4].unite(S.sparsity())
+        if filled == patterns[4]:
+            return ca.Function("stage", arguments, ca.cse([k, ca.project(S, filled)]))
+        patterns[4] = filled
 
 
 def _by_command(G: Expression, a: Expression | None = None) -> Expression:

@@ -89,7 +89,9 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/laws/[!r]*.py": ("tests/control/laws",),
     "quadexp/control/mpc/step.py": STEP,
     "quadexp/control/mpc/attitude_error.py": STEP,
-    "quadexp/control/mpc/subproblem.py": STEP,
+    "quadexp/control/mpc/node.py": STEP,
+    "quadexp/control/mpc/interpreted.py": STEP,
+    "quadexp/control/mpc/stages.*": STEP,
     "quadexp/control/mpc/riccati*": ("tests/control/mpc/test_riccati.py", "tests/control/mpc/test_active_set.py"),
     "quadexp/models/gp_sums.c": ("tests/models/test_residuals.py",),
     "quadexp/control/mpc/active_set.*": ("tests/control/mpc/test_active_set.py", "tests/control/mpc/test_step.py"),
@@ -119,7 +121,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/*loop.*": ("tests/control/test_compiled_loop.py", "tests/experiment/test_compiled_flight.py"),
     "quadexp/models/rls.py": ("tests/models/test_rls.py", "tests/properties/test_identification.py"),
 }
-COMPILED = ("*.c", "quadexp/models/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
+COMPILED = ("*.c", "quadexp/models/online.py", "quadexp/control/mpc/stages.py", "quadexp/reference/traced.py")
 
 
 def runs_compiled(file: str) -> bool:

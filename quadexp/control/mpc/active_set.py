@@ -10,7 +10,7 @@ A dual active-set method then finds the inputs at a bound, starting with the act
 optimality conditions of the result are checked in the subproblem itself; where they do not hold to 1e-7 N the step has
 status FAILED. An input is never just clipped.
 
-That is the compiled form, one function (active_set.c). The interpreted one makes H from the dynamics and has CasADi's
+That is the compiled form (active_set.c). The interpreted one makes H from the dynamics and has CasADi's
 `conic` find the inputs at a bound (DAQP: Arnstroem, Bemporad, Axehill 2022); with these the others follow exactly.
 """
 
@@ -18,15 +18,14 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
 from enum import IntEnum
 from functools import cache
-from typing import Any, Protocol
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.mpc.node import Form
+from quadexp.control.mpc.step import Arrays, Step, dynamics_of
 from quadexp.physics.state import ATTITUDE, norms
 
 TOLERANCE, LOOSE = 1e-10, 1e-7  # N: violation that changes the active set; error with which a result is accepted
@@ -41,16 +40,6 @@ class Status(IntEnum):
     FAILED = 3
 
 
-class Solver(Protocol):
-    """subproblem.bounded_function on a back end."""
-
-    arguments: dict[str, np.ndarray]
-    results: dict[str, np.ndarray]
-
-    def __call__(self) -> None:
-        """Read the arguments, write the results."""
-
-
 class ActiveSet:
     """Solver of the bounded subproblem, warm-started with the active set of the last control step.
 
@@ -59,11 +48,10 @@ class ActiveSet:
     largest change of a quaternion (length).
     """
 
-    def __init__(self, solver: Solver) -> None:
-        self.solver = solver
-        self.side = solver.arguments["guess"]
+    def __init__(self, step: Step) -> None:
+        self._solve, self.side = step.bounded, step.arguments["guess"]
         self.X_new, self.U_new, self._side, self._checks = (
-            solver.results[name] for name in ("X_new", "U_new", "side", "checks")
+            step.results[name] for name in ("bounded_X", "bounded_U", "side", "bounded_checks")
         )
         self.exchanges = self.active = 0
         self.turn = self.error = 0.0
@@ -74,7 +62,7 @@ class ActiveSet:
 
     def solve(self) -> Status:
         """Solve the subproblem of the last control step."""
-        self.solver()
+        self._solve()
         solved, exchanges, active, self.error, self.turn = self._checks.tolist()
         self.exchanges = int(exchanges)
         if not (solved and math.isfinite(self.error + self.turn)):
@@ -86,65 +74,49 @@ class ActiveSet:
         return Status.ACTIVE_SET
 
 
-def make_active_set(step: Any, bounded: ca.Function | None = None) -> ActiveSet:
-    """The solver on the arrays of a step.Step. bounded: the compiled function; None: without a compiler."""
-    shared = step.arguments | step.results | {"U_free": step.results["U_new"]}
-    return ActiveSet(InterpretedSolver(step.sparsity, shared) if bounded is None else BufferedFunction(bounded, shared))
-
-
 class InterpretedSolver:
-    """`subproblem.bounded_function` without a compiler, with the same arguments and results but for `exchanges`, which
-    counts what is another than in the guess.
+    """The bounded subproblem without a compiler. Its exchanges are what is another than in the guess.
 
-    patterns: sparsities of A and B; data: arguments and results of the step by name, read at every call.
+    data: arguments and results of the step by name, read and written at every call.
     """
 
-    def __init__(self, patterns: Mapping[str, ca.Sparsity], data: Mapping[str, np.ndarray]) -> None:
-        self._data, self._patterns = data, {name: patterns[name] for name in ("A", "B")}
-        nodes, n = data["U_lin"].shape
-        self._states = states = data["Q"].shape[1]
-        self.arguments = {"guess": np.zeros((nodes, n))}
-        self.results = {"X_new": np.zeros((nodes + 1, states)), "U_new": np.zeros((nodes, n))}
-        self.results |= {"side": np.zeros((nodes, n)), "checks": np.zeros(5)}
+    def __init__(self, form: Form, data: Arrays) -> None:
+        self._form, self._data = form, data
 
     def __call__(self) -> None:
         """Solve; data that are not finite give `solved` = 0."""
-        data, results = self._data, self.results
+        data = self._data
         with np.errstate(all="ignore"):
             maps, offsets = self._condensed()
             weights = np.concatenate([*data["Q"][1:], data["Q_end"]])
             H = np.diag(data["R"].ravel()) + maps.T @ (weights[:, None] * maps)
             g = data["r"].ravel() + maps.T @ (weights * offsets + data["q"][1:].ravel())
-            U, guess = data["U_lin"], self.arguments["guess"]
+            U = data["U_lin"]
             low, high = (data["u_min"] - U).ravel(), (data["u_max"] - U).ravel()
-            used = [data[name] for name in ("K", "factor", "U_free")]  # of the unbounded solution
+            used = [data[name] for name in ("K", "factor", "U_new")]  # of the unbounded solution
             d_input, side, error = np.zeros(g.size), np.zeros(g.size), np.inf
             if all(np.isfinite(part).all() for part in (H, g, *used)):
                 d_input, side, error = bounded_minimum(H, g, low, high)
-            d_state = (offsets + maps @ d_input).reshape(len(U), self._states)
+            d_state = (offsets + maps @ d_input).reshape(len(U), -1)
         turn = norms(d_state[:, ATTITUDE]).max()
-        if "frames" in data:  # from the cost's coordinates, see control.attitude_error: dq = L de
-            frames = data["frames"].reshape(-1, 4, 4)
-            d_state[:, ATTITUDE] = np.einsum("kcr,kc->kr", frames[1:], d_state[:, ATTITUDE])
-        results["X_new"][...] = data["X_lin"]
-        results["X_new"][1:] += d_state
-        results["U_new"][...] = np.clip(U + d_input.reshape(U.shape), data["u_min"], data["u_max"])  # rounding only
-        results["side"][...] = side.reshape(U.shape)
-        exchanges = np.count_nonzero(results["side"] != guess)
-        results["checks"][...] = error <= LOOSE, exchanges, np.count_nonzero(side), error, turn
+        if self._form.frames:  # from the cost's coordinates, see control.attitude_error: dq = L de
+            d_state[:, ATTITUDE] = np.einsum("kcr,kc->kr", data["frames"][1:], d_state[:, ATTITUDE])
+        data["bounded_X"][...] = data["X_lin"]
+        data["bounded_X"][1:] += d_state
+        data["bounded_U"][...] = np.clip(U + d_input.reshape(U.shape), data["u_min"], data["u_max"])  # rounding only
+        data["side"][...] = side.reshape(U.shape)
+        exchanges = np.count_nonzero(data["side"] != data["guess"])
+        data["bounded_checks"][...] = error <= LOOSE, exchanges, np.count_nonzero(side), error, turn
 
     def _condensed(self) -> tuple[np.ndarray, np.ndarray]:
         """The states' changes as maps (m N, n N) of all inputs' changes, and offsets (m N,)."""
-        nodes, n = self._data["U_lin"].shape
-        A, B = (
-            np.split(ca.DM(pattern, self._data[name].ravel()).full(), nodes, axis=1)
-            for name, pattern in self._patterns.items()
-        )
-        maps, offsets = np.zeros((nodes, self._states, nodes * n)), np.zeros((nodes, self._states))
+        A, B, b = dynamics_of(self._data["rows"], self._form)
+        nodes, m, n = B.shape
+        maps, offsets = np.zeros((nodes, m, nodes * n)), b.copy()
         for k in range(nodes):
-            offsets[k] = self._data["b"][k]
             if k:
-                maps[k], offsets[k] = A[k] @ maps[k - 1], offsets[k] + A[k] @ offsets[k - 1]
+                maps[k] = A[k] @ maps[k - 1]
+                offsets[k] += A[k] @ offsets[k - 1]
             maps[k, :, k * n : (k + 1) * n] = B[k]
         return maps.reshape(-1, nodes * n), offsets.ravel()
 

@@ -37,7 +37,7 @@ class PredictiveController(InOperations):
         self._prepared: Window | None = None
         self.unprepared = np.ones(1)  # whether the reference is to be looked up
         self.record: StepRecord
-        self._x0: np.ndarray = mpc.functions[0].arguments["x0"]
+        self._x0: np.ndarray = mpc.step.arguments["x0"]
         self._reference = mpc.reference
         self.name, self.source = mpc.residual.name, mpc.residual.source
 

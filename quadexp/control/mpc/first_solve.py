@@ -21,16 +21,18 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
-from quadexp.control.mpc.prediction import held_deviation, node_function
-from quadexp.control.mpc.settings import SAMPLES
+from quadexp.control.mpc.interpreted import Horizon
+from quadexp.control.mpc.node import Form
+from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.step import Step
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import named_function, named_symbols
-from quadexp.physics.rigid_body import N_DISTURBANCE
-from quadexp.physics.state import N_STATE
+from quadexp.physics.expression import named_function
 from quadexp.physics.vehicle import Vehicle
 
+ROLLOUT = (
+    "x0", "U", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "dt", "u_min", "u_max", "tau", "first_share",
+    "disturbance",
+)  # fmt: skip
 CONVERGED = 1e-6  # optimality residual of a stationary point
 ARMIJO = 1e-4  # share of the decrease promised by the quadratic model that a step must keep
 HALVINGS = 20  # of the step length, at most
@@ -48,47 +50,23 @@ class Direction(NamedTuple):
     kkt: float
 
 
-def rollout_function(
-    vehicle: Vehicle,
-    residual: Residual,
-    nodes: int,
-    *,
-    attitude_error: str = "plain",
-    lag: bool = False,
-    deviation: bool = False,
-    disturbed: bool = False,
-) -> ca.Function:
+def rollout_function(vehicle: Vehicle, residual: Residual, form: Form, nodes: int) -> ca.Function:
     """The trajectory of given inputs, and its cost.
 
-    Inputs, named and shaped as the step's: x0, U, X_ref, U_ref, theta, Q, Q_end, R, dt (s), with `lag` also tau (s),
-    with `deviation` first_share, u_min and u_max, with `disturbed` disturbance. Outputs: X (m, N + 1); cost, half of
-    the weighted sum of squares of control.mpc.step.
+    Inputs: ROLLOUT, named and shaped as the step's. Outputs: X (m, N + 1); cost, half of the weighted sum of squares of
+    control.mpc.step.
     """
-    n = vehicle.n_rotors
-    m, samples = N_STATE + n * lag, SAMPLES if deviation else 1
-    names = {"x0": m, "U": (n, nodes), "X_ref": (m, samples * nodes + 1), "U_ref": (n, samples * nodes)}
-    names |= {"theta": residual.function.size_in(1), "Q": (m, nodes), "Q_end": m, "R": (n, nodes), "dt": nodes}
-    names |= {"tau": 1} if lag else {}
-    names |= {"first_share": 1, "u_min": n, "u_max": n} if deviation else {}
-    names |= {"disturbance": N_DISTURBANCE} if disturbed else {}
-    a = named_symbols(ca.MX, names)
-    node = node_function(vehicle, residual, lag=lag, added=deviation, disturbed=disturbed)
-    constant, pushed = [a["tau"]] if lag else [], [a["disturbance"]] if disturbed else []
-    X_ref, U_ref = a["X_ref"][:, ::samples], a["U_ref"]
-    added: list[list[ca.MX]] = [[]] * nodes
-    if deviation:
-        U_ref, thrusts = held_deviation(U_ref, a["u_min"], a["u_max"], a["dt"], a["first_share"], *constant)
-        added = [[thrust] for thrust in thrusts]
-
+    horizon = Horizon(form, nodes, ca.MX, ROLLOUT)
+    a = horizon.given
+    node = node_function(vehicle, residual, lag=form.lag, added=form.deviation, disturbed=form.disturbed)
+    constant, pushed = [a["tau"]] * form.lag, [a["disturbance"]] * form.disturbed
     states = [a["x0"]]
-    for u_k, dt_k, added_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), added, strict=True):
-        states.append(node(states[-1], u_k, a["theta"], dt_k, *constant, *added_k, *pushed))
+    for k, u in enumerate(ca.horzsplit(a["U"])):
+        states.append(node(states[-1], u, a["theta"], a["dt"][k], *constant, *horizon.added[k : k + 1], *pushed))
     X = ca.horzcat(*states)
-    error = attitude_error_in(*reference_frames(X_ref, attitude_error) or [None])
-    errors = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - X_ref))]
-    weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
-    cost = sum((ca.dot(w * d, d) for w, d in zip(weights, errors, strict=True)), ca.MX(0))
-    cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - U_ref) ** 2))
+    errors = [horizon.error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - horizon.X_ref))]
+    weighed = ca.horzcat(a["Q"], a["Q_end"]) * ca.horzcat(*errors) ** 2
+    cost = ca.sum2(ca.sum1(weighed)) + ca.sum2(ca.sum1(a["R"] * (a["U"] - horizon.U_ref) ** 2))
     return named_function("mpc_rollout", a, {"X": X, "cost": cost / 2})
 
 

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.control.built import built
-from quadexp.control.mpc.active_set import Solver, Status, make_active_set
+from quadexp.control.mpc.active_set import ActiveSet, Status
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import Step, step_functions
-from quadexp.control.mpc.subproblem import TOLERANCE
+from quadexp.control.mpc.stages import stages_of
+from quadexp.control.mpc.step import Step
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import changed
 from quadexp.physics.state import ATTITUDE, N_STATE, norms
 from quadexp.physics.vehicle import Vehicle
 
+TOLERANCE = 1e-9  # N: bound violation that counts as none
 MAX_TURN = 0.25  # largest change of a quaternion (length of the difference) in one iteration
 STATIONARY = 1e-4  # share of the thrust range: largest input error of a first step that counts as converged
 PLAIN_ITERATIONS = 20  # full SQP steps of the first control step, before a line search begins
@@ -49,6 +50,7 @@ class ModelPredictiveController:
     vehicle, residual: the prediction model: rigid body and rotors, and a correction of the acceleration and torque.
     backend: "auto", "compiled" or "interpreted" (see compile/backend.py); the attribute is the one in use.
     disturbed: whether the model has a disturbance that may be set before every step (`set_disturbance`).
+    step: the control step, with the arrays that `command` works on.
     """
 
     def __init__(
@@ -62,12 +64,12 @@ class ModelPredictiveController:
     ) -> None:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
-        self.backend, self._form = resolve(backend), _form(settings, disturbed)
-        form = self._form | {"scalar": self.backend == "compiled"}
-        prepare, feedback, *bounded = built(self.backend, step_functions, vehicle, residual, settings.nodes, **form)
-        self._step = Step(prepare, feedback)
-        arguments = self._step.arguments
-        self._active_set = make_active_set(self._step, *bounded)
+        self.backend, deviation = resolve(backend), settings.input_hold == "deviation"
+        structure = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
+        structure |= {"deviation": deviation, "disturbed": disturbed}
+        self.step = Step(built(self.backend, stages_of, vehicle, residual, self.backend, **structure), settings.nodes)
+        arguments = self.step.arguments
+        self._active_set = ActiveSet(self.step)
 
         self._weigh(settings)
         self.set_thrust_scale(1.0)
@@ -77,8 +79,8 @@ class ModelPredictiveController:
         self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
         self._X, self._U = arguments["X"], arguments["U"]
         self._X_ref_body = self._X_ref[:, :N_STATE]
-        self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
-        self._checks, self._thrust = self._step.results["checks"], self._U[0]
+        self._X_new, self._U_new = (self.step.results[name] for name in ("X_new", "U_new"))
+        self._checks, self._thrust = self.step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
         self._first_solve: FirstSolve | None = None  # few flights need it
@@ -87,7 +89,7 @@ class ModelPredictiveController:
 
     def _weigh(self, settings: MPCSettings) -> None:
         """Enter weights and node times."""
-        arguments, vehicle = self._step.arguments, self.vehicle
+        arguments, vehicle = self.step.arguments, self.vehicle
         share = settings.node_share[:, None]
         arguments["Q"][:, :N_STATE] = share * settings.state_weight()  # thrusts that are states weigh nothing
         arguments["Q_end"][:N_STATE] = settings.terminal_weight * settings.state_weight()
@@ -118,24 +120,24 @@ class ModelPredictiveController:
             self._U[...] = self._U[held]
             self._weigh(settings)
             if not self._cold:
-                self._step.arguments["shift"][...] = self._shift
+                self.step.arguments["shift"][...] = self._shift
         self._X[:, ATTITUDE] /= np.maximum(norms(self._X[:, ATTITUDE]), 1e-12)[:, None]
 
     @property
     def parameters(self) -> np.ndarray:
         """Residual parameters in use, (p,); `set_parameters` changes this array in place."""
-        return self._step.arguments["theta"]
+        return self.step.arguments["theta"]
 
     def set_parameters(self, theta: np.ndarray) -> None:
         """Use other residual parameters, (p,), from the next step on; nothing is compiled again."""
         self.prepared = False
-        self._step.arguments["theta"].ravel()[:] = theta
+        self.step.arguments["theta"].ravel()[:] = theta
 
     @property
     def disturbance(self) -> np.ndarray | None:
         """Acceleration, world (m/s^2), and angular acceleration, body (rad/s^2), in use, (6,), changed in place by
         `set_disturbance`; None where the model has none."""
-        return self._step.arguments.get("disturbance")
+        return self.step.arguments["disturbance"] if self.step.form.disturbed else None
 
     def set_disturbance(self, disturbance: np.ndarray) -> None:
         """Use another disturbance, (6,), from the next step on; nothing is compiled again.
@@ -157,17 +159,12 @@ class ModelPredictiveController:
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """The arrays of the limits of delivered thrusts, (n,) each (N)."""
-        return self._step.arguments["u_min"], self._step.arguments["u_max"]
+        return self.step.arguments["u_min"], self.step.arguments["u_max"]
 
     @property
     def reference(self) -> tuple[np.ndarray, np.ndarray]:
         """The arrays of the reference, states (s N + 1, m) and inputs (s N, n); `command` takes them as they are."""
         return self._X_ref, self._U_ref
-
-    @property
-    def functions(self) -> tuple[Step, Solver]:
-        """The control step and the solver of the bounded subproblem, with the arrays that `command` works on."""
-        return self._step, self._active_set.solver
 
     @property
     def cold(self) -> bool:
@@ -244,7 +241,7 @@ class ModelPredictiveController:
         self._set_reference(state_reference, input_reference)
         if self._attitude_ref.dot(self._attitude_predicted) < 0:
             self._X_ref[:, ATTITUDE] *= -1
-        self._step.prepare()
+        self.step.prepare()
         self.prepared = True
 
     def feedback(self, x0: np.ndarray) -> tuple[np.ndarray, StepRecord]:
@@ -265,14 +262,14 @@ class ModelPredictiveController:
         if self._attitude_ref.dot(self._attitude) < 0:
             return self.command(x0, self._X_ref_body.copy(), self._U_ref.copy())
         self.prepared = False
-        self._step.feedback()
+        self.step.feedback()
         status, sweeps, active, kkt = self._conclude()
         thrust = self._thrust.copy()
         return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
 
     def _converge(self) -> tuple[Status, int, int, float]:
         """Iterate on the first measurement without shifting the guess: full steps first, then with a line search."""
-        shift = self._step.arguments["shift"]
+        shift = self.step.arguments["shift"]
         shift[...] = 0.0
         guess, iterations = self._U.copy(), self.settings.initial_iterations
         for _ in range(min(iterations, PLAIN_ITERATIONS)):
@@ -296,28 +293,28 @@ class ModelPredictiveController:
         None where the trajectory of neither is finite.
         """
         if self._first_solve is None:
-            rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, **self._form)
-            self._first_solve = FirstSolve(rollout, self._step, self._direction)
+            rollout = rollout_function(self.vehicle, self.residual, self.step.form, self.settings.nodes)
+            self._first_solve = FirstSolve(rollout, self.step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
         found = self._first_solve.solve([reached, guess], iterations)
         return None if found is None else found[1:]
 
     def _direction(self) -> Direction:
         """Linearise at the guess and solve the bounded subproblem; the guess does not move."""
-        self._step()
+        self.step()
         excess, turn, kkt = self._checks.tolist()
-        d_input = self._U_new - self._step.results["U_lin"]
+        d_input = self._U_new - self.step.results["U_lin"]
         if not math.isfinite(excess + turn):
             return Direction(d_input, Status.FAILED, 0, 0, kkt)
         if excess <= TOLERANCE:
             return Direction(d_input, Status.RICCATI, 0, 0, kkt)
         found = self._active_set
         status = found.solve()
-        return Direction(found.U_new - self._step.results["U_lin"], status, found.exchanges, found.active, kkt)
+        return Direction(found.U_new - self.step.results["U_lin"], status, found.exchanges, found.active, kkt)
 
     def _iterate(self) -> tuple[Status, int, int, float]:
         """One SQP iteration: status, exchanges, active bounds, optimality residual. A failed one leaves the guess."""
-        self._step()
+        self.step()
         return self._conclude()
 
     def _conclude(self) -> tuple[Status, int, int, float]:
@@ -341,13 +338,7 @@ class ModelPredictiveController:
         if turn <= MAX_TURN:
             self._X[...], self._U[...] = X_new, U_new
             return
-        x, u = self._step.results["X_lin"], self._step.results["U_lin"]
+        x, u = self.step.results["X_lin"], self.step.results["U_lin"]
         length = MAX_TURN / turn
         self._X[...] = x + length * (X_new - x)
         self._U[...] = u + length * (U_new - u)
-
-
-def _form(settings: MPCSettings, disturbed: bool) -> dict[str, Any]:
-    """What decides the structure of the step besides model and nodes, see `step_functions`."""
-    form = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
-    return form | {"deviation": settings.input_hold == "deviation", "disturbed": disturbed}

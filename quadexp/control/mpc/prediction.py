@@ -91,27 +91,30 @@ def held_deviation(
     samples.append(2 * samples[-1] - samples[-2])
     commands, added = [], []
     for k, dt_k in enumerate(ca.vertsplit(dt)):
-        node = [*samples[SAMPLES * k : SAMPLES * k + 3], dt_k, first_share if k == 0 else ca.MX(1)]
-        command, beyond = as_scalars(_node)(*node, *([] if tau is None else [tau]))
-        commands.append(limited(command, u_min, u_max))
+        node = [*samples[SAMPLES * k : SAMPLES * k + 3], dt_k, first_share if k == 0 else type(dt)(1), u_min, u_max]
+        command, beyond = as_scalars(held_thrust)(*node, *([] if tau is None else [tau]))
+        commands.append(command)
         added.append(beyond)
     return HeldDeviation(ca.horzcat(*commands), added)
 
 
-def _node(
+def held_thrust(
     start: Expression,
     middle: Expression,
     end: Expression,
     dt: Expression,
     share: Expression,
+    u_min: Expression,
+    u_max: Expression,
     tau: Expression | None = None,
 ) -> list[Expression]:
-    """u* and the added thrusts for T*(s dt) = start + slope s + bend s^2, 0 <= s <= 1; u* is held until s = share."""
+    """u* within its limits and the added thrusts for T*(s dt) = start + slope s + bend s^2, 0 <= s <= 1; u* is held
+    until s = share."""
     slope, bend = 4 * middle - 3 * start - end, 2 * (start + end - 2 * middle)
     command = start + share * (slope / 2 + share * bend / 3)
     if tau is None:
-        return [command, ca.horzcat(start, middle, end) - command]
+        return [limited(command, u_min, u_max), ca.horzcat(start, middle, end) - command]
     command += tau / dt * (slope + share * bend)
     decay = [ca.exp(-t / tau) for t in (dt / 2, dt)]
     added = [T - a * start - (1 - a) * command for T, a in zip((middle, end), decay, strict=True)]
-    return [command, ca.horzcat(ca.SX.zeros(start.shape), *added)]
+    return [limited(command, u_min, u_max), ca.horzcat(ca.SX.zeros(start.shape), *added)]

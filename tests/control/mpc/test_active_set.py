@@ -1,20 +1,19 @@
 """The subproblem's solution against an independent QP solver, with and without active bounds, on both back ends."""
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 import pytest
 
 from benchmarks.step import make_residual as benchmark_residual
 from benchmarks.stress import SITUATIONS, pinched, stress_vehicle
-from quadexp.compile.backend import compiler, realise_together
-from quadexp.control.mpc.active_set import ActiveSet, InterpretedSolver, Status, make_active_set
+from quadexp.compile.backend import compiler
+from quadexp.control.mpc.active_set import ActiveSet, InterpretedSolver, Status
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import Step, step_functions
+from quadexp.control.mpc.stages import stages_of
+from quadexp.control.mpc.step import Step
 from tests.models.residuals import make_residual
-from tests.states import random_state
+from tests.states import random_state, with_rotor_count
 
 NODES = 8
 EXACT = 1e-8  # N, from qpOASES
@@ -30,10 +29,8 @@ def make_solvers(vehicle, backend: str, attitude_error: str, nodes: int = NODES)
     if backend == "compiled" and compiler() is None:
         pytest.skip("no C compiler")
     residual = make_residual("linear_drag", vehicle)
-    form = {"attitude_error": attitude_error, "scalar": backend == "compiled"}
-    prepare, feedback, *bounded = realise_together(step_functions(vehicle, residual, nodes, **form), backend)
-    step = Step(prepare, feedback)
-    return step, make_active_set(step, *bounded)
+    step = Step(stages_of(vehicle, residual, backend, attitude_error=attitude_error), nodes)
+    return step, ActiveSet(step)
 
 
 def change(step: Step, active_set: ActiveSet) -> tuple[np.ndarray, np.ndarray]:
@@ -60,19 +57,13 @@ def pose(step: Step, vehicle, rng, *, spread: float, terminal: float) -> None:
     a["dt"][...], a["shift"][...] = 0.1, 0.2
 
 
-def blocks(step: Step, name: str) -> np.ndarray:
-    """A or B as (N, 13, columns) from the horizontally stacked, perhaps sparse, result."""
-    stacked = ca.DM(step.sparsity[name], step.results[name].reshape(-1)).full()
-    return np.stack(np.split(stacked, len(step.results["U_lin"]), axis=1))
-
-
 def independent_solution(step: Step, low: np.ndarray, high: np.ndarray, turns=None) -> np.ndarray:
     """The same QP, states kept as variables, by qpOASES: no Riccati, no condensing, another solver.
 
     step: one in plain coordinates. turns: (N + 1, 13, 13), where the cost is on turns[k]' dx_k instead.
     """
     r, a = step.results, step.arguments
-    A, B = (blocks(step, name) for name in ("A", "B"))
+    A, B, b = step.dynamics
     n = B.shape[2]
     size = NODES * (13 + n)  # du_0, dx_1, du_1, dx_2, ...
     H, g, E, e = np.zeros((size, size)), np.zeros(size), np.zeros((13 * NODES, size)), np.zeros(13 * NODES)
@@ -85,7 +76,7 @@ def independent_solution(step: Step, low: np.ndarray, high: np.ndarray, turns=No
             H[x, x] = turns[k + 1] @ H[x, x] @ turns[k + 1].T
             g[x] = H[x, x] @ (r["X_lin"][k + 1] - a["X_ref"][k + 1])
         rows = slice(13 * k, 13 * (k + 1))
-        E[rows, x], E[rows, u], e[rows] = np.eye(13), -B[k], r["b"][k]
+        E[rows, x], E[rows, u], e[rows] = np.eye(13), -B[k], b[k]
         if k:
             E[rows, slice(at - 13, at)] = -A[k]
     lower, upper = np.full(size, -1e3), np.full(size, 1e3)
@@ -116,12 +107,12 @@ def error_turns(reference: np.ndarray) -> np.ndarray:
 
 def condensed(step: Step) -> tuple[np.ndarray, np.ndarray]:
     """H, g of min 1/2 d'H d + g'd over all inputs' changes, by a forward simulation of each."""
-    data, A, B = step.arguments | step.results, blocks(step, "A"), blocks(step, "B")
+    data, (A, B, b) = step.arguments | step.results, step.dynamics
     nodes, n = data["U_lin"].shape
     maps, offset = np.zeros((13, nodes * n)), np.zeros(13)
     H, g = np.diag(data["R"].ravel()), data["r"].ravel().copy()
     for k in range(nodes):
-        maps, offset = A[k] @ maps, A[k] @ offset + data["b"][k]
+        maps, offset = A[k] @ maps, A[k] @ offset + b[k]
         maps[:, k * n : (k + 1) * n] = B[k]
         weight = data["Q_end"] if k == nodes - 1 else data["Q"][k + 1]
         H += maps.T @ (weight[:, None] * maps)
@@ -164,7 +155,7 @@ def test_attitude_error_in_the_body_frame(vehicle, rng, backend, wide):
         if wide:
             alone = (step.results[f"{name}_new"] - step.results[f"{name}_lin"] for name in "XU")
             answers.append((next(alone)[1:], next(alone)))
-        A, B, b = blocks(plain, "A"), blocks(plain, "B"), plain.results["b"]
+        A, B, b = plain.dynamics
         for d_x, d_u in answers:
             assert np.abs(d_u - expected).max() < EXACT
             moved = np.einsum("kij,kj->ki", A[1:], d_x[:-1])
@@ -205,9 +196,9 @@ def test_with_active_bounds(solvers, vehicle, rng, spread, terminal):
         assert np.abs(d_input - independent_solution(step, low, high)).max() < EXACT
         assert np.array_equal(active_set.side, (d_input >= high - 1e-9).astype(int) - (d_input <= low + 1e-9))
         assert active_set.active == np.count_nonzero(active_set.side)
-        A, B, d = blocks(step, "A"), blocks(step, "B"), np.zeros(13)
+        (A, B, b), d = step.dynamics, np.zeros(13)
         for k in range(NODES):
-            d = A[k] @ d + B[k] @ d_input[k] + step.results["b"][k]
+            d = A[k] @ d + B[k] @ d_input[k] + b[k]
             assert np.allclose(d_state[k], d, atol=1e-8)
         active += active_set.active
     assert active > 10
@@ -219,10 +210,7 @@ def test_with_active_bounds(solvers, vehicle, rng, spread, terminal):
 )
 def test_any_number_of_rotors_and_nodes(vehicle, rng, backend, rotors, nodes):
     """Bounds of their own for every rotor, one of them with no room at all and one without an upper bound."""
-    angle = 2 * np.pi * (np.arange(rotors) + 0.3) / rotors
-    place = np.stack([0.2 * np.cos(angle), 0.17 * np.sin(angle), 0 * angle], axis=1)
-    spin = tuple(1 - 2 * (i % 2) for i in range(rotors))
-    vehicle = replace(vehicle, rotor_position=tuple(map(tuple, place)), rotor_spin=spin)
+    vehicle = with_rotor_count(vehicle, rotors)
     step, active_set = make_solvers(vehicle, backend, "plain", nodes)
     dense, active = Dense(nodes * rotors), 0
     for _ in range(8):
@@ -297,13 +285,25 @@ def test_warm_start_exchanges_nothing_else(solvers, vehicle, rng):
     assert active_set.solve() == Status.ACTIVE_SET
     U, side, cold = active_set.U_new.copy(), active_set.side.copy(), active_set.exchanges
     assert active_set.solve() == Status.ACTIVE_SET
-    if not isinstance(active_set.solver, InterpretedSolver):
+    if not isinstance(step.bounded, InterpretedSolver):
         assert active_set.exchanges == active_set.active == np.count_nonzero(side) <= cold
     assert np.abs(active_set.U_new - U).max() < EXACT
     for guess in (-side, np.ones_like(side), -np.ones_like(side), rng.integers(-1, 2, side.shape)):
         active_set.side[...] = guess
         assert active_set.solve() == Status.ACTIVE_SET
         assert np.array_equal(active_set.side, side) and np.abs(active_set.U_new - U).max() < EXACT
+
+
+def spoil(step: Step, name: str, rng: np.random.Generator, value: float) -> None:
+    """One number of a result, or of a part of its dynamics, in the horizon's second half."""
+    columns = {"A": range(10), "B": range(10, 14), "b": range(14, 15)}
+    if name in columns:
+        step.results["rows"][rng.integers(NODES // 2, NODES), rng.integers(13), rng.choice(columns[name])] = value
+    elif name == "factor":
+        step.results[name].flat[-1] = value  # its upper half is not read
+    else:
+        numbers = step.results[name].reshape(-1)
+        numbers[rng.integers(numbers.size // 2, numbers.size)] = value
 
 
 @pytest.mark.parametrize("name", ["A", "B", "b", "q", "r", "K", "factor", "U_new"])
@@ -317,8 +317,7 @@ def test_a_number_that_is_none_fails_by_name(solvers, vehicle, rng, name):
     U = active_set.U_new.copy()
     for value in (np.nan, np.inf):
         step()
-        last = step.results[name].reshape(-1)
-        last[rng.integers(last.size // 2, last.size) if name != "factor" else -1] = value  # its upper half is not read
+        spoil(step, name, rng, value)
         assert active_set.solve() == Status.FAILED
         assert np.all(active_set.side == 0)
         step()
@@ -354,7 +353,7 @@ def hostile(model: str, nodes: int, backend: str, trials: int, seed: int) -> tup
     rng, dense, compared, worst = np.random.default_rng(seed), Dense(4 * nodes), 0, 0.0
     for trial in range(trials):
         controller = controllers[trial % 2]
-        make, step = SITUATIONS[names[rng.integers(len(names))]], controller._step
+        make, step = SITUATIONS[names[rng.integers(len(names))]], controller.step
         window = make(rng, controller.vehicle, nodes)
         controller.reset(*window)
         controller._cold = False

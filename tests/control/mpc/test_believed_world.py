@@ -188,12 +188,12 @@ def test_a_thrust_scale_asks_for_more_of_the_rotors(vehicle, rng):
     for controller in (plain, scaled):
         controller.reset(x, window)
     scaled.believe(Belief(np.zeros(3), np.zeros(3), np.zeros(3), 0.8))
-    plain.mpc._step.arguments["u_max"][...] *= 0.8
+    plain.mpc.step.arguments["u_max"][...] *= 0.8
     one, other = (controller.step(Measurement(0.0, x, None, None), window)[0] for controller in (plain, scaled))
     assert other * 0.8 == pytest.approx(one)
     assert vehicle.thrust_max * (1 - 1e-14) < other.max() <= vehicle.thrust_max
     scaled.reset(x, window)  # and with the flight the belief ends
-    assert np.array_equal(scaled.mpc._step.arguments["u_max"], np.full(4, vehicle.thrust_max))
+    assert np.array_equal(scaled.mpc.step.arguments["u_max"], np.full(4, vehicle.thrust_max))
 
 
 def test_a_thrust_scale_moves_the_lower_limit_too(vehicle, rng):

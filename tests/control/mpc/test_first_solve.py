@@ -1,12 +1,14 @@
 """The first step from kicked starts: at a stationary point of the whole problem, by IPOPT, or flagged."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.first_solve import ARMIJO, FirstSolve, rollout_function
+from quadexp.control.mpc.first_solve import ARMIJO, ROLLOUT, FirstSolve, rollout_function
 from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.node import Form
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
@@ -91,12 +93,14 @@ def test_the_cost_of_a_rollout_is_the_problem_s(vehicle, rng, error):
     """Against the sum written out in numpy, with the states of the rollout itself."""
     settings = MPCSettings(terminal_weight=1.7, attitude_error=error)
     residual = make_residual("linear_drag", vehicle)
-    rollout = rollout_function(vehicle, residual, settings.nodes, attitude_error=error)
+    form = Form(4, len(residual.theta), attitude_error=error)
+    rollout = rollout_function(vehicle, residual, form, settings.nodes)
     q = rng.normal(size=(11, 4))
     X_ref = np.hstack([rng.normal(size=(11, 3)), q / np.linalg.norm(q, axis=1)[:, None], rng.normal(size=(11, 6))])
     U, U_ref, Q, R = (rng.uniform(1, 4, (10, n)) for n in (4, 4, 13, 4))
     dt = rng.uniform(0.02, 0.15, 10)
-    X, cost = rollout(X_ref[0], U.T, X_ref.T, U_ref.T, residual.theta, Q.T, 1.7 * Q[0], R.T, dt)
+    given = (X_ref[0], U.T, X_ref.T, U_ref.T, residual.theta, Q.T, 1.7 * Q[0], R.T, dt)
+    X, cost = rollout.call(dict(zip(ROLLOUT, map(ca.DM, given), strict=False))).values()
     deviation = X.full().T - X_ref
     if error == "body":
         wanted, flown = (Rotation.from_quat(x[:, ATTITUDE], scalar_first=True) for x in (X_ref, X.full().T))
@@ -116,8 +120,8 @@ def at_hover(vehicle):
     hover = np.full((len(state) - 1, vehicle.n_rotors), vehicle.hover_thrust)
     controller.reset(state[0], state, hover)
     controller.command(state[0], state, hover)
-    rollout = rollout_function(vehicle, controller.residual, controller.settings.nodes)
-    return FirstSolve(rollout, controller._step, controller._direction), controller, hover
+    rollout = rollout_function(vehicle, controller.residual, controller.step.form, controller.settings.nodes)
+    return FirstSolve(rollout, controller.step, controller._direction), controller, hover
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])

@@ -159,12 +159,12 @@ def test_settings_that_change_in_flight_keep_the_plan(vehicle):
     np.testing.assert_allclose(mpc._X[:, [0, 9, 12]], np.tile(t, (3, 1)).T, atol=1e-12)
     np.testing.assert_allclose(mpc._X[1:, 3:7], 0.5, atol=1e-12)
     np.testing.assert_allclose(mpc._U[:, 0], [1, 2, 4, 5, 5])
-    X, Q = mpc._X.copy(), mpc._step.arguments["Q"].copy()
+    X, Q = mpc._X.copy(), mpc.step.arguments["Q"].copy()
     mpc.use(MPCSettings(nodes=5, horizon=0.75, dead_time=0.01))  # nothing but when commands act
     np.testing.assert_allclose(mpc._X, X, atol=1e-15)
     assert mpc.settings.dead_time == 0.01
     mpc.use(MPCSettings(nodes=5, horizon=0.75, position_weight=(1.0, 2.0, 3.0)))
-    assert mpc.settings.dead_time == 0 and (mpc._step.arguments["Q"][0, :3] != Q[0, :3]).all()
+    assert mpc.settings.dead_time == 0 and (mpc.step.arguments["Q"][0, :3] != Q[0, :3]).all()
 
 
 def test_settings_that_change_in_flight_shift_the_plan_by_their_own_nodes(vehicle):
@@ -189,7 +189,7 @@ def test_settings_that_change_in_flight_shift_the_plan_by_their_own_nodes(vehicl
 def test_parameters_change_in_flight_without_rebuilding(vehicle):
     controller = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
     fresh = ModelPredictiveController(vehicle, make_residual("linear_drag", vehicle), backend="interpreted")
-    assert fresh._step.prepare.function is controller._step.prepare.function
+    assert fresh.step.stages is controller.step.stages
     x = HOVER.copy()
     x[7] = 5.0
     state, thrust = hover_reference(controller, vehicle)

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.step import Step, step_functions
+from quadexp.control.mpc.stages import stages_of
+from quadexp.control.mpc.step import Step
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE
 from tests.models.residuals import make_residual
@@ -26,11 +27,11 @@ def trajectory(rng: np.random.Generator) -> np.ndarray:
 
 def step_of(vehicle, residual, error: str, arguments: dict) -> dict[str, np.ndarray]:
     """What a step leaves, matrices as CasADi has them."""
-    step = Step(*step_functions(vehicle, residual, NODES, attitude_error=error, scalar=False))
+    step = Step(stages_of(vehicle, residual, "interpreted", attitude_error=error), NODES)
     for name, value in arguments.items():
         step.arguments[name][...] = np.asarray(value).T
     step()
-    return {name: array.T for name, array in step.results.items()}
+    return {name: array.T for name, array in step.results.items()} | dict(zip("ABb", step.dynamics, strict=True))
 
 
 def test_both_errors_of_attitude_step_along_the_same_dynamics(vehicle, rng):
@@ -50,10 +51,8 @@ def test_both_errors_of_attitude_step_along_the_same_dynamics(vehicle, rng):
         change, effort = step["X_new"] - step["X_lin"], step["U_new"] - step["U_lin"]
         assert np.all(change[:, 0] == 0)
         for k in range(NODES):
-            A, B = plain["A"][:, 13 * k : 13 * (k + 1)], plain["B"][:, 4 * k : 4 * (k + 1)]
-            assert change[:, k + 1] == pytest.approx(
-                A @ change[:, k] + B @ effort[:, k] + plain["b"][:, k], rel=1e-8, abs=1e-8
-            )
+            moved = plain["A"][k] @ change[:, k] + plain["B"][k] @ effort[:, k] + plain["b"][k]
+            assert change[:, k + 1] == pytest.approx(moved, rel=1e-8, abs=1e-8)
 
 
 def test_the_error_in_world_axes_is_that_of_the_rotation_from_the_reference():
@@ -82,11 +81,11 @@ def test_lengths_between_a_half_and_two_are_left_alone(vehicle, rng):
     lengths = np.array([1, 0.1, 0.3, 0.49, 0.51, 0.7, 0.99, 1.01, 1.9, 2.1, 9.0])
     directions = guess[:, ATTITUDE] / np.linalg.norm(guess[:, ATTITUDE], axis=1)[:, None]
     guess[:, ATTITUDE] = lengths[:, None] * directions
-    arguments = controller._step.arguments
+    arguments = controller.step.arguments
     arguments["X"][...], arguments["U"][...], arguments["shift"][...] = guess, hover, 0.0
     arguments["x0"][...], arguments["X_ref"][...], arguments["U_ref"][...] = measured, measured, hover
-    controller._step()
-    point = controller._step.results["X_lin"]
+    controller.step()
+    point = controller.step.results["X_lin"]
     assert point[0] == pytest.approx(measured)
     expected = guess[1:].copy()
     expected[:, ATTITUDE] = np.clip(lengths[1:], 0.5, 2.0)[:, None] * directions[1:]
