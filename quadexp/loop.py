@@ -6,6 +6,7 @@ World ENU, body FLU, quaternion body to world with w first, SI units; see quadex
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,29 @@ class ControlLoop:
         """Body rates (3,) that an MPC predicts for its next node (rad/s), for stacks that take rates; None without."""
         mpc = getattr(innermost(self.controller), "mpc", None)
         return None if mpc is None or self.record is None else mpc.prediction[0][1, RATE]
+
+    @property
+    def memory(self) -> dict[str, np.ndarray]:
+        """What the controller remembers since the last step, OWNER.NAME -> numbers, such as L1.disturbance (copies).
+
+        Raises UsageError before the first step, and for a controller that remembers what it does not declare."""
+        return {name: values.copy() for name, values in self._memory().items()}
+
+    def restore(self, memory: Mapping[str, np.ndarray]) -> None:
+        """Go on from what `memory` once was: the same measurements then give the same thrusts."""
+        kept = self._memory()
+        if kept.keys() != memory.keys():
+            raise UsageError(f"restore: it remembers {', '.join(kept)}; {', '.join(memory)} is given")
+        for one in self.controller.running.instant.memory:  # type: ignore[attr-defined]  # `_memory` saw to it
+            one.restore(np.concatenate([memory[f"{one.owner}.{name}"] for name in one.sizes]))
+
+    def _memory(self) -> dict[str, np.ndarray]:
+        running = getattr(self.controller, "_running", None)
+        kept: dict[str, np.ndarray] = {} if running is None else running.memory
+        if not kept:
+            why = "before the first step" if running is None else "it remembers what it does not declare"
+            raise UsageError(f"memory of {type(self.controller).__name__}: {why}")
+        return kept
 
     @property
     def record(self) -> StepRecord | None:

@@ -1,8 +1,8 @@
 """What a law, or a layer around one, remembers from one control instant to the next: declared by name and size.
 
 An instant is a transaction between two vectors. Functions read `now` and write `next`; the last operations of an
-instant make `next` the new `now` (see control.instant). One that is refused half-way leaves `now` as it was, so that
-Python makes it from the same memory.
+instant make `next` the new `now` (see control.instant). One that is refused half-way takes `next` back to `now`, so
+that Python makes it from the same memory.
 """
 
 from __future__ import annotations
@@ -19,31 +19,46 @@ NOW, NEXT = "memory_", "next_"  # before the names of what a function reads and 
 
 
 class Memory:
-    """owner: whose it is, as users see it. sizes: how many numbers there are of each name. now, next: all of them, one
-    after another, (m,)."""
+    """owner: whose it is, as users see it. sizes: how many numbers there are of each name. of_now, of_next: the arrays
+    by name. now: all of them, one after another, (m,). worked: arrays that somebody works on in place, by name: these
+    are of_next. pairs: now and next, as they are copied from one to the other."""
 
-    def __init__(self, owner: str, sizes: Mapping[str, int]) -> None:
-        self.owner, self.sizes = owner, dict(sizes)
-        self.now, self.next = np.zeros((2, sum(self.sizes.values())))
+    def __init__(
+        self, owner: str, sizes: Mapping[str, int] | None = None, worked: Mapping[str, np.ndarray] | None = None
+    ) -> None:
+        self.owner = owner
+        self.sizes = {name: array.size for name, array in (worked or {}).items()} if sizes is None else dict(sizes)
+        self.now, after = np.zeros((2, sum(self.sizes.values())))
         ends = accumulate(self.sizes.values())
         places = {name: slice(end - size, end) for (name, size), end in zip(self.sizes.items(), ends, strict=True)}
         self.of_now = {name: self.now[place] for name, place in places.items()}
-        self.of_next = {name: self.next[place] for name, place in places.items()}
+        self.of_next = {name: after[place] for name, place in places.items()}
+        self.pairs = [(self.now, after)]
+        if worked is not None:
+            self.of_next = {name: array.reshape(-1) for name, array in worked.items()}
+            self.pairs = [(self.of_now[name], array) for name, array in self.of_next.items()]
 
     def begin(self, values: Mapping[str, np.ndarray]) -> None:
         """Remember these values by name, and of all else zeros."""
         self.now[...] = 0.0
         for name, value in values.items():
             self.of_now[name][...] = np.ravel(value)
-        self.next[...] = self.now
+        self.take_back()
 
     def commit(self) -> None:
         """The end of an instant."""
-        self.now[...] = self.next
+        for now, after in self.pairs:
+            now[...] = after
+
+    def take_back(self) -> None:
+        """An instant is to be made again."""
+        for now, after in self.pairs:
+            after[...] = now
 
     def restore(self, values: np.ndarray) -> None:
         """Go on from `now` as it once was, (m,)."""
-        self.now[...] = self.next[...] = values
+        self.now[...] = values
+        self.take_back()
 
 
 def sizes_of(functions: Iterable[ca.Function]) -> dict[str, int]:

@@ -70,7 +70,8 @@ class CompiledLoop:
 
     def __init__(self, running: Running, period: float) -> None:
         self.running, instant, told = running, running.instant, running.told
-        self._kept = [np.empty_like(o.to) if o.kind == "move" else None for o in instant.operations]
+        kept = {"move": lambda o: np.empty_like(o.to), "commit": lambda o: o.source}
+        self._kept = [kept[o.kind](o) if o.kind in kept else None for o in instant.operations]
         operations = [_operation(o, kept) for o, kept in zip(instant.operations, self._kept, strict=True)]
         self._operations = (OPERATION * len(operations))(*operations)
         self.mpc = None if instant.plan is None else self._mpc(instant.plan)

@@ -5,9 +5,8 @@ controller asks the one inside, and adds its own operations before and behind. T
 by `run`, in Python, and by loop.c, so that either may take over from the other at any instant. What cannot
 be said in operations, such as a user's own controller, is an operation of the kind `python`.
 
-Where an instant is out of the ordinary, C leaves it to Python from its beginning. So up to the plan, or the law's
-command, nothing may be lost that a later operation can refuse: what is to be remembered is moved by `move`, which C
-takes back. Behind it nothing refuses.
+Where an instant is out of the ordinary, C leaves it to Python from its beginning: memory (compile/memory.py) is as it
+was until all operations have succeeded, and what is remembered in another way is moved by `move`, which C takes back.
 """
 
 from __future__ import annotations
@@ -27,7 +26,8 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import N_STATE
 
 KINDS = (
-    "call", "copy", "move", "window", "square", "divide", "mix", "add", "gather", "finite", "near", "plan", "python",
+    "call", "copy", "move", "commit", "window", "square", "divide", "mix", "add", "gather", "finite", "near", "plan",
+    "python",
 )  # fmt: skip
 YES = np.ones(1)
 
@@ -39,6 +39,7 @@ class Operation(NamedTuple):
     call    function, on its arguments and results
     copy    to = source
     move    the same, for what is remembered from instant to instant
+    commit  the same, for memory: what is now and what has become of it
     window  states of the reference over the horizon to `to`, inputs to `other`; source: which of them, None: all
     square  to = factor source^2
     divide  to = source / other[0]
@@ -145,7 +146,7 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
         kind, to, source, other, factor, function, act, every, when = operation
         if k % every or (when is not None and not when[0]):
             continue
-        if kind == "copy" or kind == "move":
+        if kind == "copy" or kind == "move" or kind == "commit":
             to[...] = source
         elif kind == "call":
             function()
@@ -174,7 +175,7 @@ class Running:
     def __init__(self, controller: Any) -> None:
         self.told, self.k = Told(controller.vehicle.n_rotors), 0
         made: Instant = controller.instant(self.told, self.told.state)
-        kept = [copy(memory.now, memory.next) for memory in made.memory]
+        kept = [Operation("commit", *pair) for memory in made.memory for pair in memory.pairs]
         self.instant = made._replace(operations=[*made.operations, *kept])
         self._operations = [o for o in self.instant.operations if o.kind not in ("finite", "near")]  # which are C's
 
@@ -190,7 +191,12 @@ class Running:
         """See Controller.step."""
         began = time.perf_counter()
         self.told.tell(measurement, window)
-        run(self._operations, self.k, window)
+        try:
+            run(self._operations, self.k, window)
+        except Exception:
+            for memory in self.instant.memory:
+                memory.take_back()
+            raise
         self.k += 1
         return self.instant.command.copy(), self.instant.record(time.perf_counter() - began)
 

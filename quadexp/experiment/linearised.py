@@ -273,7 +273,8 @@ class _Memory:
     MPC's solution."""
 
     def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
-        self.planned = [] if running.instant.plan is None else list(running.instant.plan.mpc.prediction)
+        plan = running.instant.plan
+        self.planned = [] if plan is None else [plan.mpc.memory.now, *plan.mpc.memory.of_next.values()]
         targets = _targets(operations)
         self._read, early, late, seen = set[int](), set[int](), set[int](), dict[int, None]()
         for k in range(running.k, running.k + count):
@@ -290,7 +291,8 @@ class _Memory:
                 early |= places - written
                 written |= _places(writes)
             late |= written
-        order = [place for place in seen if place in early and place in late]  # not of addresses, which are others
+        changing = early & late - _places(self.planned)
+        order = [place for place in seen if place in changing]  # not of addresses, which are others
         memory = np.array(order, np.int64)
         runs = np.split(memory, np.flatnonzero(np.diff(memory) != NUMBER) + 1) if len(memory) else []
         pieces = [(ctypes.c_double * len(one)).from_address(int(one[0])) for one in runs]

@@ -24,7 +24,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_thrust, kept_sizes
-from quadexp.control.instant import Operation, Told, call, copy, move
+from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.models.residual import Residual
@@ -84,7 +84,8 @@ class BelievedWorld:
         self.numbers, self.told, self._sent = np.zeros(N_BELIEF), np.zeros(N_BELIEF), np.zeros(n)
         samples = settings.samples * settings.nodes + 1
         self._horizon = np.zeros((samples, N_STATE)), np.zeros((samples - 1, n))
-        self._places = {"theta": mpc.parameters, "X": solution, "belief": self.told, "times": np.array(node_times)}
+        last = mpc.memory.of_now["X"].reshape(solution.shape)
+        self._places = {"theta": mpc.parameters, "X": last, "belief": self.told, "times": np.array(node_times)}
         self._places |= named(("X_ref", "U_ref"), self._horizon)
         self._places["period"] = np.full(1, settings.control_period)
         self._places["since"] = settings.dead_time + settings.node_times
@@ -92,8 +93,8 @@ class BelievedWorld:
             self._places |= {"settings": estimator.settings, "delays": estimator.delays.numbers}
         assert mpc.disturbance is not None
         low, high = mpc.limits
-        left = {"disturbance": mpc.disturbance, "low": low, "high": high, "found": self.numbers, "moved": np.zeros(1)}
-        left |= {"x_in": np.zeros(N_STATE), "X_moved": np.zeros_like(solution), "squares": np.zeros(1)}
+        left = {"disturbance": mpc.disturbance, "low": low, "high": high, "found": self.numbers}
+        left |= {"x_in": np.zeros(N_STATE), "X_moved": solution, "squares": np.zeros(1)}
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
         wide = tuple(np.zeros_like(one) for one in self._horizon)
         self._left = left | named(("X_in", "U_in"), mpc.reference if self._in_place else wide)
@@ -126,9 +127,8 @@ class BelievedWorld:
         operations = [Operation("window", X_ref, self.rows, U_ref)]
         operations.append(call(connected(self._function, places, left, self.memory)))
         operations.append(Operation("finite", source=left["squares"]))
-        operations.append(move(self._mpc.prediction[0], left["X_moved"], left["moved"]))
         if self._air_scale is not None:
-            operations.append(move(self._air_scale, self.numbers[10:]))
+            operations.append(copy(self._air_scale, self.numbers[10:]))
         if not self._in_place:
             operations += [copy(X[:, :N_STATE], left["X_in"]), copy(U, left["U_in"])]
         return operations, left["x_in"]
@@ -177,7 +177,7 @@ def enter_function(
     two are of now, settings, delays (see Delays); theta (p,), where the model or the estimator has parameters.
     Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); low, high (n,), limits of delivered
     thrusts (N); found (11,), the belief; X_moved: the last
-    solution in a frame that is the faster by the change of the wind from now on, and `moved`, whether that is large;
+    solution, in a frame that is the faster by the change of the wind from now on where that is large;
     squares: the sum of those of x_in, X_in and U_in; the memory's next values.
     """
     n, rows = vehicle.n_rotors, samples * nodes + 1
@@ -224,7 +224,7 @@ def enter_function(
     squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
     moving = ca.vertcat(change @ (a["since"] - a["period"]).T, ca.DM.zeros(4, nodes + 1))
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
-    results |= {"X_moved": a["X"] - moving, "moved": ca.norm_2(change) > MOVED, "squares": squares}
+    results |= {"X_moved": ca.if_else(ca.norm_2(change) > MOVED, a["X"] - moving, a["X"]), "squares": squares}
     results |= {NEXT + name: value for name, value in left.items()}
     return named_function("believed_world", a, results)
 

@@ -140,7 +140,7 @@ class PredictiveController(InOperations):
         if self.believed is not None:
             delivering, command = self.believed.after(command)
             operations += delivering
-        layers: list[Any] = [self.believed, self.predictor]
+        layers: list[Any] = [mpc, self.believed, self.predictor]
         kept = tuple(layer.memory for layer in layers if hasattr(layer, "memory"))
         return Instant(operations, command, lambda _: self.record, plan=self, memory=kept)
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.compile.backend import resolve
+from quadexp.compile.memory import Memory
 from quadexp.control.built import built
 from quadexp.control.mpc.active_set import ActiveSet, Status
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
@@ -50,7 +51,8 @@ class ModelPredictiveController:
     vehicle, residual: the prediction model: rigid body and rotors, and a correction of the acceleration and torque.
     backend: "auto", "compiled" or "interpreted" (see compile/backend.py); the attribute is the one in use.
     disturbed: whether the model has a disturbance that may be set before every step (`set_disturbance`).
-    step: the control step, with the arrays that `command` works on.
+    step: the control step, with the arrays that `command` works on. memory: the last solution and active set, which it
+    works on in place.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class ModelPredictiveController:
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
         self._first_solve: FirstSolve | None = None  # few flights need it
+        self.memory = Memory("MPC", worked={name: arguments[name] for name in ("X", "U", "guess")})
         self.prepared, self._cold = False, True
         self.set_parameters(residual.theta)
 
@@ -122,6 +125,7 @@ class ModelPredictiveController:
             if not self._cold:
                 self.step.arguments["shift"][...] = self._shift
         self._X[:, ATTITUDE] /= np.maximum(norms(self._X[:, ATTITUDE]), 1e-12)[:, None]
+        self.memory.commit()
 
     @property
     def parameters(self) -> np.ndarray:
@@ -190,6 +194,7 @@ class ModelPredictiveController:
         self._X[:-1, N_STATE:] = self._U[:, : self._X.shape[1] - N_STATE]
         self._X[-1, N_STATE:] = self._X[-2, N_STATE:]
         self._active_set.reset()
+        self.memory.commit()
         self._cold, self.prepared = True, False
 
     def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray, finite: bool = False) -> None:
