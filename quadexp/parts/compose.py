@@ -20,7 +20,7 @@ from quadexp.names import is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
-from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, in_grammar
+from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, alternatives, in_grammar
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.reads import is_read, refuse_idle, refuse_unread
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
@@ -69,8 +69,7 @@ class Composer:
 
     def only(self, command: str, overrides: Sequence[str]) -> None:
         """UsageError where something is given that a command does not read (reads.py)."""
-        parsed = self._overrides.read(overrides, sweep=True)
-        grids = self._grids(parsed) if is_read("sweep", command) else [parsed]
+        grids = self._grids(overrides) if is_read("sweep", command) else [self._overrides.read(overrides, sweep=True)]
         for override in (override for grid in grids for override in grid):
             keys = [override.key]
             if override.key == "experiment" and override.value is not None:
@@ -102,8 +101,7 @@ class Composer:
         check: compose all of them before any is returned, see `refuse_mistakes`. They are composed again when they are
         asked for, and a sweep asks for all before it flies the first, so it need not.
         """
-        parsed = self._overrides.read(overrides, sweep=True)
-        cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
+        cells = Cells([_product(grid) for grid in self._grids(overrides)], self._cell_config)
         if len(cells) > MOST_CELLS:
             raise UsageError(
                 f"{len(cells)} combinations; a sweep has at most {MOST_CELLS}: split it, each part with its own --out"
@@ -116,8 +114,13 @@ class Composer:
         config = self.compose(overrides)
         return config if config.sweep is None else replace(config, sweep=None)  # a cell is one flight
 
-    def _grids(self, parsed: list[Override]) -> Iterator[list[Override]]:
-        """The overrides of every grid: one, or one for each mapping under `sweep:` of the experiments."""
+    def _grids(self, overrides: Sequence[str]) -> Iterator[list[Override]]:
+        """The overrides of every grid: one, or one for each mapping under `sweep:` of the experiments, and for each
+        alternative, see override.alternatives."""
+        for given in alternatives(overrides):
+            yield from self._grids_of(self._overrides.read(given, sweep=True))
+
+    def _grids_of(self, parsed: list[Override]) -> Iterator[list[Override]]:
         experiments = [override for override in parsed if override.key == "experiment"]
         if not experiments:
             yield parsed

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_args, get_origin
 
@@ -31,6 +32,8 @@ _WORD = re.compile(r"(?:\.{0,2}/)*[A-Za-z](?:[\w./-]*\w)?", re.ASCII)
 _RANGE = re.compile(r"range\((?:(\d{1,9}), ?)?(\d{1,9})\)", re.ASCII)
 _QUOTED = re.compile(r"""\s*(["'])(?:\\.|(?!\1).)*\1\s*""")
 ITEM = re.compile(r"\[[^\[\]]*\]|[^,\[\]]+")  # between commas: a list, or a value
+ITEMS = re.compile(r"(?:\[[^\[\]]*\]|[^,\[\]])+")  # the same, of settings with lists among them
+_BROUGHT = re.compile(r"\S +[a-z_][\w.]*=")  # a setting behind an option
 _SAFE = re.compile(r"[\w./:+-]+", re.ASCII)  # text that needs no quotes
 _NO_WORDS = {"null", "true", "false", "nan", "inf"}  # in any case of their letters
 
@@ -46,6 +49,27 @@ class Override(NamedTuple):
     @property
     def node(self) -> str:
         return self.key.partition(".")[0]
+
+
+def alternatives(overrides: Sequence[str]) -> list[list[str]]:
+    """Overrides for each of several options, some of which bring settings of their own.
+
+    `controller=pid,dfbc inner=indi` stands for controller=pid, and for controller=dfbc with inner=indi. These settings
+    count over what is given beside them."""
+    for i, text in enumerate(overrides):
+        key, _, value = text.partition("=")
+        if key not in GROUPS or not _BROUGHT.search(value):
+            continue
+        rest = [*overrides[:i], *overrides[i + 1 :]]
+        found = list[list[str]]()
+        for item in ITEMS.findall(value):
+            try:
+                option, *brought = shlex.split(item)
+            except ValueError as error:
+                raise UsageError(f"{text!r}: {item!r} cannot be read: {str(error).lower()}") from None
+            found += alternatives([*rest, f"{key}={option}", *brought])
+        return found
+    return [list(overrides)]
 
 
 class OverrideReader:

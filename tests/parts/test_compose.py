@@ -256,6 +256,37 @@ def test_every_mistake_is_one_line(override):
     assert caught.value.exit_code == 2
 
 
+class TestAlternatives:
+    """Controllers with what is around each of them, in one list."""
+
+    def test_each_brings_its_own_settings(self):
+        given = "controller=nominal_mpc,dfbc inner=indi inner.cutoff=8,pid adaptive=l1"
+        cells = [cell.config for cell in expand([given, "trajectory.speed=4,8", "adaptive=none"])]
+        found = {(c.controller.name, c.inner.name, c.adaptive.name, c.trajectory.speed) for c in cells}
+        assert len(cells) == 6 and found == {
+            (*names, speed)
+            for names in (("nominal_mpc", "none", "none"), ("dfbc", "indi", "none"), ("pid", "none", "l1"))
+            for speed in (4.0, 8.0)
+        }
+        assert {c.inner.cutoff for c in cells if c.inner.name == "indi"} == {8.0}
+
+    def test_of_an_experiment_too(self):
+        cells = [cell.config for cell in expand(["experiment=quick", "controller=pid,dfbc inner=indi"])]
+        assert {c.controller.name for c in cells} == {"pid", "dfbc"} and len(cells) % 2 == 0
+
+    @pytest.mark.parametrize(
+        ("given", "said"),
+        [
+            ("controller=pid,dfb inner=indi", "controller=dfb: no such controller; did you mean dfbc"),
+            ("controller=pid,dfbc iner=indi", "iner: no such key"),
+            ("controller=pid,dfbc inner=indy", "inner=indy: no such inner"),
+        ],
+    )
+    def test_a_mistake_in_one_of_them_is_one_line(self, given, said):
+        with pytest.raises(UsageError, match=said):
+            expand([given])
+
+
 class TestOwnFolder:
     @pytest.fixture
     def folder(self, tmp_path):
