@@ -14,11 +14,12 @@ import numpy as np
 from quadexp.log.check import rotors, samples, search
 from quadexp.log.check.candidates import KEYS, Candidate
 from quadexp.log.check.duplicates import check_duplicates
-from quadexp.log.check.finding import Finding, worst_first
+from quadexp.log.check.finding import Finding, of_rows, worst_first
 from quadexp.log.check.rotors import check_commands, check_flown, check_voltage
 from quadexp.log.schema import Flight
-from quadexp.log.signal import Stream, increasing
+from quadexp.log.signal import Stream, increasing, longest
 from quadexp.log.signal.offset import find_offsets, turning_offset
+from quadexp.log.signal.rest import at_rest, thrust_of
 from quadexp.log.signal.windows import Windows, cut, streams_of
 from quadexp.physics.state import finite_rows
 from quadexp.physics.vehicle import Vehicle
@@ -31,6 +32,7 @@ THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
 OFFSET_BLOCKS = 0.1  # s
+GROUND, GROUND_BLOCKS = 0.02, 0.05  # share of the samples at rest
 # Faults of samples, of which the finding `inconsistent` is a symptom.
 BROKEN = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",
           "dead_logger"}  # fmt: skip
@@ -107,6 +109,7 @@ def inspect_flight(
     if any(finding.name == "no_flight" and finding.blocks for finding in findings):
         return worst_first(findings), bad_rows, None
 
+    findings += _check_ground(kept, streams, t)
     dead, lost = samples.check_dead(streams, t)
     frozen, stuck = samples.check_frozen(streams, t)
     findings += dead + ([] if dead and stuck.any() and not (stuck & ~lost).any() else frozen)
@@ -137,6 +140,18 @@ def inspect_flight(
         findings = [finding for finding in findings if finding.name != "inconsistent"]
     motion = None if vehicle is None or "w" not in repaired else rotors.motion_of(kept, vehicle, repaired["w"], bad)
     return worst_first(findings), bad_rows, motion
+
+
+def _check_ground(flight: Flight, streams: Mapping[str, np.ndarray], t: np.ndarray) -> list[Finding]:
+    """Rest on the ground, of which a fit would learn the push of the ground."""
+    commands = {kind: flight.stack(names) for kind, names in rotors.command_columns(flight).items()}
+    rest = at_rest(t, streams, thrust_of(commands))
+    if rest.mean() <= GROUND:
+        return []
+    text = f"at rest with motors off, or still, in {rest.mean():.1%} of the samples"
+    severity = "blocking" if rest.mean() > GROUND_BLOCKS else "warning"
+    advice = "`import` without --no-crop and with `crop: auto` leaves ground phases out"
+    return [of_rows("ground_phase", severity, "", longest(rest), t, text, f"{GROUND:.0%}", advice)]
 
 
 def _stray_rows(t: np.ndarray, when: np.ndarray, spikes: np.ndarray) -> np.ndarray:

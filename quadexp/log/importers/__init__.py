@@ -16,7 +16,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.assemble import SHORTEST, assemble
 from quadexp.log.importers.mapping import Mapping, load_mapping
-from quadexp.log.importers.raw import RawLog, read_mapped
+from quadexp.log.importers.raw import RawLog, corrected, read_mapped
 from quadexp.log.importers.readers import reader_of, readers
 from quadexp.log.importers.readers.csv import ready_mappings
 from quadexp.log.importers.table import open_table
@@ -101,6 +101,12 @@ def read_log(path: Path, form: str, mapping: Mapping | None) -> RawLog:
         raise DataError(f"{path}: its content is {kind}, not --log-format {form}")
     if mapping is None:
         return readers()[kind].read(path, form)
+    if mapping.format == kind:
+        log = readers()[kind].read(path, form)
+        log.crop = mapping.crop
+        for correction in mapping.corrections:
+            log.streams = corrected(log.streams, correction)
+        return log
     table = open_table(path) if kind == "csv" else None
     if table is None or mapping.format != table.format:
         kind = kind if table is None else table.format

@@ -71,6 +71,7 @@ PLACES = {
 }  # fmt: skip
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
+TABLES, SELF_DESCRIBING = ("text", "hdf5"), ("ulog", "rosbag", "ardupilot", "betaflight")  # values of `format`
 IN_BODY = ("rate", "acceleration")  # unless `frame` says otherwise
 _TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")
@@ -125,7 +126,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Mapping:
-    """name, the kind of file ("text" or "hdf5"), its clock, an entry for every quantity it has, and corrections."""
+    """name, the kind of file (`format`), its clock, an entry for every quantity it has, and corrections."""
 
     name: str
     format: str
@@ -211,7 +212,9 @@ class _Reader:
 
     def mapping(self, values: dict[str, Any]) -> Mapping:
         self.known("", values, _TOP)
-        form = self.one_of("format", values.get("format", "text"), ("text", "hdf5"))
+        form = self.one_of("format", values.get("format", "text"), (*TABLES, *SELF_DESCRIBING))
+        if form in SELF_DESCRIBING:
+            return self.additions(form, values)
         if "time" not in values:
             raise self.fail("time", "is missing: `time: {column: t, unit: s}`")
         frames = {
@@ -227,11 +230,21 @@ class _Reader:
         return Mapping(
             str(values.get("name", self.path.stem)), form, self.clock("time", values["time"]), entries,
             next(iter(layouts), None), self.crop(values.get("crop", "auto")),
-            tuple(map(str, values.get("signature") or [])), self.corrections(values.get("corrections") or [], entries),
+            tuple(map(str, values.get("signature") or [])), self.corrections(
+                values.get("corrections") or [], {name: len(entry.columns) for name, entry in entries.items()}
+            ),
         )  # fmt: skip
 
-    def corrections(self, value: Any, entries: dict[str, Entry]) -> tuple[Mapping, ...]:
-        """Each as a mapping whose log is the flight that the other keys give."""
+    def additions(self, form: str, values: dict[str, Any]) -> Mapping:
+        """What a mapping adds to a log that says itself what its fields are: ground phases and corrections."""
+        self.known("", values, ("name", "about", "format", "crop", "corrections"))
+        widths = {name: len(quantity.columns) for name, quantity in QUANTITIES.items()}
+        corrections = self.corrections(values.get("corrections") or [], widths)
+        crop = self.crop(values.get("crop", "auto"))
+        return Mapping(str(values.get("name", self.path.stem)), form, Clock("", 1.0), {}, None, crop, (), corrections)
+
+    def corrections(self, value: Any, entries: Mapped[str, int]) -> tuple[Mapping, ...]:
+        """Each as a mapping whose log is the flight that the other keys give. entries: columns by quantity."""
         if not isinstance(value, list) or not all(isinstance(correction, dict) for correction in value):
             raise self.fail("corrections", "must be a list of lines of a mapping, such as `- rate: {unit: deg/s}`")
         allowed = ("world", "body", "time", *entries)
@@ -244,9 +257,7 @@ class _Reader:
                 reader.known(key, lines, ("unit", "scale", "frame", *keys))
             elif key == "time":
                 reader.known(key, lines, ("unit", "scale"))
-        return tuple(
-            reader.correction(correction, {name: len(e.columns) for name, e in entries.items()}) for correction in value
-        )
+        return tuple(reader.correction(correction, entries) for correction in value)
 
     def correction(self, lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
         """Lines as a mapping of which streams in SI, ENU and FLU are the log. widths: columns by quantity."""

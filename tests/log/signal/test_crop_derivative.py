@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.log.importers.assemble import crop
+from quadexp.log.importers.ground import crop
 from quadexp.log.signal import derivative, increasing
 
 T = np.arange(0, 20, 0.01)
