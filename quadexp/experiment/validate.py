@@ -63,7 +63,8 @@ def validate(
         others = without(flown, tested)
         chosen = refitted(loaded, others, vehicle) if leave_one_out else loaded
         used = _predictors(chosen, vehicle)
-        rows = [read_rows(flown[name], name, used[0].curve.signal, used[0].curve.delay) for name in tested]
+        curve = used[0].curve
+        rows = [read_rows(flown[name], name, curve.signal, curve.delay, curve.lag) for name in tested]
         for predictor in used:
             by_predictor.setdefault(predictor.name, []).extend((predictor, of_flight) for of_flight in rows)
             for name in () if leave_one_out else tested:

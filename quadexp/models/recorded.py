@@ -77,7 +77,7 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
 
     Raises DataError for a column that is missing or not finite, and for another number of rotors than the vehicle's.
     """
-    row = read_rows(flight, name, curve.signal, curve.delay)
+    row = read_rows(flight, name, curve.signal, curve.delay, curve.lag)
     samples = row.samples
     rotors = curve.of_signal(samples.signal, samples.voltage)
     if rotors.shape[1] != vehicle.n_rotors:
