@@ -1,13 +1,17 @@
 """Dead time and lag of the thrust behind commands of any unit (a share, pulse width, rotor speed or force).
 
-    f_z = sum_p c_p sum_i L[s_i^p] + c_v v_z + c_h |v_xy|^2          p = 1, 2
+    f_z = sum_p c_p sum_i L[s_i^p] + c_v v_z + c_w |v_z| v_z + c_h |v_xy|^2     p = 1, 2
 
-L: dead time d, then a first-order lag tau, on a grid of FINE with s held between its samples. Every column goes through
-the band LOW .. HIGH (battery, wind and the slow part of the loop below it, noise above); c by least squares at each
-(d, tau). The cost, n/2 log of the residual's square with n of samples that are independent in the band, is interpolated
-to FINE. The estimate is the shortest dead time as good as its minimum: where nothing lags, a held command looks the same
-over a whole period. Interval: blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and
-RESOLUTION at each end: of a sampled log no finer time is told.
+L: dead time d, then a first-order lag tau, of a signal that is held between its samples: T the period, y_j the state at
+the beginning of the interval j in which t - d lies, a the time since then,
+
+    L[s](t) = (1 - exp(-a / tau)) s_j + exp(-a / tau) y_j,      y_j+1 = exp(-T / tau) y_j + (1 - exp(-T / tau)) s_j
+
+Every column goes through the band LOW .. HIGH (battery, wind and the slow part of the loop below it, noise above); c by
+least squares at each (d, tau). The cost is n/2 log of the residual's square, n of samples that are independent in the
+band. A dead time or a lag alone is taken where both are not SIMPLER more likely, and of dead times that are alike, as
+those of a held command are over a period where nothing lags, the shortest. Interval: blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and RESOLUTION
+at each end: of a sampled log no finer time is told.
 """
 
 from __future__ import annotations
@@ -27,9 +31,14 @@ EDGE = 0.3  # s, where the filters settle
 LEAST_SECONDS = 4.0
 MOST_SECONDS = 240.0  # of all flights together
 WORTH = 8.0  # log likelihood that a delay must bring to be real
-ALIKE, NEAR = 0.25, 1.92  # log likelihood: as good as the best; of a 95 % interval
-DEAD_TIMES = np.concatenate([[0.0], FINE + np.arange(0.0, 0.0601, 0.005)])  # at the command, and just behind it
-LAGS = np.concatenate([np.arange(0.0, 0.0501, 0.005), np.arange(0.06, 0.1601, 0.01)])
+ALIKE, SIMPLER, NEAR = 0.25, 2.0, 1.92  # log likelihood: as good as the best; of one more constant; of 95 %
+DEAD_TIMES = np.arange(0.0, 0.0605, FINE)
+LAGS = np.concatenate([
+    np.arange(0.0, 0.006, FINE), np.arange(0.0075, 0.02, 0.0025), np.arange(0.02, 0.05, 0.005),
+    np.arange(0.05, 0.1601, 0.01),
+])  # fmt: skip
+FINE_LAGS = np.arange(0.0, LAGS[-1] + FINE / 2, FINE)
+
 
 
 class CommandLag(NamedTuple):
@@ -52,33 +61,45 @@ class CommandLag(NamedTuple):
         return float(self.intervals[2, 1] - self.intervals[2, 0]) / (2 * 1.96)
 
     @property
-    def at_bound(self) -> bool:
-        """Whether the lag, or the dead time, is the largest that is searched."""
-        return self.lag > LAGS[-1] - FINE or self.dead_time > DEAD_TIMES[-1] - FINE
+    def at_bound(self) -> np.ndarray:
+        """Whether dead time, lag or their sum may be beyond what is searched, (3,): no upper end is known."""
+        largest = np.array([DEAD_TIMES[-1], LAGS[-1]])
+        beyond = self.intervals[:2, 1] > largest - FINE
+        return np.append(beyond, beyond.any())
 
     def __str__(self) -> str:
-        names = ("dead time", "lag", "sum")
-        values = (self.dead_time, self.lag, self.dead_time + self.lag)
         parts = []
-        for name, value, (low, high) in zip(names, values, 1e3 * self.intervals, strict=True):
-            span = f"at least {low:.0f}" if self.at_bound else f"[{low:.0f}, {high:.0f}]"
-            parts.append(f"{name} {1e3 * value:.0f} {span} ms")
+        values = (self.dead_time, self.lag, self.dead_time + self.lag)
+        for i, name in enumerate(("dead time", "lag", "sum")):
+            low, high = 1e3 * self.intervals[i]
+            span = f"at least {low:.0f}" if self.at_bound[i] else f"[{low:.0f}, {high:.0f}]"
+            parts.append(f"{name} {1e3 * values[i]:.0f} {span} ms")
         return ", ".join(parts)
 
 
 def lagged(signal: np.ndarray, period: float, dead_time: float, lag: float, *, ends: bool = False) -> np.ndarray:
     """L[s] at the samples, (k, n), of one stretch. signal: (k, n), held from each sample to the next; ends: over the
     interval that ends at the sample instead. Before the first sample it is that of the first."""
+    back, kept = _place(period, dead_time, lag, ends)
+    at = np.maximum(np.arange(len(signal)) - back, 0)
+    return (1 - kept) * signal[at] + kept * _begins(signal, period, lag)[at]
+
+
+def _place(period: float, dead_time: float, lag: float, ends: bool) -> tuple[int, float]:
+    """How many intervals before that of a sample a time `dead_time` before it lies, and exp(-a / tau)."""
+    part = dead_time / period
+    back = int(np.floor(part + 1e-9)) if ends else int(np.ceil(part - 1e-9))
+    since = (back + ends - part) * period
+    return back, float(np.exp(-since / lag)) if lag > 0 else 0.0
+
+
+def _begins(signal: np.ndarray, period: float, lag: float) -> np.ndarray:
+    """y_j, (k, n)."""
     from scipy.signal import lfilter
 
-    parts = max(1, round(period / FINE))
-    step = period / parts
-    fine = np.repeat(signal, parts, axis=0)
-    if lag > step / 2:
-        kept = np.exp(-step / lag)
-        fine = lfilter([1 - kept], [1, -kept], fine, axis=0, zi=kept * fine[:1])[0]
-    at = np.arange(len(signal)) * parts + (parts - 1) * ends
-    return fine[np.maximum(at - round(dead_time / step), 0)]
+    kept = float(np.exp(-period / lag)) if lag > 0 else 0.0
+    before = np.concatenate([signal[:1], signal[:-1]])
+    return lfilter([1 - kept], [1.0, -kept], before, axis=0, zi=kept * signal[:1])[0]
 
 
 def find_lag(
@@ -89,7 +110,8 @@ def find_lag(
     time: (k,) s. segment: (k,), ascending numbers. signal: (k, n). force: f_z, (k,) m/s^2. velocity: (k, 3) body, m/s.
     held: (k,), whether the signal is that of the interval that ends at the sample.
     """
-    beside = np.column_stack([velocity[:, 2], velocity[:, 0] ** 2 + velocity[:, 1] ** 2, force])
+    v_z = velocity[:, 2]
+    beside = np.column_stack([v_z, np.abs(v_z) * v_z, velocity[:, 0] ** 2 + velocity[:, 1] ** 2, force])
     sums, counts, seconds = [], [], 0.0
     for rows in _stretches(time, segment):
         period = period_of(time[rows])
@@ -125,20 +147,28 @@ def _stretches(time: np.ndarray, segment: np.ndarray) -> Iterator[slice]:
 
 
 def _sums(signal: np.ndarray, beside: np.ndarray, period: float, held: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of products of the columns and f_z by dead time, lag and block, (d, tau, b, 5, 5); samples of each block."""
+    """Sums of products of the columns and f_z by dead time, lag and block, (d, tau, b, 6, 6); samples of each block."""
     powers = np.column_stack([signal.sum(axis=1), np.sum(signal**2, axis=1)])
-    fixed = _band(beside, period)
-    edge = int(EDGE / period)
+    fixed, held_band = _band(beside, period), _band(powers, period)
+    most = int(np.ceil(DEAD_TIMES[-1] / period))
+    edge = max(int(EDGE / period), most)
     inner = np.arange(edge, len(signal) - edge)
     blocks = np.array_split(inner, max(2, int(len(inner) * period / BLOCK)))
-    size = powers.shape[1] + beside.shape[1]
+    size, beginning = powers.shape[1] + beside.shape[1], 2 * (most + 1)
     sums = np.zeros((len(DEAD_TIMES), len(LAGS), len(blocks), size, size))
     for j, lag in enumerate(LAGS):
-        columns = [lagged(powers, period, dead_time, lag, ends=held) for dead_time in DEAD_TIMES]
-        filtered = _band(np.concatenate(columns, axis=1), period).reshape(len(signal), len(DEAD_TIMES), -1)
-        for i in range(len(DEAD_TIMES)):
-            row = np.column_stack([filtered[:, i], fixed])
-            sums[i, j] = [row[block].T @ row[block] for block in blocks]
+        begun = _band(_begins(powers, period, lag), period)
+        shifted = [np.roll(x, back, axis=0) for x in (held_band, begun) for back in range(most + 1)]
+        columns = np.column_stack([*shifted, fixed])
+        products = np.array([columns[block].T @ columns[block] for block in blocks])
+        for i, dead_time in enumerate(DEAD_TIMES):
+            back, kept = _place(period, dead_time, lag, held)
+            chosen = np.zeros((columns.shape[1], size))
+            for power in range(2):
+                chosen[2 * back + power, power] = 1 - kept
+                chosen[beginning + 2 * back + power, power] = kept
+            chosen[-beside.shape[1] :, 2:] = np.eye(beside.shape[1])
+            sums[i, j] = chosen.T @ products @ chosen
     return sums, np.array([len(block) for block in blocks])
 
 
@@ -152,7 +182,7 @@ def _band(x: np.ndarray, period: float) -> np.ndarray:
 
 def _cost(blocks: np.ndarray, count: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Minus the log likelihood by dead time and lag, on grids of FINE, with blocks of these weights, (b,)."""
-    from scipy.interpolate import RectBivariateSpline
+    from scipy.interpolate import Akima1DInterpolator
 
     total = np.tensordot(blocks, weight, (2, 0))
     normal, mixed, power = total[..., :-1, :-1], total[..., :-1, -1], total[..., -1, -1]
@@ -161,19 +191,15 @@ def _cost(blocks: np.ndarray, count: np.ndarray, weight: np.ndarray) -> np.ndarr
     along = mixed * size
     left = power - np.einsum("...i,...i->...", along, np.linalg.solve(scaled, along[..., None])[..., 0])
     cost = float(weight @ count) / 2 * np.log(np.maximum(left, 1e-12 * power))
-    return RectBivariateSpline(DEAD_TIMES, LAGS, cost, kx=3, ky=3)(*_fine())
-
-
-def _fine() -> tuple[np.ndarray, np.ndarray]:
-    return np.arange(0.0, DEAD_TIMES[-1] + FINE / 2, FINE), np.arange(0.0, LAGS[-1] + FINE / 2, FINE)
+    return Akima1DInterpolator(LAGS, cost, axis=1, method="makima")(FINE_LAGS)
 
 
 def _likeliest(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Dead time and lag, (2,) (s); and the range of each and of their sum that is about as likely, (3, 2) (s)."""
-    dead_times, lags = _fine()
-    i, _ = np.nonzero(cost < cost.min() + ALIKE)
+    claimed = cost + SIMPLER * ((DEAD_TIMES > 0)[:, None] + 1.0 * (FINE_LAGS > 0))
+    i, _ = np.nonzero(claimed < claimed.min() + ALIKE)
     first = int(i.min())
-    best = np.array([dead_times[first], lags[int(cost[first].argmin())]])
+    best = np.array([DEAD_TIMES[first], FINE_LAGS[int(claimed[first].argmin())]])
     rows, columns = np.nonzero(cost < cost.min() + NEAR)
-    near = np.stack([dead_times[rows], lags[columns], dead_times[rows] + lags[columns]])
+    near = np.stack([DEAD_TIMES[rows], FINE_LAGS[columns], DEAD_TIMES[rows] + FINE_LAGS[columns]])
     return best, np.column_stack([near.min(axis=1), near.max(axis=1)])

@@ -17,9 +17,9 @@ def late_flight(
 ) -> Flight:  # fmt: skip
     rng = np.random.default_rng(seed)
     steps, parts = int(seconds / period), round(period / FINE)
-    queue = [np.sqrt(G / 4 / C)] * (round(dead_time / FINE) + 1)
+    queue = [np.sqrt(G / 4 / C)] * round(dead_time / FINE)
     kept = np.exp(-FINE / lag) if lag else 0.0
-    motor, z, v = queue[0], 0.0, 0.0
+    motor, z, v = np.sqrt(G / 4 / C), 0.0, 0.0
     frequency, phase = rng.uniform(0.15, 1.2, 6), rng.uniform(0, 6, 6)
     rows = []
     for k in range(steps):
