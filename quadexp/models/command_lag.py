@@ -10,8 +10,9 @@ the beginning of the interval j in which t - d lies, a the time since then,
 Every column goes through the band LOW .. HIGH (battery, wind and the slow part of the loop below it, noise above); c by
 least squares at each (d, tau). The cost is n/2 log of the residual's square, n of samples that are independent in the
 band. A dead time or a lag alone is taken where both are not SIMPLER more likely, and of dead times that are alike, as
-those of a held command are over a period where nothing lags, the shortest. Interval: blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and RESOLUTION
-at each end: of a sampled log no finer time is told.
+those of a held command are over a period where nothing lags, the shortest. Interval:
+blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and RESOLUTION at each end: of a sampled
+log no finer time is told.
 """
 
 from __future__ import annotations
@@ -38,7 +39,6 @@ LAGS = np.concatenate([
     np.arange(0.05, 0.1601, 0.01),
 ])  # fmt: skip
 FINE_LAGS = np.arange(0.0, LAGS[-1] + FINE / 2, FINE)
-
 
 
 class CommandLag(NamedTuple):

@@ -168,9 +168,7 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
     samples = gather(flights, choose_signal(flights, signal), names)
     if samples.kind not in COMMANDS:
         return samples
-    late = find_lag(
-        samples.time, samples.segment, samples.signal, samples.force[:, 2], samples.velocity, samples.held
-    )
+    late = find_lag(samples.time, samples.segment, samples.signal, samples.force[:, 2], samples.velocity, samples.held)
     if late is None or not late.late:
         return samples
     first = samples.time[np.searchsorted(samples.segment, samples.segment)]
@@ -200,8 +198,8 @@ class FlightRows:
 
 
 def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0, lag: float = 0.0) -> FlightRows:
-    """delay, lag: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed, body rates
-    too, or where these are not finite."""
+    """delay, lag: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed, body
+    rates too, or where these are not finite."""
     samples = gather([flight], signal, [name]).delayed(delay, lag)
     first = len(flight) - len(samples)
     check_columns(flight, name, RATES, first)

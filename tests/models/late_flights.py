@@ -1,6 +1,6 @@
-"""Recorded vertical flights of known truth, whose motors act late: drag along z 0 or as given, thrust c s^2 of 4 rotors.
+"""Recorded vertical flights of known truth, whose motors act late: drag along z 0 or as given, thrust c s^2 a rotor.
 
-    v' = sum_i c L[s_i]^2 - g - d_z v        L: dead time, then a first-order lag; s from a loop with feedback, held
+v' = sum_i c L[s_i]^2 - g - d_z v        L: dead time, then a first-order lag; s from a loop with feedback, held
 """
 
 import numpy as np

@@ -25,9 +25,7 @@ def test_lag_is_the_step_response():
 def test_late_commands_bias_no_drag(dead_time, lag, seed):
     flight = late_flight(dead_time, lag, seed=seed)
     samples = gather([flight], "motor_command")
-    late = find_lag(
-        samples.time, samples.segment, samples.signal, samples.force[:, 2], samples.velocity, samples.held
-    )
+    late = find_lag(samples.time, samples.segment, samples.signal, samples.force[:, 2], samples.velocity, samples.held)
     for truth, (low, high) in zip((dead_time, lag, dead_time + lag), late.intervals, strict=True):
         assert low - 1e-6 <= truth <= high + 1e-6
     at_once, _ = fit_thrust_samples(samples, SQUARED)

@@ -287,7 +287,7 @@ def flown(latency: float, rate: int, seeds=(0, 1), settings=()):
 
 @pytest.mark.parametrize(("latency", "rate", "found"), [(0.0, 50, 0.0), (0.04, 50, 0.04), (0.025, 60, 1 / 60)])
 def test_a_latency_is_no_drag(latency, rate, found):
-    """The drag along z is quadratic, not linear. A delay is found up to a period, in which a held command is the same."""
+    """The drag along z is quadratic, not linear. A delay is found up to a period, over which a command is held."""
     vehicle = build_vehicle(compose([]).vehicle)
     model = fit_vehicle_model(flown(latency, rate), vehicle, FitSettings(kinds=("quadratic",)))
     late = model.thrust.delay + model.thrust.lag

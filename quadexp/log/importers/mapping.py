@@ -14,8 +14,10 @@
 
 Every key may be left out but `time`. corrections: made one after the other on what the other keys give,
 each as if that were a log in SI units, ENU and FLU of which its lines are the mapping. mounting: roll, pitch and yaw
-(deg) of the sensor in the body, after `frame`: v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. Every value is checked;
-errors name file, line and key.
+(deg) of the sensor in the body, after `frame`: v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. offset: its bias, taken
+off last. Of an attitude, angles: [1, -1, 1] are signs of roll, pitch and yaw, turn: degrees about the world's z. Every
+value is checked; errors name file, line and key. A log that says itself what its fields are (format: ulog, rosbag, ..)
+takes crop and corrections alone.
 """
 
 from __future__ import annotations
@@ -49,10 +51,10 @@ def _vector(name: str, axes: str = "xyz") -> tuple[str, ...]:
 
 QUANTITIES: dict[str, Quantity] = {
     "position": Quantity(_vector("p"), "length"),
-    "attitude": Quantity(_vector("q", "wxyz"), "angle", ("order", "direction")),
+    "attitude": Quantity(_vector("q", "wxyz"), "angle", ("order", "direction", "angles", "turn")),
     "velocity": Quantity(_vector("v"), "velocity"),
-    "rate": Quantity(_vector("w"), "rate", ("mounting",)),
-    "acceleration": Quantity(_vector("acc"), "acceleration", ("kind", "mounting")),
+    "rate": Quantity(_vector("w"), "rate", ("mounting", "offset")),
+    "acceleration": Quantity(_vector("acc"), "acceleration", ("kind", "mounting", "offset")),
     "motor_command": Quantity(("motor_command_{}",), "none", ("range", "layout")),
     "rotor_speed": Quantity(("rotor_speed_{}",), "rotor_speed", ("layout", "pole_pairs")),
     "rotor_thrust": Quantity(("u_{}",), "force", ("layout",)),
@@ -108,6 +110,8 @@ class Entry:
 
     order: of a quaternion's columns, or "rpy" for angles. inverse: the log's attitude turns world into body vectors.
     coordinate: the acceleration is that of the motion, without gravity. low, high: values of commands 0 and 1.
+    offset: bias of a sensor, taken off last (SI, body). angles: signs of roll, pitch and yaw; turn: about the world's
+    z axis (rad); both of an attitude from body to ENU.
     """
 
     columns: tuple[str, ...]
@@ -122,6 +126,9 @@ class Entry:
     low: float = 0.0
     high: float = 1.0
     mounting: np.ndarray = field(default_factory=lambda: np.eye(3))
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    angles: tuple[float, ...] = (1.0, 1.0, 1.0)
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -293,6 +300,9 @@ class _Reader:
                 raise self.fail(f"{name}.mounting", "turns a sensor in the body, but `frame` says world")
             what = "[roll, pitch, yaw] of the sensor in the body (deg)"
             options["mounting"] = mounting_matrix(self.numbers(f"{name}.mounting", value["mounting"], [3], what))
+        if "offset" in value:
+            bias = self.numbers(f"{name}.offset", value["offset"], [3], "[x, y, z], the bias in SI units")
+            options["offset"] = np.array(bias, float)
         if "range" in value:
             what = "[value of command 0, value of command 1]"
             low, high = map(float, self.numbers(f"{name}.range", value["range"], [2], what))
@@ -355,7 +365,13 @@ class _Reader:
             raise self.fail(f"{name}.frame", "give the frames as `world:` and `body:` at the top")
         if np.linalg.det(frames["world"] @ frames["body"]) < 0:
             raise self.fail("body", "of the world and the body frame one is left-handed: no attitude joins them")
-        return {"order": order, "inverse": direction == DIRECTIONS[1], "axes": frames["body"], "world": frames["world"]}
+        what = "signs of roll, pitch and yaw, as [1, -1, 1]"
+        signs = self.numbers(f"{name}.angles", value.get("angles", [1, 1, 1]), [3], what, lambda sign: abs(sign) == 1)
+        (turn,) = self.numbers(f"{name}.turn", value.get("turn", 0.0), [1], "degrees about the world's z axis")
+        return {
+            "order": order, "inverse": direction == DIRECTIONS[1], "axes": frames["body"], "world": frames["world"],
+            "angles": tuple(map(float, signs)), "turn": math.radians(turn),
+        }  # fmt: skip
 
     def layout(self, name: str, value: Any, count: int) -> None:
         if not isinstance(value, list) or len(value) != count or len(set(map(str, value))) != count:

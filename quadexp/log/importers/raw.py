@@ -122,6 +122,8 @@ def _convert(name: str, entry: Entry, stream: Stream) -> Stream:
         values = values @ entry.axes.T
     if not (entry.mounting == np.eye(3)).all():
         values = values @ entry.mounting.T
+    if entry.offset.any():
+        values = values - entry.offset
     return Stream(stream.t, values)
 
 
@@ -135,7 +137,14 @@ def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
         q = values if entry.order == "wxyz" else values[:, [entry.order.index(axis) for axis in "wxyz"]]
     if entry.inverse:
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
-    return turn_attitude(q, entry.world, entry.axes)
+    q = turn_attitude(q, entry.world, entry.axes)
+    if min(entry.angles) < 0:
+        yaw, pitch, roll = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX").T
+        angles = np.column_stack([yaw, pitch, roll]) * np.array(entry.angles[::-1])
+        q = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+    if entry.turn:
+        q = multiply(np.array([np.cos(entry.turn / 2), 0.0, 0.0, np.sin(entry.turn / 2)]), q)
+    return q
 
 
 def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndarray:

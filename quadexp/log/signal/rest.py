@@ -46,7 +46,7 @@ def at_rest(
         rest |= off
     step = period_of(t)
     for start, stop in runs(~rest):
-        if 0 < start and stop < len(t) and (stop - start) * step < SHORT_BREAK:
+        if start > 0 and stop < len(t) and (stop - start) * step < SHORT_BREAK:
             rest[start:stop] = True
     for start, stop in runs(rest):
         if (stop - start) * step < REST_TIME:
@@ -62,7 +62,7 @@ def flying_level(thrust: np.ndarray) -> float:
 
 
 def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    """A thrust (k,), up to its unit, from the rotor signals (k, n) of a log by their names; None where there are none."""
+    """A thrust (k,), up to its unit, from the rotor signals (k, n) of a log by their names; None: it has none."""
     for name in ("rotor_speed", "motor_command", "rotor_thrust", "u", "thrust_acceleration"):
         if name in columns:
             signal = np.nan_to_num(np.asarray(columns[name], float))
