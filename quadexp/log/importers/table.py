@@ -28,12 +28,14 @@ TEXT_SHARE = 0.97  # of the first bytes that must be printable for a file to be 
 MOST_VALUES = 1 << 30  # numbers read from one file at most: 8 GB would not fit beside what is made of them
 DESCRIBED_ROWS = 300_000
 DESCRIBED_COLUMNS = 400  # looked at for a mapping
+_DELIMITERS = ((",", "."), (";", "."), ("\t", "."), (" ", "."), (";", ","), ("\t", ","))
 EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]
 
 
 @dataclass(frozen=True)
 class Table:
-    """path, and the names of its columns. delimiter, skip, encoding: of text; lines before the rows."""
+    """path, and the names of its columns. delimiter, skip, encoding, decimal: of text; lines before the rows; the sign
+    between units and tenths."""
 
     path: Path
     columns: tuple[str, ...]
@@ -41,6 +43,7 @@ class Table:
     skip: int = 0
     hdf5: bool = False
     encoding: str = "utf-8"
+    decimal: str = "."
 
     @property
     def format(self) -> str:
@@ -93,7 +96,7 @@ def _open_text(path: Path) -> Table:
     lines = text.removeprefix("\ufeff").splitlines()
     if not lines or max(map(len, lines)) > LONGEST_LINE:
         raise DataError(f"{path}: not a table: no line ends within {LONGEST_LINE} characters")
-    row, delimiter = _first_row(path, lines)
+    row, delimiter, decimal = _first_row(path, lines)
     width = len(_cells(lines[row], delimiter))
     names = [str(i) for i in range(width)]
     above = next((k for k in range(row - 1, -1, -1) if lines[k].strip()), None)
@@ -107,7 +110,7 @@ def _open_text(path: Path) -> Table:
         elif above == row - 1 and not comment:
             named = f"line {above + 1} names {len(header)} columns"
             raise DataError(f"{path}: {named}, but line {row + 1} has {width} values")
-    return Table(path, _unique(names), delimiter, row, encoding=encoding)
+    return Table(path, _unique(names), delimiter, row, encoding=encoding, decimal=decimal)
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -116,17 +119,21 @@ def _cells(line: str, delimiter: str) -> list[str]:
     return [part.strip().strip('"').strip() for part in parts]
 
 
-def _first_row(path: Path, lines: list[str]) -> tuple[int, str]:
-    """The first line that is a row of numbers (two at least, and most of the cells), and its delimiter."""
+def _first_row(path: Path, lines: list[str]) -> tuple[int, str, str]:
+    """The first line that is a row of numbers (two at least, and most of the cells), its delimiter and decimal sign: a
+    comma where it does not separate cells, which have one in numbers of later lines too."""
+    commas = any(re.search(r"\d,\d", line) for line in lines) and not any(re.search(r"\d\.\d", line) for line in lines)
     for row, line in enumerate(lines):
         if line.lstrip().startswith(("#", "%")):
             continue
-        for delimiter in (",", ";", "\t", " "):
+        for delimiter, decimal in _DELIMITERS:
+            if (decimal == ",") != (commas and any(sign in line for sign in ";\t")):
+                continue
             cells = _cells(line, delimiter)
-            numbers = sum(map(_is_number, cells))
+            numbers = sum(_is_number(cell.replace(decimal, ".")) for cell in cells)
             filled = sum(cell != "" for cell in cells)
             if len(cells) >= (3 if delimiter == " " else 2) and numbers >= 2 and numbers >= 0.5 * filled:
-                return row, delimiter
+                return row, delimiter, decimal
     raise DataError(f"{path}: not a table: no line of numbers in its first {len(lines)} lines")
 
 
@@ -168,7 +175,7 @@ def _read_text(table: Table, names: list[str], notes: list[str], rows: int | Non
     parse = csv.ParseOptions(delimiter=table.delimiter, invalid_row_handler=bad_row)
     convert = csv.ConvertOptions(
         include_columns=list(places.values()), column_types=dict.fromkeys(places.values(), pa.float64()),
-        null_values=EMPTY, strings_can_be_null=True,
+        null_values=EMPTY, strings_can_be_null=True, decimal_point=table.decimal,
     )  # fmt: skip
     chunks: dict[str, list[np.ndarray]] = {name: [] for name in names}
     count = 0
