@@ -264,7 +264,7 @@ def collect_dataset(
         if save_flights is not None:
             said = f"two flights named {{path}} would both be written to {save_flights}"
             refuse_repeated("collect --save-flights", [Path(file.stem) for file in flights], said)
-        flown = [read_flight(file, whole=True) for file in flights]
+        flown = [read_flight(file, whole=True, placed=False) for file in flights]
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
     else:

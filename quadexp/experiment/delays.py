@@ -54,7 +54,7 @@ def identify_delays(
         check_output(figure.with_suffix(".svg"), force=True)
     records, lines = [], list[str]()
     for path in paths:
-        flight = read_flight(path, whole=True)
+        flight = read_flight(path, whole=True, placed=False)
         flown = vehicle or own_vehicle(flight, conf)
         if flown is None and is_recorded(flight):  # ages and commands of a log say nothing of its vehicle
             flown = vehicle_named("torrente", None)
@@ -203,8 +203,9 @@ def told(flight: Flight, name: str) -> Stream:
     missing = [column for column in READINGS if column not in flight.columns]
     if missing:
         raise DataError(f"{name}: delays are found from the accelerometer, and {', '.join(missing)} are not in it")
-    estimated = tuple(f"est_{column}" for column in STATE_COLUMNS)
-    state = flight.stack(estimated if estimated[0] in flight.columns else STATE_COLUMNS)
+    prefix = "est_" if f"est_{STATE_COLUMNS[0]}" in flight.columns else ""
+    unplaced = np.zeros(len(t))  # the position of a log tells nothing of a delay
+    state = np.column_stack([flight.columns.get(f"{prefix}{column}", unplaced) for column in STATE_COLUMNS])
     return Stream(t, state, flight.stack(READINGS), flight.input)
 
 

@@ -50,7 +50,7 @@ def validate(
     refuse_repeated("validate", [Path(path.name) for path in models], "two models are named {path}; rename one folder")
     loaded = [(path.name, load_model(path, vehicle=vehicle, unknown=True)) for path in models]
     loaded.sort(key=lambda item: not isinstance(item[1], VehicleModel))  # those that have the thrust curve first
-    flown = {path.stem: read_flight(path, whole=True) for path in flights}
+    flown = {path.stem: read_flight(path, whole=True, placed=False) for path in flights}
     if len(flown) < len(flights):
         raise UsageError("--flights: two of them have the same name")
     if leave_one_out and len(flown) < 2:

@@ -33,6 +33,7 @@ THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
 OFFSET_BLOCKS = 0.1  # s
+CLEARANCE = 0.5  # m that a flight is above where it rests
 GROUND, GROUND_BLOCKS = 0.02, 0.05  # share of the samples at rest
 LETTERS = {key: letter for letter, key in KEYS.items()}
 # Faults of samples, of which the finding `inconsistent` is a symptom.
@@ -148,10 +149,13 @@ def _check_ground(flight: Flight, streams: Mapping[str, np.ndarray], t: np.ndarr
     """Rest on the ground, of which a fit would learn the push of the ground."""
     commands = {kind: flight.stack(names) for kind, names in rotors.command_columns(flight).items()}
     rest = at_rest(t, streams, thrust_of(commands))
+    if not commands and "p" in streams:  # an ideal hover is still too, but not below the flight
+        height = streams["p"][:, 2]
+        rest &= height < np.nanquantile(height, 0.95) - CLEARANCE
     if rest.mean() <= GROUND:
         return []
     text = f"at rest with motors off, or still, in {rest.mean():.1%} of the samples"
-    severity = "blocking" if rest.mean() > GROUND_BLOCKS else "warning"
+    severity = "blocking" if commands and rest.mean() > GROUND_BLOCKS else "warning"
     advice = "`import` without --no-crop and with `crop: auto` leaves ground phases out"
     return [of_rows("ground_phase", severity, "", longest(rest), t, text, f"{GROUND:.0%}", advice)]
 

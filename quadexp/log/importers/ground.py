@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.log.importers.mapping import ROTORS, Crop
+from quadexp.log.importers.mapping import Crop
 from quadexp.log.signal import runs
-from quadexp.log.signal.rest import REST_TIME, at_rest, thrust_of
+from quadexp.log.signal.rest import REST_TIME, RUNNING, at_rest, flying_level, thrust_of
 from quadexp.physics.state import norms
 
 LEAST_ROWS = 10  # of a flight
@@ -26,33 +26,21 @@ def without_ground(t: np.ndarray, values: dict[str, np.ndarray], how: Crop, note
     if how.mode == "none":
         return every
     position = values.get("position")
-    if how.mode == "auto" and position is not None:
+    if how.mode == "auto" or position is None:
         return _in_flight(t, values, notes)
-    thrust = next((values[n].sum(axis=1) for n in (*ROTORS, "thrust_acceleration") if n in values), None)
-    height = None if position is None else position[:, 2]
-    thrust = thrust if how.mode == "auto" else None
-    kept = crop(t, height, thrust=thrust, clearance=how.height or 0.0, margin=how.margin)
+    kept = crop(t, position[:, 2], clearance=how.height or 0.0, margin=how.margin)
     if kept.sum() < LEAST_ROWS:
         notes.append("never in the air: nothing is cropped")
         return every
     return kept
 
 
-def crop(
-    t: np.ndarray, height: np.ndarray | None, *, thrust: np.ndarray | None = None, clearance: float, margin: float
-) -> np.ndarray:
+def crop(t: np.ndarray, height: np.ndarray, *, clearance: float, margin: float) -> np.ndarray:
     """Mask (k,) of the samples in the air and `margin` (s) away from the ground phases: ground effect and transients.
 
-    In the air is where the height (k,) (m) exceeds the clearance; without height, where the thrust (k,) (any unit that
-    is 0 at rest) exceeds half its median of the samples above a tenth of its peak; without either, everywhere.
-    A log that starts or ends in the air loses nothing at that end. All False: no flight.
+    In the air is where the height (k,) (m) exceeds the clearance. A log that starts or ends in the air loses nothing at that end. All False: no flight.
     """
-    up = np.ones(len(t), bool)
-    if height is not None:
-        up = height > clearance
-    elif thrust is not None:
-        peak = np.nanmax(thrust)
-        up = (thrust > 0.5 * np.median(thrust[thrust > 0.1 * peak])) if peak > 0 else ~up
+    up = height > clearance
     for start, stop in runs(~up):
         if start > 0 and stop < len(t) and t[stop] - t[start - 1] < DIP:
             up[start:stop] = True
@@ -68,10 +56,12 @@ def _in_flight(t: np.ndarray, values: dict[str, np.ndarray], notes: list[str]) -
     """Mask of the rows left where the vehicle neither rests nor takes off nor lands; all where it never flies."""
     every = np.ones(len(t), bool)
     streams = {letter: values[name] for name, letter in LETTERS.items() if name in values}
-    rest = at_rest(t, streams, thrust_of(values))
+    thrust = thrust_of(values)
+    rest = at_rest(t, streams, thrust)
     position = values.get("position")
     if position is not None:
-        rest |= _still_ends(t, position)
+        stands = _still_ends(t, position)
+        rest |= stands if thrust is None else stands & (thrust < RUNNING * flying_level(thrust))
     if not rest.any():
         return every
     height = None if position is None else position[:, 2]
@@ -91,7 +81,8 @@ def _in_flight(t: np.ndarray, values: dict[str, np.ndarray], notes: list[str]) -
         top = t[up[-1]] - AUTO_MARGIN if stop < len(t) else np.inf
         kept[up] = (t[up] >= low) & (t[up] <= top)
     if kept.sum() < LEAST_ROWS:
-        notes.append("never moves: nothing is cropped" if rest.all() else "never in the air: nothing is cropped")
+        if rest.all() or thrust is not None:  # else it may as well hover
+            notes.append("never moves: nothing is cropped" if rest.all() else "never in the air: nothing is cropped")
         return every
     where = ", ".join(f"{t[a] - t[0]:.1f} to {t[b - 1] - t[0]:.1f} s" for a, b in runs(rest)[:6])
     notes.append(f"at rest in {rest.mean():.0%} of the log ({where}): left out with take-off and landing")

@@ -53,7 +53,8 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     if not good.any():
         raise DataError(f"{path}: {name}: not one row of {count} is a number throughout")
     if not good.all():
-        notes.append(f"{name}: {count - good.sum()} of {count} rows are empty or not numbers")
+        empty = count - int(good.sum())
+        notes.append(f"{name}: {empty} of {count} rows ({empty / count:.1%}) are empty or not numbers")
         t, values = t[good], values[good]
     late = increasing(t)
     if late.all():
@@ -65,15 +66,14 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
         raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}")
     if lost:
         what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
-        notes.append(f"{name}: {lost} of {len(t)} rows {what}: dropped")
+        notes.append(f"{name}: {lost} of {len(t)} rows ({lost / len(t):.1%}) {what}: dropped")
     return Stream(t[late], values[late])
 
 
 def sorted_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:
     """As clean_stream, of rows that may lie out of order: they are put into the order of their times."""
     order = np.argsort(t, kind="stable")
-    later = increasing(t[order])
-    return clean_stream(path, name, t[order][later], values[order][later], notes)
+    return clean_stream(path, name, t[order], values[order], notes)
 
 
 def read_mapped(table: Table, mapping: Mapping) -> RawLog:

@@ -1,4 +1,5 @@
-"""Tables with named columns: delimited text and HDF5, of which only what is asked for is read.
+"""Tables with named columns: delimited text, HDF5 (MATLAB's since 7.3 too) and Parquet, of which only what is asked for
+is read.
 
 Text may begin with lines of other content; the header is the last line without numbers above the rows. Units in
 brackets stay part of the column's name. A file without a header has the names "0", "1", ...
@@ -19,7 +20,7 @@ import numpy as np
 
 from quadexp.errors import DataError, missing_package
 from quadexp.log.integrity import allowed_bytes
-from quadexp.log.store import as_numpy, first_line
+from quadexp.log.store import METADATA_KEY, as_numpy, first_line
 from quadexp.names import distinct
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
@@ -34,21 +35,16 @@ EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]
 
 @dataclass(frozen=True)
 class Table:
-    """path, and the names of its columns. delimiter, skip, encoding, decimal: of text; lines before the rows; the sign
+    """path, and the names of its columns. format: as a mapping calls it. delimiter, skip, encoding, decimal: of text; lines before the rows; the sign
     between units and tenths."""
 
     path: Path
     columns: tuple[str, ...]
     delimiter: str = ","
     skip: int = 0
-    hdf5: bool = False
+    format: str = "text"
     encoding: str = "utf-8"
     decimal: str = "."
-
-    @property
-    def format(self) -> str:
-        """As a mapping calls it."""
-        return "hdf5" if self.hdf5 else "text"
 
     def read(self, names: Sequence[str], notes: list[str], rows: int | None = None) -> dict[str, np.ndarray]:
         """Columns by name, each (k,), NaN where a cell is empty. rows: the first so many only.
@@ -60,15 +56,17 @@ class Table:
             close = ", ".join(self.columns[:16]) + (", ..." if len(self.columns) > 16 else "")
             raise DataError(f"{self.path}: no column {missing[0]!r} (it has {close})")
         wanted = distinct(names)
-        return _read_hdf5(self, wanted, rows) if self.hdf5 else _read_text(self, wanted, notes, rows)
+        if self.format == "parquet":
+            return _read_parquet(self, wanted, rows)
+        return _read_hdf5(self, wanted, rows) if self.format == "hdf5" else _read_text(self, wanted, notes, rows)
 
 
 def kind_of(path: Path, head: bytes) -> str:
-    """ "hdf5", "text", or "" for what is no table, by the first bytes. Raises DataError for text that is none to us."""
-    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+    """ "hdf5", "parquet", "text", or "" for what is no table, by the first bytes. Raises DataError for text that is none to us."""
+    if head.startswith(b"\x89HDF\r\n\x1a\n") or head.startswith(b"MATLAB 7.3"):
         return "hdf5"
     if head.startswith(b"PAR1"):
-        raise DataError(f"{path}: Parquet: a flight of this program needs no import, use it as it is")
+        return "parquet"
     if head.startswith(b"version https://git-lfs"):
         raise DataError(f"{path}: a pointer of Git LFS, not the log itself: fetch it with `git lfs pull`")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -80,7 +78,8 @@ def kind_of(path: Path, head: bytes) -> str:
 def open_table(path: Path) -> Table:
     """The table in a file. Raises DataError."""
     with open(path, "rb") as file:
-        return _open_hdf5(path) if kind_of(path, file.read(8)) == "hdf5" else _open_text(path)
+        kind = kind_of(path, file.read(16))
+    return {"hdf5": _open_hdf5, "parquet": _open_parquet}.get(kind, _open_text)(path)
 
 
 # ------------------------------------------------------------------------------------------------------------ text
@@ -243,6 +242,34 @@ def numbers(table: Table) -> tuple[list[str], np.ndarray]:
     return names, np.column_stack([columns[name] for name in names])
 
 
+# --------------------------------------------------------------------------------------------------------- Parquet
+def _open_parquet(path: Path) -> Table:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        schema = pq.read_schema(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DataError(f"{path}: Parquet, but damaged or truncated ({first_line(error)})") from None
+    if METADATA_KEY in (schema.metadata or {}):
+        raise DataError(f"{path}: a flight of this program needs no import, use it as it is")
+    return Table(path, tuple(schema.names), format="parquet")
+
+
+def _read_parquet(table: Table, names: list[str], rows: int | None) -> dict[str, np.ndarray]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {}
+    for name in names:
+        column = pq.read_table(table.path, columns=[name]).column(0).slice(0, rows)
+        try:
+            columns[name] = as_numpy(column.cast(pa.float64()).fill_null(float("nan")))
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+            raise DataError(f"{table.path}: column {name!r} holds {column.type}, a number is needed") from None
+    return columns
+
+
 # ------------------------------------------------------------------------------------------------------------ HDF5
 def _open_hdf5(path: Path) -> Table:
     h5py = _h5py(path)
@@ -250,9 +277,10 @@ def _open_hdf5(path: Path) -> Table:
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim in (1, 2):
-            width = 1 if item.ndim == 1 else item.shape[1]
+            flat = item.ndim == 1 or item.shape[0] == 1
+            width = 1 if flat else min(item.shape)
             if width <= 64:
-                names.extend([name] if item.ndim == 1 else [f"{name}[{i}]" for i in range(width)])
+                names.extend([name] if flat else [f"{name}[{i}]" for i in range(width)])
 
     try:
         with h5py.File(path, "r") as file:
@@ -261,7 +289,7 @@ def _open_hdf5(path: Path) -> Table:
         raise DataError(f"{path}: an HDF5 file, but damaged or truncated ({first_line(error)})") from None
     if not names:
         raise DataError(f"{path}: an HDF5 file without one data set of numbers")
-    return Table(path, tuple(names), hdf5=True)
+    return Table(path, tuple(names), format="hdf5")
 
 
 def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np.ndarray]:
@@ -272,11 +300,13 @@ def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np
             for name in names:
                 key, _, index = name.partition("[")
                 data = file[key]
+                if data.ndim == 2 and data.shape[0] < data.shape[1]:  # as MATLAB lays out its columns
+                    data = data[:].T
                 part = slice(None, rows)
                 declared = min(len(data), rows or len(data)) * len(names)
                 if declared > MOST_VALUES or 8 * declared > allowed_bytes(table.path):
                     raise DataError(f"{table.path}: {key} declares {len(data)} rows: too many to be a log, or damaged")
-                columns[name] = np.asarray(data[part, int(index[:-1])] if index else data[part], float)
+                columns[name] = np.ravel(data[part, int(index[:-1])] if index else data[part]).astype(float)
     except (OSError, RuntimeError, ValueError, KeyError, MemoryError) as error:
         raise DataError(f"{table.path}: damaged ({first_line(error)})") from None
     return columns

@@ -18,7 +18,7 @@ from quadexp.physics.state import norms
 from quadexp.physics.vehicle import GRAVITY
 
 REST_TIME = 0.5  # s
-LOW, RUNNING = 0.3, 0.7  # of the thrust in flight: motors off or idle, and motors that may carry the vehicle
+LOW, RUNNING = 0.3, 0.5  # of the thrust in flight: motors off or idle, and motors that may carry the vehicle
 STILL_FORCE, STILL_RATE, STILL_SPEED = 0.5, 0.05, 0.1  # m/s^2, rad/s, m/s: bias and noise of sensors at rest
 SHORT_BREAK = 0.3  # s: a knock does not end a rest
 
