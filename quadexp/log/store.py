@@ -342,8 +342,9 @@ def write_flight(path: str | Path, flight: Flight, *, force: bool = True, durabl
 
 
 def read_flight(path: str | Path, *, check: bool = True, whole: bool = False, placed: bool = True) -> Flight:
-    """Read a flight. placed: whether a log must have its position, which the specific force does not need. check: refuse NaN in time, state or input (naming column and row). whole: refuse time that does
-    not go on, and flights of which some samples only are stored, as what is learned from differences must."""
+    """Read a flight. placed: whether a log must have its position, which the specific force does not need.
+    check: refuse NaN in time, state or input (naming column and row). whole: refuse time that does not go on, and
+    flights of which some samples only are stored, as what is learned from differences must."""
     recorded = bool(read_metadata(path, "flight").get("recorded"))
     thrust = () if recorded else ("u_0",)  # a log seldom says the rotors' thrust
     state = [name for name in STATE_COLUMNS if placed or not recorded or not name.startswith("p_")]

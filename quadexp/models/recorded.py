@@ -13,7 +13,8 @@ flight, and no function of the velocity can predict that:
     a_z = e_f T / m + acceleration of the air        e_f: of flight f; T / m: the thrust curve's acceleration, m/s^2
 
 A regression over several flights would attribute e_f to whatever differs between them (speed, mean thrust) and be wrong
-on the next one; and e_f alone would take the lift of the faster flight for a fuller battery. So both are one mixed model
+on the next one; and e_f alone would take the lift of the faster flight for a fuller battery. So both are one mixed
+model
 (Laird & Ware 1982),
 
     a_z = (e + e_f) T / m + l V_h^2 - d v_z - q |v_z| v_z,    e_f ~ N(0, s^2),    V_h^2 = v_x^2 + v_y^2

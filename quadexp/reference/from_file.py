@@ -9,10 +9,10 @@ Other columns are ignored, which the trajectory's note says, and lines that begi
 first row is a header, as EuRoC writes it. The yaw of an attitude follows the convention of the reference: y_body level
 with (-sin yaw, cos yaw, 0).
 
-A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative,
-not-a-knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. With `smooth` (s) the spline
-is one of least squares with a knot in so many seconds, which leaves faster noise out. Time starts at the first
-row; without a yaw the heading is 0.
+A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative, not-a-
+knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. With `smooth` (s) the spline is
+one of least squares with a knot in so many seconds, which leaves faster noise out. Time starts at the first row;
+without a yaw the heading is 0.
 
 Waypoints are joined by minimum-snap polynomials, at rest at both ends; without a yaw the heading is free. Times in the
 file are kept. Otherwise segment durations are proportional to the p-th power of their lengths, with the p of POWERS

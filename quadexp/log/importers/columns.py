@@ -235,7 +235,7 @@ class Table:
 
 
 def _unbroken(data: np.ndarray, named: Groups) -> np.ndarray:
-    """Columns (k, N) whose quaternions keep their side and whose angles do not wrap, so that they can be interpolated."""
+    """Columns (k, N) whose quaternions keep their side and whose angles do not wrap, to be interpolated."""
     data = data.copy()
     for columns in named.get("attitude", []):
         good = np.isfinite(data[:, columns]).all(axis=1)

@@ -38,7 +38,8 @@ def without_ground(t: np.ndarray, values: dict[str, np.ndarray], how: Crop, note
 def crop(t: np.ndarray, height: np.ndarray, *, clearance: float, margin: float) -> np.ndarray:
     """Mask (k,) of the samples in the air and `margin` (s) away from the ground phases: ground effect and transients.
 
-    In the air is where the height (k,) (m) exceeds the clearance. A log that starts or ends in the air loses nothing at that end. All False: no flight.
+    In the air is where the height (k,) (m) exceeds the clearance. A log that starts or ends in the air loses
+    nothing at that end. All False: no flight.
     """
     up = height > clearance
     for start, stop in runs(~up):

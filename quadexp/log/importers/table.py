@@ -35,8 +35,8 @@ EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]
 
 @dataclass(frozen=True)
 class Table:
-    """path, and the names of its columns. format: as a mapping calls it. delimiter, skip, encoding, decimal: of text; lines before the rows; the sign
-    between units and tenths."""
+    """path, and the names of its columns. format: as a mapping calls it. delimiter, skip, encoding, decimal: of text;
+    skip: lines before the rows; decimal: the sign between units and tenths."""
 
     path: Path
     columns: tuple[str, ...]
@@ -62,8 +62,9 @@ class Table:
 
 
 def kind_of(path: Path, head: bytes) -> str:
-    """ "hdf5", "parquet", "text", or "" for what is no table, by the first bytes. Raises DataError for text that is none to us."""
-    if head.startswith(b"\x89HDF\r\n\x1a\n") or head.startswith(b"MATLAB 7.3"):
+    """ "hdf5", "parquet", "text", or "" for what is no table, by the first bytes. Raises DataError for text that
+    is none to us."""
+    if head.startswith((b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")):
         return "hdf5"
     if head.startswith(b"PAR1"):
         return "parquet"

@@ -21,22 +21,22 @@ from quadexp.log.importers.raw import RawLog
 HEAD = 4096  # bytes
 # What files of other kinds begin with, or are named, and the way from there to one that is read.
 OTHERS: tuple[tuple[str, bytes, tuple[str, ...], str], ...] = (
-    ("ArduPilot's log", b"\xa3\x95\x80\x80", (".bin",), "`pip install pymavlink` reads it, or make tables of it:"
-     " `mavlogdump.py --format csv --types IMU LOG.BIN > imu.csv`"),
+    ("ArduPilot's log", b"\xa3\x95\x80\x80", (".bin",),
+     "make tables of it: `mavlogdump.py --format csv --types IMU LOG.BIN > imu.csv`"),
     ("Betaflight's log", b"H Product:Blackbox", (".bbl", ".bfl"), "make a table of it: `blackbox_decode LOG.BBL`"),
     ("a telemetry log of MAVLink", b"", (".tlog",), "`mavlogdump.py --format csv --types RAW_IMU LOG.tlog > imu.csv`"),
     ("MATLAB's format before 7.3", b"MATLAB 5.0", (), "save it with `save('log.mat', 'name', '-v7.3')`, which is HDF5"),
     ("an array of NumPy", b"\x93NUMPY", (".npy",), "`numpy.savetxt('log.csv', x, delimiter=',', header='t,..')`"),
-    ("a pickle", b"\x80\x04", (".pkl", ".pickle"), "write its arrays as a table: `pandas.DataFrame(..).to_csv('log.csv')`"),
+    ("a pickle", b"\x80\x04", (".pkl", ".pickle"), "write it as a table: `pandas.DataFrame(..).to_csv('log.csv')`"),
     ("compressed by gzip", b"\x1f\x8b", (".gz",), "`gunzip` it first"),
     ("compressed by bzip2", b"BZh", (".bz2",), "`bunzip2` it first"),
     ("compressed by xz", b"\xfd7zXZ", (".xz",), "`unxz` it first"),
     ("compressed by Zstandard", b"\x28\xb5\x2f\xfd", (".zst",), "`unzstd` it first"),
-    ("arrays of NumPy in one file", b"PK\x03\x04", (".npz",), "write them as a table:"
-     " `pandas.DataFrame(dict(numpy.load('log.npz'))).to_csv('log.csv')`"),
+    ("arrays of NumPy in one file", b"PK\x03\x04", (".npz",),
+     "`pandas.DataFrame(dict(numpy.load('log.npz'))).to_csv('log.csv')`"),
     ("a spreadsheet", b"PK\x03\x04", (".xlsx", ".ods"), "save it as CSV"),
     ("an archive", b"PK\x03\x04", (".zip",), "`unzip` it first"),
-    ("Arrow's format", b"ARROW1", (".feather", ".arrow"), "write it as Parquet: `pandas.read_feather(..).to_parquet(..)`"),
+    ("Arrow's format", b"ARROW1", (".feather", ".arrow"), "write Parquet: `pandas.read_feather(..).to_parquet(..)`"),
 )  # fmt: skip
 
 

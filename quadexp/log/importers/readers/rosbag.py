@@ -8,7 +8,8 @@
     px4_msgs/..                        as the topics of a ULog, in NED and FRD
     mav_msgs/Actuators, mavros ESCStatus/ESCTelemetry, and any message of `motor`s or `rpm`   rotor speeds or commands
 
-Channels of other types are not looked into, whatever their encoding. ROS is ENU and FLU already (REP 103). Several topics of one kind: estimate before reference, most messages first.
+Channels of other types are not looked into, whatever their encoding. ROS is ENU and FLU already (REP 103). Several
+topics of one kind: estimate before reference, most messages first.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def read(path: Path, named: str) -> RawLog:
     except ImportError:
         raise missing_package(path, "rosbags", "logs") from None
     rows: _Found = {}
-    px4: dict[str, list[dict[str, float]]] = {}
+    px4: dict[str, list[dict[str, Any]]] = {}
     others: list[str] = []
     notes: list[str] = []
     try:
@@ -142,9 +143,9 @@ def _px4_topic(kind: str) -> str:
     return name if name in TOPICS else ""
 
 
-def _flat(message: Any) -> dict[str, float]:
+def _flat(message: Any) -> dict[str, Any]:
     """Fields of a message as a ULog names them, "q[0]" and so on."""
-    flat = {}
+    flat: dict[str, Any] = {}
     for name, value in vars(message).items():
         values = np.asarray(value)
         if values.dtype.kind not in "biuf":
@@ -153,7 +154,7 @@ def _flat(message: Any) -> dict[str, float]:
     return flat
 
 
-def _columns(messages: list[dict[str, float]]) -> dict[str, np.ndarray]:
+def _columns(messages: list[dict[str, Any]]) -> dict[str, np.ndarray]:
     return {name: np.array([message[name] for message in messages]) for name in messages[0]}
 
 
