@@ -324,8 +324,8 @@ class _Proposals:
             else:
                 about = WORLDS[str(chosen)][0] if key == "world" else "where the thrust points along z"
                 self.fields[key] = Proposal(chosen, sure, f"{about}; {text}")
-        if "velocity" in best.correction:
-            self.fields["velocity"].value["frame"] = "body"
+        for key in {"velocity", "acceleration"} & best.correction.keys():
+            self.fields[key].value.update(best.correction[key])
         if mends:
             why = "; ".join(f"{one.where}: {one.text}" for one in mends)
             self.fields["corrections"] = Proposal([one.correction for one in mends], SURE, why)
@@ -341,6 +341,7 @@ class _Proposals:
         if len(columns) == 4:
             readings += [(lines, cost) for *_, lines, cost in READINGS[:3] if not (fixed and "order" in lines)]
         turned = [{}, {"velocity": {"frame": "body"}}] if "v" in self.streams else [{}]
+        turned += [{"acceleration": {"frame": "world"}}] if "f" in self.streams else []
         conventions = []
         for (lines, cost), (world, (_, more)), body, frame in product(readings, WORLDS.items(), BODIES, turned):
             correction = {"world": world, "body": body, **({"attitude": lines} if lines else {}), **frame}

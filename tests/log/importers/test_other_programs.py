@@ -20,7 +20,6 @@ def truth():
 
 
 FILES = {
-    "a.BIN": (b"\xa3\x95\x80\x80\x59" + bytes(200), "mavlogdump.py"),
     "a.bbl": (b"H Product:Blackbox flight data recorder\nH Data version:2\n" + bytes(200), "blackbox_decode"),
     "a.tlog": (bytes(range(256)), "mavlogdump.py"),
     "a.mat": (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(300), "-v7.3"),

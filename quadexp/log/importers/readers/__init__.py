@@ -21,8 +21,6 @@ from quadexp.log.importers.raw import RawLog
 HEAD = 4096  # bytes
 # What files of other kinds begin with, or are named, and the way from there to one that is read.
 OTHERS: tuple[tuple[str, bytes, tuple[str, ...], str], ...] = (
-    ("ArduPilot's log", b"\xa3\x95\x80\x80", (".bin",),
-     "make tables of it: `mavlogdump.py --format csv --types IMU LOG.BIN > imu.csv`"),
     ("Betaflight's log", b"H Product:Blackbox", (".bbl", ".bfl"), "make a table of it: `blackbox_decode LOG.BBL`"),
     ("a telemetry log of MAVLink", b"", (".tlog",), "`mavlogdump.py --format csv --types RAW_IMU LOG.tlog > imu.csv`"),
     ("MATLAB's format before 7.3", b"MATLAB 5.0", (), "save it with `save('log.mat', 'name', '-v7.3')`, which is HDF5"),
@@ -79,7 +77,7 @@ def reader_of(path: Path) -> str:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from None
         if not head:
             raise DataError(f"{path}: the file is empty")
-    if head and head.startswith(OTHERS[1][1]) and "betaflight" not in readers():  # its header is text
+    if head and head.startswith(OTHERS[0][1]):  # its header is text
         raise DataError(f"{path}: {way_of(path, head)}")
     known = next((name for name, reader in readers().items() if reader.recognises(path, head)), None)
     if known is None and head and (way := way_of(path, head)):

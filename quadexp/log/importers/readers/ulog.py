@@ -188,7 +188,7 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> 
                 continue
             stream = _stream(path, f"{name} ({topic})", instance, fields, log.notes)
             if stream is not None:
-                log.streams[name], used[name] = _turned(name, stream), topic
+                log.streams[name], used[name] = turned(name, stream), topic
                 body_velocity |= frame == "body"
                 if frame in ("NED", "local"):
                     axes = frame
@@ -291,7 +291,7 @@ def _stream(path: Path, name: str, topic: Topic, fields: Sequence[str], notes: l
     return sorted_stream(path, name, t, values, notes)
 
 
-def _turned(name: str, stream: Stream) -> Stream:
+def turned(name: str, stream: Stream) -> Stream:
     """NED to ENU, FRD to FLU."""
     t, values = stream
     if name == "attitude":
