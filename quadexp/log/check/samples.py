@@ -162,9 +162,7 @@ def check_spikes(
     from scipy.ndimage import median_filter
 
     found, masks = [], {}
-    gaps = (
-        np.flatnonzero(np.diff(t) > GAP * period_of(t)) + 1 if len(t) > 2 else []
-    )  # over which nothing is a neighbour
+    gaps = np.flatnonzero(np.diff(t) > GAP * period_of(t)) + 1  # over which nothing is a neighbour
     for name, values in streams.items():
         if name == "q" or len(t) < 9:
             continue
