@@ -44,7 +44,8 @@ _UNIT = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$")
 _SUFFIXES = {
     "rads": "rad/s", "radps": "rad/s", "rad_s": "rad/s", "degs": "deg/s", "degps": "deg/s", "deg_s": "deg/s",
     "dps": "deg/s", "deg": "deg", "rad": "rad", "mps2": "m/s^2", "mss": "m/s^2", "mps": "m/s", "rpm": "rpm",
-    "erpm": "erpm", "ns": "ns", "us": "us", "usec": "us", "ms": "ms", "sec": "s", "s": "s", "g": "g", "volt": "V", "volts": "V", "mv": "mV",
+    "erpm": "erpm", "ns": "ns", "us": "us", "usec": "us", "ms": "ms", "sec": "s", "s": "s", "g": "g", "volt": "V",
+    "volts": "V", "mv": "mV",
 }  # fmt: skip
 _UNITS = _SUFFIXES | {
     "secs": "s", "seconds": "s", "µs": "us", "m": "m", "cm": "cm", "mm": "mm", "m/s": "m/s", "m s^-1": "m/s",
