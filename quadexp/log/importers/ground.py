@@ -62,7 +62,7 @@ def _in_flight(t: np.ndarray, values: dict[str, np.ndarray], notes: list[str]) -
     position = values.get("position")
     if position is not None:
         stands = _still_ends(t, position)
-        rest |= stands if thrust is None else stands & (thrust < RUNNING * flying_level(thrust))
+        rest |= stands if thrust is None else stands & (thrust < RUNNING * flying_level(thrust, streams.get("f")))
     if not rest.any():
         return every
     height = None if position is None else position[:, 2]

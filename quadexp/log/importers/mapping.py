@@ -12,12 +12,12 @@
     crop: {height: 0.5, margin: 1.5}
     corrections: [{rate: {unit: deg/s}}, {body: FRD}]
 
-Every key may be left out but `time`. corrections: made one after the other on what the other keys give,
-each as if that were a log in SI units, ENU and FLU of which its lines are the mapping. mounting: roll, pitch and yaw
-(deg) of the sensor in the body, after `frame`: v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. offset: its bias, taken
-off last. Of an attitude, angles: [1, -1, 1] are signs of roll, pitch and yaw, turn: degrees about the world's z. Every
-value is checked; errors name file, line and key. A log that says itself what its fields are (format: ulog, rosbag, ..)
-takes crop and corrections alone.
+Every key may be left out but `time`. corrections: made one after the other on what the other keys give, each as if that
+were a log in SI units, ENU and FLU of which its lines are the mapping. mounting: roll, pitch and yaw (deg) of the
+sensor in the body, after `frame`: v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. offset: its bias, taken off last. Of
+an attitude, angles: [1, -1, 1] are signs of roll, pitch and yaw, turn: degrees about the world's z. Every value is
+checked; errors name file, line and key. A log that says itself what its fields are (format: ulog, rosbag, ..; csv where
+its table is recognised) takes crop and corrections alone.
 """
 
 from __future__ import annotations
@@ -73,10 +73,7 @@ PLACES = {
 }  # fmt: skip
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
-TABLES, SELF_DESCRIBING = (
-    ("text", "hdf5", "parquet"),
-    ("ulog", "rosbag", "ardupilot", "betaflight"),
-)  # values of `format`
+TABLES, SELF_DESCRIBING = (("text", "hdf5", "parquet"), ("csv", "ulog", "rosbag", "ardupilot"))  # values of `format`
 IN_BODY = ("rate", "acceleration")  # unless `frame` says otherwise
 _TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")

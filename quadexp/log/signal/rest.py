@@ -3,8 +3,8 @@
     motors off    sum_i T(s_i) < LOW of its median in flight, and the accelerometer, where there is one, reads g
     still         | |f| - g | < STILL_FORCE, and |v|, |w - mean w| and |f - mean f| as small as on the ground
 
-each over REST_TIME at least. T(s): s^2 of a rotor speed, s of a command or thrust. Still alone does not do where motors
-run: an ideal hover is still as well.
+each over REST_TIME at least. T(s): s^2 of a rotor speed or a command, s of a thrust. Still alone does not do where
+motors run: an ideal hover is still as well.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def at_rest(
     if motionless and "f" in streams and "w" in streams:
         rest |= _still(streams, width)
     if thrust is not None:
-        level = flying_level(thrust)
+        level = flying_level(thrust, streams.get("f"))
         rest &= thrust < RUNNING * level
         off = thrust < LOW * level
         if "f" in streams:
@@ -54,11 +54,15 @@ def at_rest(
     return rest
 
 
-def flying_level(thrust: np.ndarray) -> float:
-    """Median of a thrust (k,) over the samples above a tenth of its peak."""
-    known = thrust[np.isfinite(thrust)]
-    peak = float(np.quantile(known, 0.995)) if len(known) else 0.0
-    return float(np.median(known[known > 0.1 * peak])) if peak > 0 else 0.0
+def flying_level(thrust: np.ndarray, force: np.ndarray | None = None) -> float:
+    """The thrust (k,) that carries the vehicle: by the specific force (k, 3), else the median above a tenth of the peak."""
+    peak = float(np.nanquantile(thrust, 0.995)) if len(thrust) else 0.0
+    if not peak > 0:
+        return 0.0
+    if force is None:
+        return float(np.median(thrust[thrust > 0.1 * peak]))
+    flies = thrust > 0.05 * peak
+    return float(np.median(thrust[flies] * GRAVITY / np.maximum(force[flies, 2], 0.3 * GRAVITY)))
 
 
 def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
@@ -66,7 +70,8 @@ def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     for name in ("rotor_speed", "motor_command", "rotor_thrust", "u", "thrust_acceleration"):
         if name in columns:
             signal = np.nan_to_num(np.asarray(columns[name], float))
-            return np.sum(signal**2 if name == "rotor_speed" else signal, axis=1)
+            signal = np.clip(signal, 0.0, 1.0) if name == "motor_command" else signal  # what is beyond is no command
+            return np.sum(signal**2 if name in ("rotor_speed", "motor_command") else signal, axis=1)
     return None
 
 

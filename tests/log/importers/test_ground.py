@@ -83,3 +83,17 @@ def test_ulog_takes_crop_and_corrections_of_a_mapping(tmp_path):
     flight, notes = import_log(log, None, options, checked(options))
     plain, _ = import_log(log, None, Options(crop=False))
     assert np.allclose(flight["v_x"], 2 * plain["v_x"]) and any("never in the air" in note for note in notes)
+
+
+@pytest.mark.parametrize("idle", [0.0, 0.1, 0.15])
+@pytest.mark.parametrize("hover", [0.2, 0.45])
+def test_motors_that_idle_on_the_ground_and_a_vehicle_with_much_thrust(idle, hover):
+    """5 s of idle with the shaking of it, 10 s of hover, 5 s of hard manoeuvres."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 20, 0.01)
+    flies, hard = t > 5, t > 15
+    lift = np.where(hard, 1 + 2 * np.sin(3 * t) ** 2, 1.0)
+    f = np.column_stack([0 * t, 0 * t, np.where(flies, lift, 1.0) * G]) + 0.3 * rng.normal(size=(len(t), 3))
+    command = np.where(flies, np.minimum(hover * np.sqrt(lift), 1.0), min(idle, 0.5 * hover))
+    rest = at_rest(t, {"f": f, "w": 0.1 * rng.normal(size=(len(t), 3))}, command**2)
+    assert rest[20:480].all() and not rest[520:].any()
