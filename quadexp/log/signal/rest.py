@@ -55,7 +55,7 @@ def at_rest(
 
 
 def flying_level(thrust: np.ndarray, force: np.ndarray | None = None) -> float:
-    """The thrust (k,) that carries the vehicle: by the specific force (k, 3), else the median above a tenth of the peak."""
+    """The thrust that carries the vehicle: by the specific force (k, 3), else the median above a tenth of the peak."""
     peak = float(np.nanquantile(thrust, 0.995)) if len(thrust) else 0.0
     if not peak > 0:
         return 0.0
