@@ -62,7 +62,7 @@ def flying_level(thrust: np.ndarray, force: np.ndarray | None = None) -> float:
     if force is None:
         return float(np.median(thrust[thrust > 0.1 * peak]))
     flies = thrust > 0.05 * peak
-    return float(np.median(thrust[flies] * GRAVITY / np.maximum(force[flies, 2], 0.3 * GRAVITY)))
+    return float(np.median(thrust[flies] * GRAVITY / np.maximum(norms(force[flies]), 0.3 * GRAVITY)))
 
 
 def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
