@@ -23,6 +23,7 @@ import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.delays import timing_by_accelerometer
 from quadexp.experiment.evaluate import build_loop, describe, thrust_excess
 from quadexp.experiment.identity import digest, find_model, flight_record
 from quadexp.experiment.vehicle_of import refuse_repeated
@@ -227,7 +228,9 @@ def _simulated_rows(
         index = dataset.columns["flight"]
         tables = [dataset.rows(index == i).columns for i in group]
         noise = noise_of(dataset.rows(np.isin(index, group)))
-        timings.append((group, fit_timing([flights[i] for i in group], vehicle, tables, noise=noise)))
+        of_group = [flights[i] for i in group]
+        known = timing_by_accelerometer(of_group, vehicle, of_estimate=settings.state == "estimate")
+        timings.append((group, fit_timing(of_group, vehicle, tables, noise=noise, known=known)))
     extra: dict[str, Any] = {}
     lines: list[str] = []
     if not all(fit.timing.is_ideal for _, fit in timings):
@@ -261,7 +264,7 @@ def collect_dataset(
         if save_flights is not None:
             said = f"two flights named {{path}} would both be written to {save_flights}"
             refuse_repeated("collect --save-flights", [Path(file.stem) for file in flights], said)
-        flown = [read_flight(file, whole=True) for file in flights]
+        flown = [read_flight(file, whole=True, placed=False) for file in flights]
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
     else:

@@ -103,7 +103,7 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
     if excess and not config.trajectory.allow_infeasible:
         raise InfeasibleError(
             f"{config.trajectory.name} cannot be flown: {excess};"
-            " lower trajectory.speed, or pass trajectory.allow_infeasible=true"
+            f" {getattr(trajectory, 'remedy', 'lower trajectory.speed')}, or pass trajectory.allow_infeasible=true"
         )
     worst = compare(reference, vehicle)
     notes = [getattr(trajectory, "note", ""), "" if worst is None else str(worst), below_ground(config, trajectory)]

@@ -50,7 +50,7 @@ def validate(
     refuse_repeated("validate", [Path(path.name) for path in models], "two models are named {path}; rename one folder")
     loaded = [(path.name, load_model(path, vehicle=vehicle, unknown=True)) for path in models]
     loaded.sort(key=lambda item: not isinstance(item[1], VehicleModel))  # those that have the thrust curve first
-    flown = {path.stem: read_flight(path, whole=True) for path in flights}
+    flown = {path.stem: read_flight(path, whole=True, placed=False) for path in flights}
     if len(flown) < len(flights):
         raise UsageError("--flights: two of them have the same name")
     if leave_one_out and len(flown) < 2:
@@ -63,7 +63,8 @@ def validate(
         others = without(flown, tested)
         chosen = refitted(loaded, others, vehicle) if leave_one_out else loaded
         used = _predictors(chosen, vehicle)
-        rows = [read_rows(flown[name], name, used[0].curve.signal, used[0].curve.delay) for name in tested]
+        curve = used[0].curve
+        rows = [read_rows(flown[name], name, curve.signal, curve.delay, curve.lag) for name in tested]
         for predictor in used:
             by_predictor.setdefault(predictor.name, []).extend((predictor, of_flight) for of_flight in rows)
             for name in () if leave_one_out else tested:

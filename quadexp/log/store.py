@@ -341,13 +341,16 @@ def write_flight(path: str | Path, flight: Flight, *, force: bool = True, durabl
     return write_table(path, flight.columns, {**flight.metadata, **extra}, "flight", force=force, durable=durable)
 
 
-def read_flight(path: str | Path, *, check: bool = True, whole: bool = False) -> Flight:
-    """Read a flight. check: refuse NaN in time, state or input (naming column and row). whole: refuse time that does
-    not go on, and flights of which some samples only are stored, as what is learned from differences must."""
-    thrust = () if read_metadata(path, "flight").get("recorded") else ("u_0",)  # a log seldom says the rotors' thrust
-    columns, record = read_table(path, "flight", required=("t", *STATE_COLUMNS, *thrust))
+def read_flight(path: str | Path, *, check: bool = True, whole: bool = False, placed: bool = True) -> Flight:
+    """Read a flight. placed: whether a log must have its position, which the specific force does not need.
+    check: refuse NaN in time, state or input (naming column and row). whole: refuse time that does not go on, and
+    flights of which some samples only are stored, as what is learned from differences must."""
+    recorded = bool(read_metadata(path, "flight").get("recorded"))
+    thrust = () if recorded else ("u_0",)  # a log seldom says the rotors' thrust
+    state = [name for name in STATE_COLUMNS if placed or not recorded or not name.startswith("p_")]
+    columns, record = read_table(path, "flight", required=("t", *state, *thrust))
     if check:
-        names = ["t", *STATE_COLUMNS, *(name for name in columns if name.startswith("u_"))]
+        names = ["t", *state, *(name for name in columns if name.startswith("u_"))]
         check_finite(columns, names, str(path))
         check_attitude(columns, str(path))
     if whole:

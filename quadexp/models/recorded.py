@@ -13,8 +13,15 @@ flight, and no function of the velocity can predict that:
     a_z = e_f T / m + acceleration of the air        e_f: of flight f; T / m: the thrust curve's acceleration, m/s^2
 
 A regression over several flights would attribute e_f to whatever differs between them (speed, mean thrust) and be wrong
-on the next one. So models are fitted to recorded flights after every flight's e_f has been brought to their mean
-(`with_common_scale`), and the spread of e_f is added to the predicted variance.
+on the next one; and e_f alone would take the lift of the faster flight for a fuller battery. So both are one mixed
+model
+(Laird & Ware 1982),
+
+    a_z = (e + e_f) T / m + l V_h^2 - d v_z - q |v_z| v_z,    e_f ~ N(0, s^2),    V_h^2 = v_x^2 + v_y^2
+
+by expectation and maximisation of s and of the noise, which is correlated over the samples. Models are fitted to
+recorded flights after every flight's e_f has been brought to their mean (`with_common_scale`), and the spread of e_f is
+added to the predicted variance.
 
 On a new flight e is unknown at take-off and can be tracked from the accelerometer (`tracked_scale`):
 
@@ -37,13 +44,15 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import plain
 from quadexp.models.dataset import ResidualDataset, by_axis, joined, transitions
-from quadexp.models.residual import THRUST
+from quadexp.models.regression import autocorrelation_time
+from quadexp.models.residual import THRUST, VELOCITY
 from quadexp.models.samples import choose_signal, read_rows, rotor_columns
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.physics.vehicle import Vehicle
 
 MEMORY = 10.0  # s, of the tracked scale
 PRIOR = 0.5  # s
+ROUNDS = 60  # of expectation and maximisation
 THRUST_SIGNALS = ("u", "thrust_acceleration")  # in units of force or acceleration, usable without a thrust curve
 
 
@@ -77,7 +86,7 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
 
     Raises DataError for a column that is missing or not finite, and for another number of rotors than the vehicle's.
     """
-    row = read_rows(flight, name, curve.signal, curve.delay)
+    row = read_rows(flight, name, curve.signal, curve.delay, curve.lag)
     samples = row.samples
     rotors = curve.of_signal(samples.signal, samples.voltage)
     if rotors.shape[1] != vehicle.n_rotors:
@@ -138,22 +147,45 @@ def has_thrust_scale(dataset: ResidualDataset) -> bool:
 
 
 def with_common_scale(dataset: ResidualDataset) -> CommonScale:
-    """Bring e_f, the least-squares scale of a_z on the thrust, to its mean over the flights, where these have one."""
+    """Bring e_f to its mean over the flights, where these have one; see the module."""
     if not has_thrust_scale(dataset):
         return CommonScale(dataset, {}, 0.0)
     mass = dataset.metadata["vehicle"]["mass"]
     acceleration = dataset.matrix([THRUST])[:, 0] / mass
     a_z = dataset.matrix(["a_z"])[:, 0].copy()
-    flight = dataset.columns["flight"]
-    errors = {}
-    for index in np.unique(flight):
-        thrust = acceleration[flight == index]
-        errors[int(index)] = float(thrust @ a_z[flight == index] / (thrust @ thrust))
-    mean = float(np.mean(list(errors.values())))
-    for index, error in errors.items():
-        a_z[flight == index] -= (error - mean) * acceleration[flight == index]
+    indices, flight = np.unique(dataset.columns["flight"], return_inverse=True)
+    scales = _scales_of_flights(a_z, acceleration, dataset.matrix(VELOCITY), flight)
+    a_z -= (scales - scales.mean())[flight] * acceleration
     columns = dict(dataset.columns) | {"a_z": a_z}
+    errors = {int(index): float(scale) for index, scale in zip(indices, scales, strict=True)}
     return CommonScale(ResidualDataset(columns, dataset.metadata), errors, float(acceleration.mean()))
+
+
+def _scales_of_flights(a_z: np.ndarray, thrust: np.ndarray, velocity: np.ndarray, flight: np.ndarray) -> np.ndarray:
+    """e + e_f, (flights,), of the mixed model. a_z, thrust (T / m): (k,); velocity: (k, 3) body; flight: (k,) index."""
+    count = int(flight.max()) + 1
+    v_z = velocity[:, 2]
+    air = np.column_stack([velocity[:, 0] ** 2 + velocity[:, 1] ** 2, v_z, np.abs(v_z) * v_z])
+    air = air[:, air.any(axis=0)]
+    each = np.zeros((len(a_z), count))
+    each[np.arange(len(a_z)), flight] = thrust
+    design = np.column_stack([thrust, air, each])
+    size = np.sqrt(np.mean(design**2, axis=0)) + 1e-12
+    size[-count:] = size[0]  # a scale of one flight is compared with that of all
+    design = design / size
+    fixed = design.shape[1] - count
+    normal, mixed = design.T @ design, design.T @ a_z
+    alone = np.linalg.lstsq(design, a_z, rcond=None)[0]
+    together = max(autocorrelation_time((a_z - design @ alone)[flight == index]) for index in range(count))
+    noise, spread = float(np.mean((a_z - design @ alone) ** 2)) + 1e-12, float(np.mean(alone[fixed:] ** 2)) + 1e-12
+    for _ in range(ROUNDS):
+        precision = normal / (noise * together)
+        precision[np.arange(fixed, len(precision)), np.arange(fixed, len(precision))] += 1 / spread
+        covariance = np.linalg.pinv(precision, hermitian=True)
+        found = covariance @ mixed / (noise * together)
+        noise = float(np.mean((a_z - design @ found) ** 2)) + 1e-12
+        spread = float(np.mean(found[fixed:] ** 2 + np.diag(covariance)[fixed:])) + 1e-12
+    return (found[0] + found[fixed:]) / size[0]
 
 
 def tracked_scale(collective: np.ndarray, measured: np.ndarray, dt: float) -> np.ndarray:

@@ -218,17 +218,21 @@ class TimingFit:
 
 def fit_timing(
     flights: Sequence[Flight], vehicle: Vehicle, tables: Sequence[Mapping[str, np.ndarray]], *,
-    noise: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None, known: Timing | None = None,
 ) -> TimingFit:  # fmt: skip
     """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts.
 
-    noise: known standard deviations of the targets, which no timing can take away; None: not known.
+    noise: known standard deviations of the targets, which no timing can take away; None: not known. known: by the
+    accelerometer; taken unless the transitions show clearly another one, since it does not differentiate an estimate.
     """
     score = _Score(flights, vehicle, tables, noise or {})
     thrusts = [measured_thrust(flight, vehicle) for flight in score.flights]
     measured = [(flight, thrust) for flight, thrust in zip(score.flights, thrusts, strict=True) if thrust is not None]
     by_speed = measured and len(measured) == len(score.flights)
     timing = _by_rotor_speed(measured, vehicle, score) if by_speed else _search(score)
+    if known is not None and not by_speed:
+        left, least = (float(np.mean(np.log(score.rms(one)))) for one in (known, timing))
+        timing = known if left < least + WORTH else timing
     return TimingFit(timing, score.rms(Timing()), score.rms(timing))
 
 

@@ -8,11 +8,8 @@ held, so commands are taken one row earlier and the first row, which has no read
 that of the whole interval [k - 1, k]: at its end in a regression on readings, in its middle where motion is integrated.
 A recorded flight has a common clock since its import and is used row by row.
 
-A command that acts late is the signal of the time before (`delayed`): `gather_to_fit` takes the delay d with which
-
-    f_z = [1, sum_i s_i(t - d), sum_i s_i(t - d)^2, v_z, |v_z| v_z, v_x^2 + v_y^2] c
-
-leaves least, a whole number of periods, and none unless it is worth it.
+A command that acts late, with the lag of the motors, is L[s] (`delayed`): `gather_to_fit` takes the dead time and lag
+that the flights show (command_lag.py), none where these show none.
 """
 
 from __future__ import annotations
@@ -27,6 +24,7 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.log.signal import period_of
+from quadexp.models.command_lag import find_lag, lagged
 from quadexp.models.dataset import WIND, name_of
 from quadexp.models.residual import VELOCITY
 from quadexp.physics.state import norms
@@ -34,8 +32,8 @@ from quadexp.physics.state import norms
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
 HELD = ("u", "motor_command")  # commands, held over an interval
-LARGEST_DELAY = 0.12  # s
-WORTH = 0.05  # decrease of the log rms of f_z from which a delay is taken to be real
+COMMANDS = (*HELD, "thrust_acceleration")  # signals that may act late; a rotor's speed is what acts
+SETTLED = 3.0  # lags, after which what went before a segment is forgotten
 RATES = ("w_x", "w_y", "w_z")
 READINGS = ("acc_x", "acc_y", "acc_z")
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
@@ -48,7 +46,8 @@ class Samples:
     force: specific force, (k, 3) body FLU (m/s^2). velocity: air-relative, (k, 3) body FLU (m/s).
     signal: rotors' signal, (k, n) ((k, 1) for thrust_acceleration). voltage: (k,) V, or None where a flight lacks it.
     rate: body rates, (k, 3) FLU (rad/s), or None where a flight lacks them. held: (k,), whether the signal was held
-    over the interval that ends at the sample. delay: by which the signal is earlier (s).
+    over the interval that ends at the sample. delay, lag: dead time and time constant that the signal went through (s).
+    later: the signal with one standard error more of delay, (k, n), or None where it has none.
     """
 
     time: np.ndarray
@@ -63,6 +62,8 @@ class Samples:
     voltage: np.ndarray | None = None
     rate: np.ndarray | None = None
     delay: float = 0.0
+    lag: float = 0.0
+    later: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -77,11 +78,12 @@ class Samples:
         chosen = {k: part[selection] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
         return replace(self, **chosen)
 
-    def delayed(self, delay: float) -> Samples:
-        """With the signal of `delay` (s) earlier; at the beginning of a segment, where it is not known, the first."""
-        if not delay:
+    def delayed(self, delay: float, lag: float = 0.0) -> Samples:
+        """With the signal of `delay` (s) earlier, through a first-order lag (s); see command_lag.lagged."""
+        if not (delay or lag):
             return self
-        return replace(self, signal=self.signal[earlier(self.time, self.segment, delay)], delay=self.delay + delay)
+        signal = late_signal(self.time, self.segment, self.signal, delay, lag, held=self.held)
+        return replace(self, signal=signal, delay=self.delay + delay, lag=self.lag + lag)
 
     def during(self, values: np.ndarray) -> np.ndarray:
         """Values (k, n) of the signal, over the interval that begins at each sample."""
@@ -89,13 +91,15 @@ class Samples:
         return np.where(self.held[:, None], values[later], values)
 
 
-def earlier(time: np.ndarray, segment: np.ndarray, delay: float) -> np.ndarray:
-    """The sample, (k,), of a time `delay` (s) before each; at the beginning of a segment its first.
-
-    time, segment: (k,), segments one after another with increasing numbers.
-    """
-    rows = round(delay / period_of(time))
-    return np.maximum(np.arange(len(time)) - rows, np.searchsorted(segment, segment))
+def late_signal(
+    time: np.ndarray, segment: np.ndarray, signal: np.ndarray, delay: float, lag: float, *, held: np.ndarray
+) -> np.ndarray:
+    """L[s], (k, n), segment by segment. time, held: (k,); segment: (k,), ascending numbers."""
+    late = signal.astype(float)
+    period = period_of(time)
+    for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(segment)) + 1):
+        late[rows] = lagged(late[rows], period, delay, lag, ends=bool(held[rows[0]]))
+    return late
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:
@@ -162,26 +166,15 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
 def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: Sequence[str] | None = None) -> Samples:
     """All samples of the flights, the commands of simulated ones as late as they act; see `choose_signal`, `gather`."""
     samples = gather(flights, choose_signal(flights, signal), names)
-    if not samples.held.all():
+    if samples.kind not in COMMANDS:
         return samples
-    period = period_of(samples.time)
-    most = round(LARGEST_DELAY / period)
-    rows = np.arange(most, len(samples))
-    rows = rows[samples.segment[rows] == samples.segment[rows - most]]
-    if len(rows) <= most:
+    late = find_lag(samples.time, samples.segment, samples.signal, samples.force[:, 2], samples.velocity, samples.held)
+    if late is None or not late.late:
         return samples
-    v, target = samples.velocity[rows], samples.force[rows, 2]
-    beside = [np.ones(len(rows)), v[:, 2], np.abs(v[:, 2]) * v[:, 2], v[:, 0] ** 2 + v[:, 1] ** 2]
-    error = np.empty(most + 1)
-    for late in range(most + 1):
-        sent = samples.signal[rows - late]
-        design = np.column_stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)])
-        error[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
-    late = int(np.argmin(error))
-    if error[late] > np.exp(-WORTH) * error[0]:
-        return samples
-    known = np.arange(len(samples)) - late >= np.searchsorted(samples.segment, samples.segment)
-    return samples.delayed(late * period).rows(known)
+    first = samples.time[np.searchsorted(samples.segment, samples.segment)]
+    known = samples.time - first >= late.dead_time + SETTLED * late.lag
+    behind = samples.delayed(late.dead_time + late.error, late.lag).signal
+    return replace(samples.delayed(late.dead_time, late.lag), later=behind).rows(known)
 
 
 @dataclass(frozen=True)
@@ -204,10 +197,10 @@ class FlightRows:
         return norms(self.samples.velocity)
 
 
-def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> FlightRows:
-    """delay: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed, body rates
-    too, or where these are not finite."""
-    samples = gather([flight], signal, [name]).delayed(delay)
+def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0, lag: float = 0.0) -> FlightRows:
+    """delay, lag: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed, body
+    rates too, or where these are not finite."""
+    samples = gather([flight], signal, [name]).delayed(delay, lag)
     first = len(flight) - len(samples)
     check_columns(flight, name, RATES, first)
     return FlightRows(name, flight, samples, flight.stack(RATES)[first:], first)

@@ -27,7 +27,7 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
 from quadexp.models.regression import Regression, half_width, regress
-from quadexp.models.samples import SIGNALS, Samples, earlier, rotor_columns
+from quadexp.models.samples import SIGNALS, Samples, late_signal, rotor_columns
 from quadexp.physics.state import root_mean_square
 
 # Powers of the signal in the curve, and the signals with an intercept by default.
@@ -46,7 +46,7 @@ class ThrustCurve(Record, frozen=True):
     voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
     drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.
     residual_std: root mean square residual along z, m/s^2. signal_range: smallest and largest signal of the fit. loss:
-    "squares" or "huber". delay: between the signal and its thrust (s).
+    "squares" or "huber". delay, lag: dead time and time constant of the thrust behind its signal (s).
     """
 
     signal: Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(SIGNALS)})$")]
@@ -67,6 +67,7 @@ class ThrustCurve(Record, frozen=True):
     signal_range: Annotated[np.ndarray | None, Shape("2")] = None
     loss: str = "squares"
     delay: float = 0.0
+    lag: float = 0.0
 
     def rotor_acceleration(self, flight: Flight) -> np.ndarray:
         """Acceleration that each rotor's thrust gives, (k, n) (m/s^2), sample by sample.
@@ -78,8 +79,10 @@ class ThrustCurve(Record, frozen=True):
             raise DataError(f"the flight has no column {self.signal}_0, which this thrust curve needs")
         voltage = flight["battery_voltage"] if self.reference_voltage else None
         signal = flight.stack(columns).astype(float)
-        if self.delay:
-            signal = signal[earlier(flight.t, flight.columns.get("segment", np.zeros(len(flight))), self.delay)]
+        if self.delay or self.lag:
+            segment = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))
+            held = np.zeros(len(flight), bool)
+            signal = late_signal(np.asarray(flight.t, float), segment, signal, self.delay, self.lag, held=held)
         return self.of_signal(signal, voltage)
 
     def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None = None) -> np.ndarray:
@@ -117,6 +120,7 @@ class ThrustCurve(Record, frozen=True):
         if self.has_intercept:
             terms.append(f"b {self.intercept:.4g} +- {half_width(self.intercept_error, self.freedom):.2g}")
         late = f"; commands {1e3 * self.delay:.3g} ms late" if self.delay else ""
+        late += f"; motor lag {1e3 * self.lag:.3g} ms" if self.lag else ""
         return f"on {scaled}: {'; '.join(terms)}{late}"
 
 
@@ -191,6 +195,9 @@ def fit_thrust_samples(
     if g is None:
         g = _search_exponent(samples.thinned(SEARCH_SAMPLES), design) if fit_exponent else 1.0
     regression = fit(design(samples, g), names)
+    if samples.later is not None and intervals:  # one standard error of the delay
+        behind = fit(design(replace(samples, signal=samples.later), g), names).coefficients - regression.coefficients
+        regression = replace(regression, covariance=regression.covariance + np.outer(behind, behind))
     scaled = scaled_signal(samples.signal, samples.voltage, reference, g)
     if fit_exponent and intervals:  # the regression linearised in g, with da/dg as a further column
         slope = sum(c * p * scaled**p for c, p in zip(regression.coefficients, powers, strict=False)).sum(axis=1)
@@ -210,7 +217,7 @@ def fit_thrust_samples(
         float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
         float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
         regression.condition, root_mean_square(regression.residual), np.array([scaled.min(), scaled.max()]),
-        delay=samples.delay,
+        delay=samples.delay, lag=samples.lag,
     )  # fmt: skip
     return curve, regression
 

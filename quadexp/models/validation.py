@@ -206,6 +206,12 @@ def band_rows(results: Sequence[Residuals]) -> list[Row]:
     return rows
 
 
+def _way(t: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Integral (k, 3) of a velocity, in place of a position that a log does not have."""
+    steps = np.diff(t)[:, None] * (velocity[1:] + velocity[:-1]) / 2
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+
 class Track:
     """A flight's measured motion at the samples, and the accelerations by a predictor's thrust curve: `rotors` at the
     accelerometer's reading of each sample, `ahead` over the motion that begins there."""
@@ -213,7 +219,9 @@ class Track:
     def __init__(self, row: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
         flight, at, self.predictor = row.flight, slice(row.first, None), predictor
         self.name, self.dt, self.speed = row.name, row.dt, row.speed
-        self.position, self.velocity = flight.stack(POINT)[at], flight.stack(WORLD_VELOCITY)[at]
+        self.velocity = flight.stack(WORLD_VELOCITY)[at]
+        placed = set(POINT) <= set(flight.columns)
+        self.position = flight.stack(POINT)[at] if placed else _way(flight.t[at], self.velocity)
         self.quaternion = flight.stack(QUATERNION)[at]
         self.rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
         self.matrix = self.rotation.as_matrix()

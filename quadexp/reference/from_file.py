@@ -1,15 +1,18 @@
 """Trajectory from a file: a sampled track, or waypoints, distinguished by the file's first line.
 
-    CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw (s, m, rad; world ENU); 8 rows or more
+    CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw or heading, or q_w .. q_z (s, m, rad;
+                   world ENU; body to world); 8 rows or more
     CSV waypoints  a header with the columns x, y, z and, if there, t and yaw (m, s, rad; world ENU); 2 rows or more
     TUM track      t x y z qx qy qz qw, separated by blanks, no header (s, m; quaternion body to world)
 
-Other columns, and lines that begin with #, are ignored. The yaw of a TUM file follows the convention of the reference:
-y_body level with (-sin yaw, cos yaw, 0).
+Other columns are ignored, which the trajectory's note says, and lines that begin with #; but one with commas above the
+first row is a header, as EuRoC writes it. The yaw of an attitude follows the convention of the reference: y_body level
+with (-sin yaw, cos yaw, 0).
 
-A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative,
-not-a-knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. Time starts at the first
-row; without a yaw the heading is 0.
+A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative, not-a-
+knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. With `smooth` (s) the spline is
+one of least squares with a knot in so many seconds, which leaves faster noise out. Time starts at the first row;
+without a yaw the heading is 0.
 
 Waypoints are joined by minimum-snap polynomials, at rest at both ends; without a yaw the heading is free. Times in the
 file are kept. Otherwise segment durations are proportional to the p-th power of their lengths, with the p of POWERS
@@ -19,16 +22,17 @@ that gives the shortest flight within the vehicle's limits and the requested pea
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.importers.columns import groups
 from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.state import norms
@@ -51,6 +55,11 @@ MIN_ROWS = 8  # of a track, needed by the degree-7 spline
 MIN_POINTS, MAX_POINTS = 2, 200
 TRACK = ("t", "p_x", "p_y", "p_z")
 WAYPOINTS = ("x", "y", "z")
+ATTITUDE = ("q_w", "q_x", "q_y", "q_z")
+MOST_IGNORED = 6  # columns that the note lists
+SMOOTH = 0.3  # s: what is proposed for a noisy track
+NANOSECONDS = 1e17  # times beyond are in ns
+NOISY = 3.0  # times the acceleration of the smoothed track: more is noise
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -59,12 +68,14 @@ class Positions:
     """Content of a file. sampled: True for a track, False for waypoints.
 
     times: (k,), s; None for waypoints without times. points: (k, 3), world (m). yaw: (k,), unwrapped (rad), or None.
+    ignored: columns that are not flown.
     """
 
     sampled: bool
     times: np.ndarray | None
     points: np.ndarray
     yaw: np.ndarray | None
+    ignored: tuple[str, ...] = ()
 
 
 def read_positions(path: Path) -> Positions:
@@ -77,12 +88,16 @@ def read_positions(path: Path) -> Positions:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a readable text file ({error})") from None
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    every = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [(i, line) for i, line in every if not line.startswith("#")]
+    above = [(i, line.lstrip("# ")) for i, line in every if lines and i < lines[0][0] and "," in line]
+    if above and not any(c.isalpha() for c in lines[0][1].lower().replace("e", "")):  # a row of numbers
+        lines.insert(0, above[-1])
     if not lines:
         raise DataError(f"{path}: no rows (a track needs at least {MIN_ROWS}, waypoints {MIN_POINTS})")
     if "," in lines[0][1]:
         (first, names), *rows = [(i, next(csv.reader([line]))) for i, line in lines]
-        header = [name.strip() for name in names]
+        header = _renamed([name.strip() for name in names])
         columns = _columns(f"{path}, line {first}", header)
     else:
         header, columns, rows = list(TUM), TUM, [(i, line.split()) for i, line in lines]
@@ -102,17 +117,36 @@ def read_positions(path: Path) -> Positions:
     times = values.get("t")
     for (i, _), (before, now) in zip(rows[1:], pairwise(points if times is None else times), strict=True):
         if times is not None and now <= before:
-            raise DataError(f"{path}, line {i}: t = {now:g} s is not after {before:g} s, time must increase")
+            way = "the row is there twice: leave one of both out" if now == before else "time must increase"
+            raise DataError(f"{path}, line {i}: t = {now:.9g} s is not after {before:.9g} s, {way}")
         if times is None and np.array_equal(before, now):
             raise DataError(f"{path}, line {i}: the same point as in the previous row; add a column t to stay there")
-    yaw = _heading(path, rows, table[:, 4:]) if columns == TUM else values.get("yaw")
-    return Positions(sampled, times, points, None if yaw is None else np.unwrap(yaw))
+    scale = 1e-9 if times is not None and times[0] > NANOSECONDS else 1.0
+    times = None if times is None else times * scale
+    yaw = values.get("yaw", values.get("heading"))
+    if columns == TUM or (yaw is None and set(ATTITUDE) <= values.keys()):
+        order = TUM[4:] if columns == TUM else (*ATTITUDE[1:], ATTITUDE[0])
+        yaw = _heading(path, rows, np.column_stack([values[name] for name in order]))
+    ignored = tuple(name for name in header if name not in columns)
+    return Positions(sampled, times, points, None if yaw is None else np.unwrap(yaw), ignored)
+
+
+def _renamed(header: list[str]) -> list[str]:
+    """Names of a track as this program has them, where other ones say as much (importers/columns.py)."""
+    if any(name in header for name in (*TRACK, *WAYPOINTS)):
+        return header
+    known, header = groups(header), list(header)
+    for quantity, names in (("time", TRACK[:1]), ("position", TRACK[1:]), ("attitude", ATTITUDE)):
+        for columns in known.get(quantity, [])[:1]:
+            for place, name in zip(columns, names, strict=True):
+                header[place] = name
+    return header
 
 
 def _columns(where: str, header: list[str]) -> tuple[str, ...]:
     """The columns that are read of a CSV file; DataError where one is missing."""
     waypoints = any(name in header for name in WAYPOINTS) and not any(name in header for name in TRACK[1:])
-    needed, optional = (WAYPOINTS, ("t", "yaw")) if waypoints else (TRACK, ("yaw",))
+    needed, optional = (WAYPOINTS, ("t", "yaw")) if waypoints else (TRACK, ("yaw", "heading", *ATTITUDE))
     if missing := [name for name in needed if name not in header]:
         about = "optional t and yaw, for waypoints" if waypoints else "optional yaw; waypoints: x, y, z"
         raise DataError(
@@ -165,11 +199,23 @@ class FileTrajectory(LimitedTrajectory):
     )
     speed: float | None = key(None, SPEED)
     margin: float = key(0.25, MARGIN)
+    smooth: float | None = key(None, "of a track: time between the knots of a smoothing spline (s); null: every row")
 
     @property
     def note(self) -> str:
-        """The limit that keeps the waypoints below the requested speed, in one line; "" if none."""
+        """The limit that keeps the waypoints below the requested speed, or what of a track is not flown; "" if none."""
         return self._timed[1]
+
+    @property
+    def remedy(self) -> str:
+        """What helps where the path cannot be flown."""
+        if not isinstance(self.flown, SampledTrack):
+            return "lower trajectory.speed"
+        smoothed = replace(self.flown, smooth=max(SMOOTH, 2 * self.flown.smooth))
+        peak, without = (norms(track.flat_output(track.times).position[:, 2]).max() for track in (self.flown, smoothed))
+        if peak > NOISY * without:
+            return f"its rows are noisy: trajectory.smooth={smoothed.smooth:g} (s) smooths them, or leave rows out"
+        return "stretch the times in the file"
 
     @property
     def flown(self) -> Trajectory:
@@ -190,7 +236,12 @@ class FileTrajectory(LimitedTrajectory):
                 )
             assert positions.times is not None
             yaw = np.zeros(len(positions.times)) if positions.yaw is None else positions.yaw
-            return SampledTrack(positions.times - positions.times[0], np.column_stack([positions.points, yaw])), ""
+            points = np.column_stack([positions.points, yaw])
+            track = SampledTrack(positions.times - positions.times[0], points, self.smooth or 0.0)
+            names = ", ".join(positions.ignored[:MOST_IGNORED]) + (
+                ", .." if len(positions.ignored) > MOST_IGNORED else ""
+            )
+            return track, f"columns that are not flown: {names}" if names else ""
         try:
             return self._through(positions)
         except ValueError as error:
@@ -220,10 +271,12 @@ class FileTrajectory(LimitedTrajectory):
 
 @dataclass(frozen=True)
 class SampledTrack:
-    """A spline through the rows of a track. times: (k,), s, from zero on. points: (k, 4), x, y, z (m) and yaw (rad)."""
+    """A spline through the rows of a track. times: (k,), s, from zero on. points: (k, 4), x, y, z (m) and yaw (rad).
+    smooth: time between its knots (s), 0: every row."""
 
     times: np.ndarray
     points: np.ndarray
+    smooth: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -241,4 +294,8 @@ class SampledTrack:
     @cached_property
     def _derivatives(self) -> tuple[BSpline, ...]:
         """The splines of the points with their derivatives up to the fourth."""
-        return derivatives(make_interp_spline(self.times, self.points, k=DEGREE))
+        inner = np.arange(self.smooth, self.duration - self.smooth / 2, self.smooth) if self.smooth else np.empty(0)
+        if not self.smooth or len(inner) + DEGREE + 1 >= len(self.times):
+            return derivatives(make_interp_spline(self.times, self.points, k=DEGREE))
+        knots = np.concatenate([[0.0] * (DEGREE + 1), inner, [self.duration] * (DEGREE + 1)])
+        return derivatives(make_lsq_spline(self.times, self.points, knots, k=DEGREE))

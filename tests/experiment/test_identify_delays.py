@@ -12,11 +12,14 @@ from quadexp.control.delay.moments import Moments, Stream
 from quadexp.control.delay.timing import Search
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.delays import overrides, told
+from quadexp.experiment.delays import _of_simulated, identify_delays, overrides, told
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.models.dataset import transitions
+from quadexp.models.rotor_thrust import fit_timing
 from quadexp.parts.compose import compose
+from tests.models.late_flights import C, late_flight
 
 NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", "trajectory.speed=6", "seed=3"]
 
@@ -67,6 +70,34 @@ def test_a_log_without_commands_or_accelerometer_is_refused(without, said):
     columns = {name: values for name, values in flight.columns.items() if not name.startswith(without)}
     with pytest.raises(DataError, match=f"log: delays are found from the {said}"):
         told(Flight(columns, flight.metadata), "log")
+
+
+def test_a_log_tells_by_commands_of_any_unit_and_by_the_speeds_of_its_rotors(tmp_path):
+    """Dead time 20 and lag 30 ms; the state is not old, which needs no commands."""
+    flight, path = late_flight(0.02, 0.03), tmp_path / "log.parquet"
+    speeds = 1000 * np.sqrt(np.maximum(flight["acc_z"], 0.0) / (4 * C))
+    fast = {f"rotor_speed_{i}": speeds for i in range(4)}
+    for columns, by in (({}, "motor_command and the specific force"), (fast, "the rotor speeds")):
+        write_flight(path, Flight(flight.columns | columns, flight.metadata), force=True)
+        report = identify_delays([path], None, None)
+        record = report["flights"][0]
+        assert record["dead_time"] == pytest.approx(0.02, abs=5e-3) and record["lag"] == pytest.approx(0.03, abs=5e-3)
+        assert record["age"] == pytest.approx(0.0, abs=2e-3)
+        assert any(by in line for line in report["lines"])
+        assert sum("rotor 3: dead time" in line for line in report["lines"]) == bool(columns)
+    bare = {name: x for name, x in flight.columns.items() if not name.startswith("motor")}
+    write_flight(path, Flight(bare, flight.metadata), force=True)
+    assert any("none of u, motor_command" in line for line in identify_delays([path], None, None)["lines"])
+
+
+def test_data_set_and_delays_agree():
+    """A dead time of 20 ms in a quiet flight, where the accelerometer alone does not tell."""
+    config = compose(["controller=nominal_mpc", "trajectory=lemniscate", "trajectory.speed=5", "link=latency",
+                      "link.latency=0.02", "controller.allow_unstable=true"])  # fmt: skip
+    vehicle, flight = build_vehicle(config.vehicle), fly_one(config)
+    _, delays = _of_simulated(flight, "a flight", vehicle)
+    timing = fit_timing([flight], vehicle, [transitions(flight, vehicle)]).timing
+    assert delays.dead_time == pytest.approx(timing.delay, abs=1e-3) == pytest.approx(0.02, abs=1e-3)
 
 
 def test_too_few_samples_are_refused():

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.log.schema import Flight
-from quadexp.models.samples import earlier
 from quadexp.models.thrust_curve import ThrustCurve
 from quadexp.models.validation import accelerometer_bias
 
@@ -20,7 +19,6 @@ def test_a_late_command_is_of_its_own_segment():
     first, second = 2 * signal[:10], 2 * signal[10:]
     late = np.concatenate([first[[0, 0, 0, *range(7)]], second[[0, 0, 0, *range(7)]]])
     assert curve.rotor_acceleration(Flight(columns, {}))[:, 0] == pytest.approx(late)
-    assert earlier(columns["t"], segment, 0.03).tolist() == [0, 0, 0, *range(7), 10, 10, 10, *range(10, 17)]
 
 
 def moving(noise=0.0):

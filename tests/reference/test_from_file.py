@@ -181,3 +181,47 @@ def test_the_files_of_the_guide_are_what_the_program_reads(written):
     assert {block.strip()[0] for block in blocks} == {"x", "t"}
     for block in blocks:
         assert built(written("\n".join(line.strip() for line in block.strip().splitlines()))).duration > 0
+
+
+def test_the_heading_of_an_attitude_is_flown(written):
+    """As in a TUM file and in a column yaw; `heading` is one too, and what is not flown is said."""
+    t = np.linspace(0, 4, 101)
+    yaw = 0.5 * np.pi + 0.8 * t
+    p = np.column_stack([2 * np.cos(0.8 * t), 2 * np.sin(0.8 * t), 1 + 0 * t])
+    q = Rotation.from_euler("z", yaw[:, None]).as_quat(scalar_first=True)
+    for header, columns in (("q_w,q_x,q_y,q_z", q), ("heading", yaw), ("yaw", yaw)):
+        path = FileTrajectory(path=written(table(f"t,p_x,p_y,p_z,{header},v_x", [t, p, columns, 0 * t])))
+        assert np.unwrap(path.flat_output(t).yaw[:, 0]) == pytest.approx(yaw, abs=1e-6)
+        assert path.note == "columns that are not flown: v_x"
+
+
+def test_a_header_behind_a_hash_as_euroc_writes_it(written):
+    t = np.linspace(0, 4, 101)
+    p = np.column_stack([np.cos(t), np.sin(t), 1 + 0 * t])
+    names = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+    q = Rotation.from_euler("z", t[:, None]).as_quat(scalar_first=True)
+    path = FileTrajectory(path=written(table(names, [1.7e18 + 1e9 * t, p, q])))
+    assert path.duration == pytest.approx(4.0, abs=1e-6)
+    assert path.flat_output(t).position[:, 0] == pytest.approx(p, abs=1e-4)
+    assert np.unwrap(path.flat_output(t).yaw[:, 0]) == pytest.approx(t, abs=1e-4)
+
+
+def test_noise_is_named_and_smoothed(written):
+    """A millimetre at 100 Hz takes thousands of newtons through every row."""
+    t = np.linspace(0, 4, 401)
+    p = np.column_stack([2 * np.cos(0.8 * t), 2 * np.sin(0.8 * t), 1 + 0 * t])
+    noisy = p + 1e-3 * np.random.default_rng(0).normal(size=p.shape)
+    file = written(table("t,p_x,p_y,p_z", [t, noisy]))
+    with pytest.raises(InfeasibleError, match=r"rows are noisy: trajectory.smooth=0.3 \(s\)"):
+        fly_one(compose(["trajectory=file", f"trajectory.path={file}", *INTERPRETED]))
+    smooth = FileTrajectory(path=file, smooth=0.5).flat_output(t)
+    assert np.abs(smooth.position[:, 0] - p).max() < 2e-3
+    exact = -0.64 * (p - [0, 0, 1])
+    assert np.abs(smooth.position[40:-40, 2] - exact[40:-40]).max() < 0.5
+
+
+def test_a_row_that_is_there_twice_is_named_with_its_digits(written):
+    rows = np.column_stack([1234.5678 + 0.01 * np.arange(20), *[np.arange(20.0)] * 3])
+    rows = np.insert(rows, 10, rows[10], axis=0)
+    with pytest.raises(DataError, match=r"line 13: t = 1234.6678 s .* is there twice: leave one of both out"):
+        FileTrajectory(path=written(table("t,p_x,p_y,p_z", [rows]))).duration  # noqa: B018

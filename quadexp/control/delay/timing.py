@@ -106,10 +106,14 @@ class Search:
     def find(self) -> Delays:
         """The likeliest delays."""
         found, errors = self._commands()
-        mean = within_periods(self.sizes, *found[:2])
-        age, age_error = self._velocity.least(mean)
-        gyro, gyro_error = self._attitude.least(np.empty(0))
-        return Delays(age, age_error, gyro, gyro_error, found[0], errors[0], found[1], errors[1])
+        ages = self.ages(within_periods(self.sizes, *found[:2]))
+        return Delays(*ages, found[0], errors[0], found[1], errors[1])
+
+    def ages(self, mean: np.ndarray | None = None) -> tuple[float, float, float, float]:
+        """Age of the state and how much younger the rates are, each with its standard error (s). mean: see
+        within_periods; None: the accelerometer alone is looked at, no commands."""
+        mean = np.zeros(self.sizes.commands + 1) if mean is None else mean
+        return (*self._velocity.least(mean), *self._attitude.least(np.empty(0)))
 
     def age_likelihood(self, ages: np.ndarray) -> np.ndarray:
         """Log likelihood of ages (s) of the state, less that of the one found, when the search has ended."""

@@ -8,17 +8,19 @@ degrees is reported as such, not as one that spins too fast.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from quadexp.log.check import rotors, samples, search
-from quadexp.log.check.candidates import KEYS, Candidate
+from quadexp.log.check.candidates import COLUMNS, KEYS, Candidate
 from quadexp.log.check.duplicates import check_duplicates
-from quadexp.log.check.finding import Finding, worst_first
+from quadexp.log.check.finding import Finding, of_rows, worst_first
 from quadexp.log.check.rotors import check_commands, check_flown, check_voltage
 from quadexp.log.schema import Flight
-from quadexp.log.signal import Stream, increasing
-from quadexp.log.signal.offset import find_offsets, turning_offset
+from quadexp.log.signal import Stream, continuous, increasing, longest
+from quadexp.log.signal.offset import Offset, aligned, find_offsets, turning_offset
+from quadexp.log.signal.rest import at_rest, thrust_of
 from quadexp.log.signal.windows import Windows, cut, streams_of
 from quadexp.physics.state import finite_rows
 from quadexp.physics.vehicle import Vehicle
@@ -31,6 +33,9 @@ THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
 OFFSET_BLOCKS = 0.1  # s
+CLEARANCE = 0.5  # m that a flight is above where it rests
+GROUND, GROUND_BLOCKS = 0.02, 0.05  # share of the samples at rest
+LETTERS = {key: letter for letter, key in KEYS.items()}
 # Faults of samples, of which the finding `inconsistent` is a symptom.
 BROKEN = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",
           "dead_logger"}  # fmt: skip
@@ -107,6 +112,7 @@ def inspect_flight(
     if any(finding.name == "no_flight" and finding.blocks for finding in findings):
         return worst_first(findings), bad_rows, None
 
+    findings += _check_ground(kept, streams, t)
     dead, lost = samples.check_dead(streams, t)
     frozen, stuck = samples.check_frozen(streams, t)
     findings += dead + ([] if dead and stuck.any() and not (stuck & ~lost).any() else frozen)
@@ -137,6 +143,21 @@ def inspect_flight(
         findings = [finding for finding in findings if finding.name != "inconsistent"]
     motion = None if vehicle is None or "w" not in repaired else rotors.motion_of(kept, vehicle, repaired["w"], bad)
     return worst_first(findings), bad_rows, motion
+
+
+def _check_ground(flight: Flight, streams: Mapping[str, np.ndarray], t: np.ndarray) -> list[Finding]:
+    """Rest on the ground, of which a fit would learn the push of the ground."""
+    commands = {kind: flight.stack(names) for kind, names in rotors.command_columns(flight).items()}
+    rest = at_rest(t, streams, thrust_of(commands))
+    if not commands and "p" in streams:  # an ideal hover is still too, but not below the flight
+        height = streams["p"][:, 2]
+        rest &= height < np.nanquantile(height, 0.95) - CLEARANCE
+    if rest.mean() <= GROUND:
+        return []
+    text = f"at rest with motors off, or still, in {rest.mean():.1%} of the samples"
+    severity = "blocking" if commands and rest.mean() > GROUND_BLOCKS else "warning"
+    advice = "`import` without --no-crop and with `crop: auto` leaves ground phases out"
+    return [of_rows("ground_phase", severity, "", longest(rest), t, text, f"{GROUND:.0%}", advice)]
 
 
 def _stray_rows(t: np.ndarray, when: np.ndarray, spikes: np.ndarray) -> np.ndarray:
@@ -177,13 +198,39 @@ def _consistency(
         return streams, []
     shifted = dict(streams)
     if {"q", "w"} <= streams.keys() and (~bad).sum() >= 50:
-        late = turning_offset(*(Stream(t[~bad], streams[name][~bad]) for name in "qw"))
-        if late is not None and late.certain and late.correlation > 0.7 and abs(late.seconds) > ALLOWED:
-            for name in set("wf") & streams.keys():
-                columns = np.nan_to_num(streams[name]).T
-                shifted[name] = np.stack([np.interp(t + late.seconds, t, column) for column in columns], axis=-1)
+        turning = turning_offset(*(Stream(t[~bad], streams[name][~bad]) for name in "qw"))
+        if turning is not None and turning.certain and turning.correlation > 0.7 and abs(turning.seconds) > ALLOWED:
+            shifted |= _moved(t, streams, dict.fromkeys("wf", turning.seconds))
     taken, found = search.explain(cut(t, shifted, ~bad, segment))
-    return _repaired(t, streams, taken), found
+    again = _repaired(t, streams, taken)
+    offsets = _offsets(again, t, ~bad)
+    late = any(one.certain and _late(one, t) > ALLOWED for one in offsets.values())
+    if late and not any(candidate.fault == "clock_scale" for candidate in taken):
+        on_one_clock = aligned({KEYS[name]: Stream(t, values) for name, values in streams.items()}, offsets)
+        moves = {name: t - on_one_clock[KEYS[name]].t for name in streams}
+        shifted = dict(streams) | _moved(t, streams, {name: by for name, by in moves.items() if by.any()})
+        taken, found = search.explain(cut(t, shifted, ~bad, segment))
+        again = _repaired(t, streams, taken)
+    return again, found
+
+
+def _moved(t: np.ndarray, streams: dict[str, np.ndarray], late: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Streams by letter that come `late` (s, a number or (k,)), at the times that they are of."""
+    moved = {}
+    for name in late.keys() & streams.keys():
+        values = continuous(np.nan_to_num(streams[name])) if name == "q" else np.nan_to_num(streams[name])
+        moved[name] = np.stack([np.interp(t + late[name], t, column) for column in values.T], axis=-1)
+    return moved
+
+
+def _offsets(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.ndarray) -> dict[tuple[str, str], Offset]:
+    good = good & _finite(streams)
+    return find_offsets({KEYS[name]: Stream(t[good], values[good]) for name, values in streams.items()})
+
+
+def _late(offset: Offset, t: np.ndarray) -> float:
+    """The largest that an offset becomes in a flight (s)."""
+    return max(abs(float(x)) for x in offset.at(t[[0, -1]])) if offset.drift else abs(offset.seconds)
 
 
 def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candidate]) -> dict[str, np.ndarray]:
@@ -201,15 +248,17 @@ def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candida
 
 
 def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.ndarray) -> list[Finding]:
-    """A gyro that is late or early beyond what clean logs are. good: samples to be used, (k,)."""
-    if not {"q", "w"} <= streams.keys():
-        return []
-    good = good & _finite(streams)
-    offset = find_offsets({KEYS[name]: Stream(t[good], streams[name][good]) for name in "qw"}).get(("rate", "attitude"))
-    if offset is None or not offset.certain or abs(offset.seconds) <= (limit := max(ALLOWED, 3 * offset.error)):
-        return []
-    side = "behind" if offset.seconds > 0 else "ahead of"
-    text = f"rates are {abs(offset.seconds) * 1e3:.1f} ms (standard error {offset.error * 1e3:.1f}) {side} the attitude"
-    text += f", correlation {offset.correlation:.2f}"
-    severity, where = "blocking" if abs(offset.seconds) > OFFSET_BLOCKS else "warning", "w_*, acc_* against q_*, p_*"
-    return [Finding("time_offset", severity, where, text, f"{limit * 1e3:.0f} ms", "`import --align` corrects it")]
+    """Streams that are late or early, or drift apart, beyond what clean logs do. good: samples to be used, (k,)."""
+    found = []
+    for (name, behind), offset in _offsets(streams, t, good).items():
+        size = _late(offset, t)
+        limit = max(ALLOWED, 3 * offset.error)
+        if not offset.certain or (size <= limit and not offset.drift):
+            continue
+        side = "behind" if offset.seconds > 0 else "ahead of"
+        text = f"{name} is {abs(offset.seconds) * 1e3:.1f} ms {side} the {behind} {offset.words}"
+        severity = "blocking" if size > OFFSET_BLOCKS else "warning"
+        where = f"{COLUMNS[LETTERS[name]]} against {COLUMNS[LETTERS[behind]]}"
+        kind, advice = "clock_drift" if offset.drift else "time_offset", "`import --align` corrects it"
+        found.append(Finding(kind, severity, where, text, f"{limit * 1e3:.0f} ms, no drift", advice))
+    return found

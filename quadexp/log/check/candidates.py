@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.log.importers.mapping import correction
 from quadexp.log.importers.raw import corrected
 from quadexp.log.signal import Stream
-from quadexp.log.signal.windows import RELATIONS, STREAMS, UP, Pair, Windows, pairs
+from quadexp.log.signal.windows import RELATIONS, STREAMS, UP, Pair, Windows, halves, pairs
 from quadexp.log.units import UNITS, axes_matrix, axes_words
 from quadexp.messages import yaml
 from quadexp.physics.state import norms
@@ -99,6 +99,12 @@ READINGS: tuple[tuple[str, str, Correction, float], ...] = (  # of a quaternion'
     ("quaternion_order", "the columns are rotated by one: w, x, y, z hold z, w, x, y", {"order": "zwxy"}, 1.6),
     *(("sign_flip", f"the sign of q_{axis} is reversed", {"scale": [1, *(-1 if a == axis else 1 for a in "xyz")]}, 1.4)
       for axis in "xyz"),
+)  # fmt: skip
+ANGLES = ("roll", "pitch", "yaw")
+READINGS += tuple(
+    ("sign_flip", f"the sign of {' and '.join(names)} is reversed",
+     {"angles": [-1 if name in names else 1 for name in ANGLES]}, 0.9 + 0.3 * len(names))
+    for count in (1, 2, 3) for names in combinations(ANGLES, count)
 )  # fmt: skip
 VECTORS: tuple[Row, ...] = (  # units and frames of vectors
     *(("units", "v", f"{unit}, not m/s", {"velocity": {"unit": unit}}, 1.0)
@@ -187,12 +193,76 @@ def clock_candidate(gain: float) -> Candidate:
 
 
 def scale_candidates(gain: float, streams: str) -> tuple[Candidate, ...]:
-    """One of two streams is too large by a factor that no unit explains; `gain`: of the first over the second."""
-    factors = [(streams[0], gain, 1.3), *([("p", 1 / gain, 1.4)] if streams[1] == "p" else [])]
-    return tuple(
-        Candidate("scale", name, f"{size:.4g} times too large", {KEYS[name]: {"scale": float(f"{1 / size:.5g}")}}, cost)
-        for name, size, cost in factors
-    )
+    """One of these streams has a factor that no unit explains; `gain`: of the first over the second."""
+    factors = [(name, gain if name == streams[0] else 1 / gain, 1.3 + 0.1 * i) for i, name in enumerate(streams)]
+    made = []
+    for name, size, cost in factors:
+        severity = "warning" if name == "f" and abs(size - 1) < FORCE_SCALE_BLOCKS else "blocking"
+        lines = {KEYS[name]: {"scale": float(f"{1 / size:.5g}")}}
+        made.append(Candidate("scale", name, f"{size:.4g} times their true size", lines, cost, severity))
+    return tuple(made)
+
+
+# ----------------------------------------------------------------------------------------------------- bias and heading
+BIAS = {"w": ("rate", 0.03, "rad/s"), "f": ("force", 0.5, "m/s^2")}  # by stream: relation, the least that is named
+BIAS_SURE = 5.0  # standard errors
+FORCE_SCALE_BLOCKS = 0.08  # what a bias along z looks like
+LEAST_YAW, YAW_BLOCKS = 2.0, 8.0  # deg
+
+
+def bias_candidates(windows: Windows) -> list[Candidate]:
+    """A constant that a gyro or an accelerometer adds, where the flight shows one."""
+    known = {pair.name: pair for pair in pairs(windows)}
+    found = []
+    for stream, (relation, least, unit) in BIAS.items():
+        pair = known.get(relation) or known.get(f"{relation} (p)")
+        if pair is None:
+            continue
+        gap = pair.measured - pair.expected
+        stretch = np.arange(len(gap)) % len(windows.t) * STRETCHES // len(windows.t)
+        medians = np.array([np.median(gap[stretch == k], axis=0) for k in np.unique(stretch)])
+        error = medians.std(axis=0, ddof=1) / np.sqrt(len(medians)) if len(medians) > 2 else np.full(3, np.inf)
+        bias = np.where(np.abs(np.median(gap, axis=0)) > BIAS_SURE * error, np.median(gap, axis=0), 0.0)
+        if np.abs(bias).max() < least:
+            continue
+        offset = [float(f"{x:.3g}") + 0.0 for x in bias]
+        text = f"a bias of {', '.join(f'{x:g}' for x in offset)} {unit}"
+        found.append(Candidate("bias", stream, text, {KEYS[stream]: {"offset": offset}}, 1.7, "warning"))
+    return found
+
+
+def heading_candidates(windows: Windows) -> list[Candidate]:
+    """A heading of the attitude that is turned about the vertical against position and velocity:
+
+    min over psi of sum_k |a_k - R_z(psi) R_k f_k|^2,  horizontal components.
+    """
+    if "f" not in windows.streams:
+        return []
+    known = {pair.name: pair for pair in pairs(windows)}
+    pair = known.get("force") or known.get("force (p)")
+    if pair is None:
+        return []
+    half = windows.t.shape[1] // 2
+    turn = windows.rotation[:, half] if pair.name.endswith("(p)") else np.concatenate(
+        [windows.rotation[:, (a + b) // 2] for a, b in halves(windows.t)]
+    )  # fmt: skip
+    world = [np.einsum("nij,nj->ni", turn, side)[:, :2] for side in (pair.expected, pair.measured)]
+    x, y = (side - side.mean(axis=0) for side in world)
+    stretch = np.arange(len(x)) % len(windows.t) * STRETCHES // len(windows.t)
+
+    def angle(rows: np.ndarray) -> float:
+        a, b = x[rows], y[rows]
+        return float(np.degrees(np.arctan2(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]), np.sum(a * b))))
+
+    yaw = angle(np.ones(len(x), bool))
+    rest = np.array([angle(stretch != k) for k in np.unique(stretch)])
+    apart = (rest - yaw + 180) % 360 - 180
+    error = float(np.sqrt((len(rest) - 1) * np.var(apart)))
+    if abs(yaw) < max(LEAST_YAW, BIAS_SURE * error):
+        return []
+    text = f"the heading is turned by {-yaw:.1f} deg (standard error {error:.1f}) against the motion"
+    severity = "blocking" if abs(yaw) > YAW_BLOCKS else "warning"
+    return [Candidate("heading", "q", text, {"attitude": {"turn": round(yaw, 2)}}, 1.3, severity)]
 
 
 # --------------------------------------------------------------------------------------------------------- mounting

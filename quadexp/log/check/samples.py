@@ -162,13 +162,15 @@ def check_spikes(
     from scipy.ndimage import median_filter
 
     found, masks = [], {}
+    gaps = np.flatnonzero(np.diff(t) > GAP * period_of(t)) + 1  # over which nothing is a neighbour
     for name, values in streams.items():
         if name == "q" or len(t) < 9:
             continue
         finite = np.where(np.isfinite(values), values, 0)
         size = norms(finite)
         beyond = size > limit.get(name, np.inf)
-        apart = np.abs(finite - np.column_stack([median_filter(column, 7, mode="nearest") for column in finite.T]))
+        around = [median_filter(part, (7, 1), mode="nearest") for part in np.split(finite, gaps)]
+        apart = np.abs(finite - np.concatenate(around))
         threshold = np.maximum(SPIKE * 1.4826 * np.median(apart, axis=0), SPIKE_FLOOR[name])
         bad = beyond | (apart > threshold).any(axis=1)
         if not bad.any():

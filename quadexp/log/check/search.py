@@ -22,8 +22,10 @@ from quadexp.errors import DataError
 from quadexp.log.check.candidates import (
     COLUMNS,
     Candidate,
+    bias_candidates,
     candidates,
     clock_candidate,
+    heading_candidates,
     mounting_candidates,
     scale_candidates,
 )
@@ -38,6 +40,7 @@ PER_COST = 4.5  # log units a unit of cost: a candidate that claims more must ex
 KEPT = 0.9  # share of the windows that a residual is taken over
 MOST_FAULTS = 4
 MOST_LEFT = 0.4  # of a misfit: a candidate that leaves as much names no fault
+MEASURED = ("scale", "heading")
 FEW, FINALISTS = 100, 10  # every candidate is tried on so many windows first, the best ones on all
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
@@ -51,7 +54,8 @@ DISAGREE = 0.7  # residual over signal above which two streams disagree
 class Agreement(NamedTuple):
     """Of one relation: residual, signal, (3,), both root mean square; correlation and gain over its moving axes.
 
-    size: root mean square of the expected side, its mean (gravity) included. evidence: log units. excess: squared
+    size: root mean square of the expected side, its mean (gravity) included; likeness and whole: correlation and gain
+    with the means. evidence: log units. excess: squared
     residual beyond the floor, in floors.
     """
 
@@ -62,6 +66,8 @@ class Agreement(NamedTuple):
     gain: float
     floor: float
     size: float
+    likeness: float
+    whole: float
     evidence: float
     excess: float
 
@@ -99,11 +105,13 @@ def agreement(pair: Pair, floor: float | None = None) -> Agreement:
     a, b = expected - expected.mean(axis=0), seen - seen.mean(axis=0)
     aa, bb, ab = float(np.vdot(a, a)), float(np.vdot(b, b)), float(np.vdot(a, b))
     correlation, gain = (ab / np.sqrt(aa * bb), float(np.sqrt(bb / aa) * np.sign(ab))) if aa * bb > 0 else (0.0, 1.0)
+    dot, power, own = (float(np.vdot(*two)) for two in ((expected, seen), (expected, expected), (seen, seen)))
     square = np.mean(gap**2, axis=0)
     weight, floor = pair.relation.weight, floor or pair.relation.floor
     return Agreement(
         pair.relation, np.sqrt(square), a.std(axis=0), float(correlation), gain, floor,
-        size=float(np.sqrt(np.vdot(expected, expected) / len(gap))),
+        size=float(np.sqrt(np.vdot(expected, expected) / len(gap))), likeness=dot / np.sqrt(power * own + 1e-300),
+        whole=dot / (power + 1e-300),
         evidence=-INDEPENDENT / 2 * weight * float(np.sum(np.log(square + floor**2))),
         excess=weight * max(0.0, float(square.sum()) / floor**2 - 3.0),
     )  # fmt: skip
@@ -140,6 +148,11 @@ class Trial:
         return self.candidate.fault != "mounting"
 
     @property
+    def measured(self) -> bool:
+        """Whether its size is measured, so that a small one that leaves much of the misfit is real all the same."""
+        return not self.candidate.blocks or self.candidate.fault in MEASURED
+
+    @property
     def better(self) -> list[str]:
         """Relations that it betters."""
         return [name for name, one in self.after.items() if one.evidence > self.before[name].evidence + 3.0]
@@ -159,7 +172,7 @@ class Trial:
         fault, better, after = self.candidate.fault, self.better, self.after
         if any(one.evidence < self.before[name].evidence - 30.0 for name, one in after.items()):
             return False
-        if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, ["velocity", "rate"]):
+        if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, ["velocity", "rate", "force", "force (p)"]):
             return False  # a slope due to noise
         if fault == "units" and not self._more_than_nothing():
             return False
@@ -213,7 +226,7 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
             if all((each.residual < 0.7 * each.floor).all() for each in before.values()):  # there is nothing to explain
                 break
             trials = _ranked(windows, before, taken)
-            named = [trial for trial in trials if trial.left < MOST_LEFT or not trial.candidate.blocks]
+            named = [trial for trial in trials if trial.left < MOST_LEFT or trial.measured]
             if trials and not named:
                 findings.append(_unexplained(trials[0]))
         if not named:
@@ -259,7 +272,8 @@ def _ranked(windows: Windows, before: Agreements, taken: list[Candidate]) -> lis
     """Candidates that may be taken next, the best first."""
     done = {(last.streams, last.fault) for last in taken[-1:]}
     turned = {stream for mended in taken if mended.fault == "mounting" for stream in mended.streams}
-    every = [*candidates(frozenset(windows.streams)), *_scales(before)]
+    every = [*candidates(frozenset(windows.streams)), *_scales(before), *heading_candidates(windows)]
+    every += bias_candidates(windows)
     few = windows.every(max(1, len(windows.t) // FEW))
     known = agreements(few)
     new = [candidate for candidate in every if (candidate.streams, candidate.fault) not in done]
@@ -309,12 +323,17 @@ def _unexplained(best: Trial) -> Finding:
 
 
 def _scales(agreed: Agreements) -> tuple[Candidate, ...]:
-    """Factors between two streams that are otherwise alike."""
-    for relation, streams, least in (("velocity", "vp", 0.015), ("rate", "wq", 0.05)):
+    """Factors between two streams that are otherwise alike. The force has gravity for a known length."""
+    scaled: list[Candidate] = []
+    for relation, streams, least in (("velocity", "vp", 0.015), ("rate", "wq", 0.05), ("force", "fv", 0.04),
+                                     ("force (p)", "fp", 0.04)):  # fmt: skip
         alike = agreed.get(relation)
-        if alike is not None and alike.correlation > ALIKE:
-            return scale_candidates(alike.gain, streams) if abs(alike.gain - 1) > least else ()
-    return ()
+        if alike is None or (relation == "force (p)" and "force" in agreed):
+            continue
+        likeness, gain = (alike.likeness, alike.whole) if streams[0] == "f" else (alike.correlation, alike.gain)
+        if likeness > ALIKE and abs(gain - 1) > least:
+            scaled += scale_candidates(gain, streams if relation == "velocity" else streams[0])
+    return tuple(scaled)
 
 
 def _clock(agreed: Agreements) -> Candidate | None:

@@ -16,13 +16,13 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.assemble import SHORTEST, assemble
 from quadexp.log.importers.mapping import Mapping, load_mapping
-from quadexp.log.importers.raw import RawLog, read_mapped
+from quadexp.log.importers.raw import RawLog, corrected, read_mapped
 from quadexp.log.importers.readers import reader_of, readers
 from quadexp.log.importers.readers.csv import ready_mappings
 from quadexp.log.importers.table import open_table
 from quadexp.log.schema import Flight
 from quadexp.log.signal import GAP_PERIODS, Stream, derivative, period_of, runs
-from quadexp.log.signal.offset import find_offsets
+from quadexp.log.signal.offset import aligned, find_offsets
 from quadexp.log.signal.resample import interpolate
 from quadexp.log.units import mounting_matrix
 from quadexp.names import named
@@ -101,6 +101,12 @@ def read_log(path: Path, form: str, mapping: Mapping | None) -> RawLog:
         raise DataError(f"{path}: its content is {kind}, not --log-format {form}")
     if mapping is None:
         return readers()[kind].read(path, form)
+    if mapping.format == kind:
+        log = readers()[kind].read(path, form)
+        log.crop = mapping.crop
+        for correction in mapping.corrections:
+            log.streams = corrected(log.streams, correction)
+        return log
     table = open_table(path) if kind == "csv" else None
     if table is None or mapping.format != table.format:
         kind = kind if table is None else table.format
@@ -114,22 +120,20 @@ def ready() -> list[str]:
 
 
 def _offsets(log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
-    """For the record, and as notes. align: move gyro and accelerometer onto the clock of attitude and velocity, by the
-    offsets that are certain."""
+    """For the record, and as notes. align: move the streams that are late, see `aligned`."""
     record, notes = {}, []
-    for (name, behind), offset in find_offsets(log.streams).items():
+    offsets = find_offsets(log.streams)
+    if align:
+        log.streams.update(aligned(log.streams, offsets))
+    for (name, behind), offset in offsets.items():
         removed = align and offset.certain
-        if removed:
-            stream = log.streams[name]
-            log.streams[name] = Stream(stream.t - offset.seconds, stream.values)
         if offset.certain:
-            notes.append(
-                f"time offset: {name} {1e3 * offset.seconds:+.1f} ms behind {behind} (standard error"
-                f" {1e3 * offset.error:.2g} ms, correlation {offset.correlation:.2f}){', removed' if removed else ''}"
-            )
+            moved = ", removed" if removed else ""
+            notes.append(f"time offset: {name} {1e3 * offset.seconds:+.1f} ms behind {behind} {offset.words}{moved}")
         record[name] = {
             "seconds": offset.seconds, "error": offset.error if np.isfinite(offset.error) else None,
             "correlation": offset.correlation, "certain": offset.certain, "behind": behind, "removed": removed,
+            "drift": offset.drift,
         }  # fmt: skip
     return record, notes
 

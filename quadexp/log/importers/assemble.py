@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.importers.ground import LEAST_ROWS, without_ground
 from quadexp.log.importers.mapping import PLACES, ROTORS, Crop, columns_of
 from quadexp.log.importers.raw import RawLog
-from quadexp.log.signal import GAP_PERIODS, Stream, continuous, derivative, runs
+from quadexp.log.signal import GAP_PERIODS, Stream, continuous, derivative
 from quadexp.log.signal.resample import resample
 from quadexp.names import named
 from quadexp.physics.state import norms
@@ -24,10 +25,7 @@ LEAST_SHARE = {"reference": 0.95, "core": 0.1}  # of the flight that a stream mu
 CORE = ("acceleration", "rate", "attitude", "velocity", "position")
 QUATERNIONS = ("attitude", "reference_attitude")
 UNIFORM = 1e-3  # of a period: how far the steps of a clock may differ for it to be taken as uniform
-LEAST_ROWS, SHORTEST = 10, 5  # of a flight, of a segment
-REST_HEIGHT, REST_DISTANCE, REST_TIME = 0.05, 0.1, 0.5  # m, m, s: what counts as standing on the ground
-CLEARANCE, AUTO_MARGIN = 0.5, 1.5  # m above the ground; s cut off after take-off and before landing
-DIP = 0.2  # s: shorter losses of height or of its measurement do not end a stretch in the air
+SHORTEST = 5  # rows of a segment
 MOST_ROWS = 8_000_000
 MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
 LONGEST = 7 * 86400.0  # s
@@ -81,7 +79,7 @@ def assemble(
         columns |= named(columns_of("velocity", 3), velocity.values.T)
         notes.append(f"velocity: derivative of the position, to {velocity.bandwidth:.3g} Hz")
     columns["segment"] = segment
-    kept = _cropped(t, values, log.crop if cropping else Crop("none"), notes) & ~between
+    kept = without_ground(t, values, log.crop if cropping else Crop("none"), notes) & ~between
     t0, t1 = float(t[kept][0] - start), float(t[kept][-1] - start)
     if not kept.all():
         columns = {name: column[kept] for name, column in columns.items()}
@@ -176,75 +174,6 @@ def _one_clock(
     if resampled.segment[-1] or lost > 1:
         notes.append(f"gaps: {resampled.segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
     return resampled.t, resampled.values, resampled.segment
-
-
-def _cropped(t: np.ndarray, values: dict[str, np.ndarray], how: Crop, notes: list[str]) -> np.ndarray:
-    """Mask of the rows kept; all where there is no flight (the quality check says that)."""
-    every = np.ones(len(t), bool)
-    if how.mode == "none":
-        return every
-    position = values.get("position")
-    if how.mode == "auto" and position is not None:
-        return _without_rest(t, position, notes)
-    thrust = next((values[n].sum(axis=1) for n in (*ROTORS, "thrust_acceleration") if n in values), None)
-    height = None if position is None else position[:, 2]
-    thrust = thrust if how.mode == "auto" else None
-    kept = crop(t, height, thrust=thrust, clearance=how.height or 0.0, margin=how.margin)
-    if kept.sum() < LEAST_ROWS:
-        notes.append("never in the air: nothing is cropped")
-        return every
-    return kept
-
-
-def crop(
-    t: np.ndarray, height: np.ndarray | None, *, thrust: np.ndarray | None = None, clearance: float, margin: float
-) -> np.ndarray:
-    """Mask (k,) of the samples in the air and `margin` (s) away from the ground phases: ground effect and transients.
-
-    In the air is where the height (k,) (m) exceeds the clearance; without height, where the thrust (k,) (any unit that
-    is 0 at rest) exceeds half its median of the samples above a tenth of its peak; without either, everywhere.
-    A log that starts or ends in the air loses nothing at that end. All False: no flight.
-    """
-    up = np.ones(len(t), bool)
-    if height is not None:
-        up = height > clearance
-    elif thrust is not None:
-        peak = np.nanmax(thrust)
-        up = (thrust > 0.5 * np.median(thrust[thrust > 0.1 * peak])) if peak > 0 else ~up
-    for start, stop in runs(~up):
-        if start > 0 and stop < len(t) and t[stop] - t[start - 1] < DIP:
-            up[start:stop] = True
-    kept = np.zeros(len(t), bool)
-    for start, stop in runs(up):
-        low = t[start] + margin if start > 0 else -np.inf
-        high = t[stop - 1] - margin if stop < len(t) else np.inf
-        kept[start:stop] = (t[start:stop] >= low) & (t[start:stop] <= high)
-    return kept
-
-
-def _without_rest(t: np.ndarray, position: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Mask of the rows left where the vehicle stands still on its lowest height at an end of the log for a while.
-
-    Take-off and landing go with what is cut off; a log that begins and ends in motion is left whole.
-    """
-    height = position[:, 2]
-    rests = []
-    for end in (position[0], position[-1]):
-        still = norms(position - end) < REST_DISTANCE
-        rests.append((height < height.min() + REST_HEIGHT) & still)
-    kept = np.ones(len(t), bool)
-    if rests[0].all() or rests[1].all():
-        notes.append("never moves: nothing is cropped")
-        return kept
-    head, tail = int(np.argmin(rests[0])), int(np.argmin(rests[1][::-1]))  # rows at rest
-    flying = np.flatnonzero(height > height.min() + CLEARANCE)
-    if len(flying) < LEAST_ROWS:
-        return kept
-    if t[head] - t[0] > REST_TIME:
-        kept &= t >= t[flying[0]] + AUTO_MARGIN
-    if t[-1] - t[-1 - tail] > REST_TIME:
-        kept &= t <= t[flying[-1]] - AUTO_MARGIN
-    return kept if kept.sum() >= LEAST_ROWS else np.ones(len(t), bool)
 
 
 def _sort_rotors(

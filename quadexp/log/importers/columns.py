@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.log.signal import increasing, period_of
+from quadexp.log.signal import continuous, increasing, period_of
 from quadexp.log.signal.windows import Windows, changes, means, pairs, window_samples
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import GRAVITY
@@ -43,8 +43,9 @@ _UNIT = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$")
 # Units at the end of a name -> ours; those in brackets may be written in more ways. "1/s" and the like are left.
 _SUFFIXES = {
     "rads": "rad/s", "radps": "rad/s", "rad_s": "rad/s", "degs": "deg/s", "degps": "deg/s", "deg_s": "deg/s",
-    "dps": "deg/s", "deg": "deg", "rad": "rad", "mps2": "m/s^2", "mss": "m/s^2", "mps": "m/s", "rpm": "rpm", "ns": "ns",
-    "us": "us", "usec": "us", "ms": "ms", "sec": "s", "s": "s", "g": "g", "volt": "V", "volts": "V", "mv": "mV",
+    "dps": "deg/s", "deg": "deg", "rad": "rad", "mps2": "m/s^2", "mss": "m/s^2", "mps": "m/s", "rpm": "rpm",
+    "erpm": "erpm", "ns": "ns", "us": "us", "usec": "us", "ms": "ms", "sec": "s", "s": "s", "g": "g", "volt": "V",
+    "volts": "V", "mv": "mV",
 }  # fmt: skip
 _UNITS = _SUFFIXES | {
     "secs": "s", "seconds": "s", "µs": "us", "m": "m", "cm": "cm", "mm": "mm", "m/s": "m/s", "m s^-1": "m/s",
@@ -173,6 +174,8 @@ class Table:
         """The middle of a log of columns (k, N) at times t (k,); empty cells are bridged."""
         later = increasing(t)
         t, data = t[later], data[later]
+        named = groups(names)
+        data = _unbroken(data, named)
         period = max(period_of(t), 1 / GRID)
         length = min(t[-1] - t[0], MOST * period)
         self.t = 0.5 * (t[0] + t[-1] - length) + np.arange(int(length / period) + 1) * period
@@ -185,7 +188,7 @@ class Table:
         self.times, self.windows = self.t[rows], self.x[rows]
         self.means, self.slopes = means(self.times, self.windows), changes(self.times, self.windows)
         usable = {i for i in range(len(names)) if i != clock and np.isfinite(self.x[:, i]).all()}
-        self.named = {q: [g for g in each if set(g) <= usable] for q, each in groups(names).items()}
+        self.named = {q: [g for g in each if set(g) <= usable] for q, each in named.items()}
 
     def attitude(self) -> list[int] | None:
         """Four columns that are a unit quaternion that moves."""
@@ -230,6 +233,21 @@ class Table:
                 gain = float(np.sqrt(np.mean(x * x) / max(float(np.mean(y * y)), 1e-12)))
                 matches.append((rank, Match(columns, _correlation(x, y), gain)))
         return max(matches, key=lambda each: each[1].correlation - 0.002 * each[0], default=(0, None))[1]
+
+
+def _unbroken(data: np.ndarray, named: Groups) -> np.ndarray:
+    """Columns (k, N) whose quaternions keep their side and whose angles do not wrap, to be interpolated."""
+    data = data.copy()
+    for columns in named.get("attitude", []):
+        good = np.isfinite(data[:, columns]).all(axis=1)
+        data[np.ix_(good, columns)] = continuous(data[np.ix_(good, columns)])
+    for columns in named.get("euler", []):
+        angles = data[:, columns]
+        turn = 360.0 if np.nanmax(np.abs(angles), initial=0.0) > 6.4 else 2 * np.pi
+        for column in columns:
+            good = np.isfinite(data[:, column])
+            data[good, column] = np.unwrap(data[good, column], period=turn)
+    return data
 
 
 def _correlation(x: np.ndarray, y: np.ndarray) -> float:

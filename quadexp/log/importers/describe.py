@@ -24,7 +24,7 @@ from quadexp.log.importers.columns import Match, Table, groups, numbered_quatern
 from quadexp.log.importers.mapping import QUANTITIES
 from quadexp.log.importers.readers import reader_of
 from quadexp.log.importers.table import numbers, open_table
-from quadexp.log.signal import continuous
+from quadexp.log.signal import continuous, period_of
 from quadexp.log.signal.windows import RELATIONS, Windows, changes, pairs
 from quadexp.log.units import UNITS
 from quadexp.messages import printable
@@ -32,7 +32,13 @@ from quadexp.physics.state import norms
 
 SECONDS = {unit: UNITS["time"][unit] for unit in ("s", "ms", "us", "ns")}
 RATES = (4.0, 8200.0)  # Hz, of loggers
-EPOCHS = {"ns": 1e18, "us": 1e15, "ms": 1e12}  # about now, since 1970
+EPOCHS = {"ns": 1e18, "us": 1e15, "ms": 1e12, "s": 1e9}  # since 1970: from 2001 on
+SLOW = 0.1  # s: rows further apart do not show the motion
+SLOWEST = 10.0  # s, between rows of a log whose times are since 1970
+TUM = ["t", "x", "y", "z", "qx", "qy", "qz", "qw"]  # of a trajectory without a header
+# Counts of a gyro for one deg/s, of 2000, 1000, 500 and 250 deg/s in 16 bits.
+COUNTS_PER_DEGREE = (16.4, 32.8, 65.5, 131.0)
+APART = 0.03  # of the logarithm: how near a gain is to a unit that is sure
 LEAST_SAMPLES = 50
 FEW = 60  # windows that every frame is tried on
 SURE, LIKELY, GUESS = 0.95, 0.7, 0.4
@@ -113,7 +119,8 @@ def describe_log(path: Path) -> Description:
         good = np.isfinite(t)
         if good.sum() < LEAST_SAMPLES:
             raise DataError(f"{path}: {int(good.sum())} rows with a time: too few to propose a mapping from")
-        table = Table(names, t[good] - t[good][0], data[good], clock)
+        known = TUM if names == [str(i) for i in range(8)] and _unit_norm(data[:, 4:]) else names
+        table = Table(known, t[good] - t[good][0], data[good], clock)
         proposals = _Proposals(names, table)
         for look in (proposals.motion, proposals.sensors, proposals.frames, proposals.rotors, proposals.others):
             look()
@@ -145,10 +152,16 @@ def _clock(path: Path, names: list[str], data: np.ndarray) -> tuple[int, Proposa
     if unit not in SECONDS:
         rates = {unit: 1 / (step * seconds) for unit, seconds in SECONDS.items()}
         fitting = [unit for unit, rate in rates.items() if RATES[0] <= rate <= RATES[1]]
-        since_1970 = [unit for unit in fitting if first > 0.9 * EPOCHS.get(unit, np.inf)]
-        unit = (since_1970 or fitting or ["s"])[0]
+        of_today = (unit for unit, size in EPOCHS.items() if 0.9 * size < first < 9 * size)
+        since_1970 = [unit for unit in of_today if rates[unit] > 1 / SLOWEST]
+        fitting = since_1970 or fitting
+        unit = (fitting or ["s"])[0]
         why, sure = f"increases by {step:.6g} a row: {rates[unit]:.4g} Hz", 0.9 if fitting else GUESS
     return -place, Proposal({"column": column, "unit": unit}, sure, why)
+
+
+def _unit_norm(values: np.ndarray) -> bool:
+    return bool(np.nanquantile(np.abs(norms(values) - 1), 0.9) < 0.02)
 
 
 def _nearest(value: float, sizes: Mapping[Any, float]) -> Any:
@@ -178,6 +191,11 @@ class _Proposals:
         if letter:
             factor = UNITS[QUANTITIES[quantity].dimension][more["unit"]] * more.get("scale", 1.0)
             self.streams[letter] = self.table.windows[..., columns] * factor
+
+    @property
+    def betaflight(self) -> bool:
+        """Whether its blackbox_decode wrote the table."""
+        return any(name.startswith(("axisP[", "loopIteration")) for name in self.names)
 
     # ---------------------------------------------------------------------------------------------------- columns
     def motion(self) -> None:
@@ -214,8 +232,7 @@ class _Proposals:
             largest = float(np.abs(table.x[:, columns]).max())
             unit = self.written(columns, "angle") or ("deg" if largest > 6.4 else "rad")
             self.propose("attitude", columns, 0.5, f"named so; largest {largest:.3g}", order="rpy", unit=unit)
-            wraps = np.abs(np.diff(table.x[:, columns[2]])).max() * UNITS["angle"][unit] > 1.0
-            if not wraps and largest > 0:
+            if largest > 0:
                 angles = table.windows[..., columns[::-1]] * UNITS["angle"][unit]
                 q = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_quat(scalar_first=True)
                 self.streams["q"] = continuous(q).reshape(*angles.shape[:2], 4)
@@ -235,19 +252,28 @@ class _Proposals:
 
     def _rate(self, columns: list[int], gain: float | None, why: str) -> None:
         """Unit of a gyro: by its gain (rad/s a unit), or where nothing can be compared by its name or size."""
-        x, written = self.table.x[:, columns], self.written(columns, "rate")
+        x, written, scale = self.table.x[:, columns], self.written(columns, "rate"), 1.0
         if gain is None:
             spread = float(np.percentile(np.abs(x - np.median(x, axis=0)), 99))
             unit = written or ("deg/s" if spread > 15 else "rad/s")
             sure = 0.85 if written else 0.6 if spread > 60 or spread < 8 else GUESS
             why += f"; 99 % of its values within {spread:.3g}"
         else:
-            unit = _nearest(gain, UNITS["rate"])
-            sure = SURE if abs(np.log(gain / UNITS["rate"][unit])) < 0.7 else GUESS
-            why += f", {gain:.3g} rad/s a unit"
+            sizes: dict[Any, float] = {**UNITS["rate"], **{n: UNITS["rate"]["deg/s"] / n for n in COUNTS_PER_DEGREE}}
+            unit = _nearest(gain, sizes)
+            apart = abs(np.log(gain / sizes[unit]))
+            rival = _nearest(gain, {name: size for name, size in sizes.items() if name != unit})
+            close = abs(np.log(gain / sizes[rival])) < max(2 * apart, APART)
+            sure = SURE if apart < 5 * APART and not close else GUESS
+            why += f", {gain:.4g} rad/s a unit"
+            why += f"; or {rival} {'counts a deg/s' if rival in COUNTS_PER_DEGREE else ''}: decide" if close else ""
+            if unit in COUNTS_PER_DEGREE:
+                why += f": {unit} counts a deg/s"
+                scale = 1 / unit
+                unit = "deg/s"
             if written not in (None, unit):
                 sure, why = GUESS, f"{why}; but the name says {written}"
-        self.propose("rate", columns, sure, why, "w", unit=unit)
+        self.propose("rate", columns, sure, why, "w", unit=unit, **({"scale": scale} if scale != 1.0 else {}))
 
     def _force(self, force: Match) -> None:
         """Unit of an accelerometer from its mean size, which in flight is about that of gravity."""
@@ -271,7 +297,7 @@ class _Proposals:
     # ----------------------------------------------------------------------------------------------------- frames
     def frames(self) -> None:
         """Order and direction of the quaternion, world and body, and whether the velocity is in the body."""
-        if "q" not in self.streams or not {"p", "v", "f"} & self.streams.keys():
+        if "q" not in self.streams or not {"p", "v", "f"} & self.streams.keys() or period_of(self.table.t) > SLOW:
             self._body_by_gravity()
             return
         log = Windows(self.table.times, self.streams)
@@ -293,12 +319,13 @@ class _Proposals:
             text += "" if sure == SURE else ": decide between both"
             if key == "attitude":
                 lines, confidence, why = self.fields[key]
-                self.fields[key] = Proposal({**lines, **(chosen or {})}, max(sure, confidence), f"{why}; {text}")
+                chosen = _of_columns(chosen or {}, best.correction)
+                self.fields[key] = Proposal({**lines, **chosen}, max(sure, confidence), f"{why}; {text}")
             else:
                 about = WORLDS[str(chosen)][0] if key == "world" else "where the thrust points along z"
                 self.fields[key] = Proposal(chosen, sure, f"{about}; {text}")
-        if "velocity" in best.correction:
-            self.fields["velocity"].value["frame"] = "body"
+        for key in {"velocity", "acceleration"} & best.correction.keys():
+            self.fields[key].value.update(best.correction[key])
         if mends:
             why = "; ".join(f"{one.where}: {one.text}" for one in mends)
             self.fields["corrections"] = Proposal([one.correction for one in mends], SURE, why)
@@ -308,9 +335,13 @@ class _Proposals:
         columns = self.places["attitude"]
         fixed = columns in self.table.named.get("attitude", []) and not numbered_quaternion(self.names, columns)
         readings: list[tuple[dict[str, Any], float]] = [({}, 0.0)]
+        if len(columns) == 3:
+            signs = ([1, -1, 1], [-1, 1, 1], [1, 1, -1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1])
+            readings += [({"angles": each}, 0.6 + 0.2 * each.count(-1)) for each in signs]
         if len(columns) == 4:
             readings += [(lines, cost) for *_, lines, cost in READINGS[:3] if not (fixed and "order" in lines)]
         turned = [{}, {"velocity": {"frame": "body"}}] if "v" in self.streams else [{}]
+        turned += [{"acceleration": {"frame": "world"}}] if "f" in self.streams else []
         conventions = []
         for (lines, cost), (world, (_, more)), body, frame in product(readings, WORLDS.items(), BODIES, turned):
             correction = {"world": world, "body": body, **({"attitude": lines} if lines else {}), **frame}
@@ -347,14 +378,15 @@ class _Proposals:
         why = f"median {middle:.4g}, largest {largest:.5g}"
         if written == "erpm" or (kind == "rotor_speed" and "erpm" in name):
             why += "; electrical turns: pole_pairs is a guess, magnets of the motor over two"
-            return "rotor_speed", {"unit": "erpm", "pole_pairs": 7}, GUESS, why
+            hundreds = {"scale": 100} if self.betaflight else {}
+            why += "; Betaflight logs hundreds of them" if hundreds else ""
+            return "rotor_speed", {"unit": "erpm", "pole_pairs": 7, **hundreds}, GUESS, why
         if written in ("rpm", "rad/s", "Hz"):
             return "rotor_speed", {"unit": written}, 0.9, f"the name says the unit; {why}"
         if kind == "rotor_speed" and largest > 1.5:
             unit = "rpm" if middle > 3500 or "rpm" in name else "rad/s"
             return "rotor_speed", {"unit": unit}, LIKELY, f"named as speeds, {why}"
-        betaflight = any(other.startswith(("axisP[", "loopIteration")) for other in self.names)
-        said = {"": True, "betaflight": betaflight, "pulses": np.percentile(x, 1) > 850, "bits": largest > 30_000}
+        said = {"": True, "betaflight": self.betaflight, "pulses": np.percentile(x, 1) > 850, "bits": largest > 30_000}
         for limit, holds, sure, low, high, what in RANGES:
             if largest <= limit and said[holds]:
                 return "motor_command", {"range": [low, high]}, sure, f"{why}{what}"
@@ -370,6 +402,13 @@ class _Proposals:
                 self.fields["battery_voltage"] = Proposal(value, 0.8, f"median {middle:.4g}")
         for columns in self.table.named.get("wind", [])[:1]:
             self.propose("wind", columns, 0.6, "by its name alone", unit="m/s")
+
+
+def _of_columns(reading: dict[str, Any], frames: Mapping[str, Any]) -> dict[str, Any]:
+    """Signs of angles as a scale of their columns, where the frames leave roll, pitch and yaw what they are."""
+    signs = reading.get("angles")
+    plain = (frames["world"], frames["body"]) in (("ENU", "FLU"), ("NED", "FRD"))
+    return {"scale": signs} if signs and plain and signs[2] == 1 else reading
 
 
 def _explained(one: Candidate, windows: Windows) -> float | None:

@@ -12,10 +12,12 @@
     crop: {height: 0.5, margin: 1.5}
     corrections: [{rate: {unit: deg/s}}, {body: FRD}]
 
-Every key may be left out but `time`. corrections: made one after the other on what the other keys give,
-each as if that were a log in SI units, ENU and FLU of which its lines are the mapping. mounting: roll, pitch and yaw
-(deg) of the sensor in the body, after `frame`: v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. Every value is checked;
-errors name file, line and key.
+Every key may be left out but `time`. corrections: made one after the other on what the other keys give, each as if that
+were a log in SI units, ENU and FLU of which its lines are the mapping. mounting: roll, pitch and yaw (deg) of the
+sensor in the body, after `frame`: v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. offset: its bias, taken off last. Of
+an attitude, angles: [1, -1, 1] are signs of roll, pitch and yaw, turn: degrees about the world's z. Every value is
+checked; errors name file, line and key. A log that says itself what its fields are (format: ulog, rosbag, ..; csv where
+its table is recognised) takes crop and corrections alone.
 """
 
 from __future__ import annotations
@@ -49,10 +51,10 @@ def _vector(name: str, axes: str = "xyz") -> tuple[str, ...]:
 
 QUANTITIES: dict[str, Quantity] = {
     "position": Quantity(_vector("p"), "length"),
-    "attitude": Quantity(_vector("q", "wxyz"), "angle", ("order", "direction")),
+    "attitude": Quantity(_vector("q", "wxyz"), "angle", ("order", "direction", "angles", "turn")),
     "velocity": Quantity(_vector("v"), "velocity"),
-    "rate": Quantity(_vector("w"), "rate", ("mounting",)),
-    "acceleration": Quantity(_vector("acc"), "acceleration", ("kind", "mounting")),
+    "rate": Quantity(_vector("w"), "rate", ("mounting", "offset")),
+    "acceleration": Quantity(_vector("acc"), "acceleration", ("kind", "mounting", "offset")),
     "motor_command": Quantity(("motor_command_{}",), "none", ("range", "layout")),
     "rotor_speed": Quantity(("rotor_speed_{}",), "rotor_speed", ("layout", "pole_pairs")),
     "rotor_thrust": Quantity(("u_{}",), "force", ("layout",)),
@@ -71,6 +73,7 @@ PLACES = {
 }  # fmt: skip
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
+TABLES, SELF_DESCRIBING = (("text", "hdf5", "parquet"), ("csv", "ulog", "rosbag", "ardupilot"))  # values of `format`
 IN_BODY = ("rate", "acceleration")  # unless `frame` says otherwise
 _TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")
@@ -107,6 +110,8 @@ class Entry:
 
     order: of a quaternion's columns, or "rpy" for angles. inverse: the log's attitude turns world into body vectors.
     coordinate: the acceleration is that of the motion, without gravity. low, high: values of commands 0 and 1.
+    offset: bias of a sensor, taken off last (SI, body). angles: signs of roll, pitch and yaw; turn: about the world's
+    z axis (rad); both of an attitude from body to ENU.
     """
 
     columns: tuple[str, ...]
@@ -121,11 +126,14 @@ class Entry:
     low: float = 0.0
     high: float = 1.0
     mounting: np.ndarray = field(default_factory=lambda: np.eye(3))
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    angles: tuple[float, ...] = (1.0, 1.0, 1.0)
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)
 class Mapping:
-    """name, the kind of file ("text" or "hdf5"), its clock, an entry for every quantity it has, and corrections."""
+    """name, the kind of file (`format`), its clock, an entry for every quantity it has, and corrections."""
 
     name: str
     format: str
@@ -211,7 +219,9 @@ class _Reader:
 
     def mapping(self, values: dict[str, Any]) -> Mapping:
         self.known("", values, _TOP)
-        form = self.one_of("format", values.get("format", "text"), ("text", "hdf5"))
+        form = self.one_of("format", values.get("format", "text"), (*TABLES, *SELF_DESCRIBING))
+        if form in SELF_DESCRIBING:
+            return self.additions(form, values)
         if "time" not in values:
             raise self.fail("time", "is missing: `time: {column: t, unit: s}`")
         frames = {
@@ -227,11 +237,21 @@ class _Reader:
         return Mapping(
             str(values.get("name", self.path.stem)), form, self.clock("time", values["time"]), entries,
             next(iter(layouts), None), self.crop(values.get("crop", "auto")),
-            tuple(map(str, values.get("signature") or [])), self.corrections(values.get("corrections") or [], entries),
+            tuple(map(str, values.get("signature") or [])), self.corrections(
+                values.get("corrections") or [], {name: len(entry.columns) for name, entry in entries.items()}
+            ),
         )  # fmt: skip
 
-    def corrections(self, value: Any, entries: dict[str, Entry]) -> tuple[Mapping, ...]:
-        """Each as a mapping whose log is the flight that the other keys give."""
+    def additions(self, form: str, values: dict[str, Any]) -> Mapping:
+        """What a mapping adds to a log that says itself what its fields are: ground phases and corrections."""
+        self.known("", values, ("name", "about", "format", "crop", "corrections"))
+        widths = {name: len(quantity.columns) for name, quantity in QUANTITIES.items()}
+        corrections = self.corrections(values.get("corrections") or [], widths)
+        crop = self.crop(values.get("crop", "auto"))
+        return Mapping(str(values.get("name", self.path.stem)), form, Clock("", 1.0), {}, None, crop, (), corrections)
+
+    def corrections(self, value: Any, entries: Mapped[str, int]) -> tuple[Mapping, ...]:
+        """Each as a mapping whose log is the flight that the other keys give. entries: columns by quantity."""
         if not isinstance(value, list) or not all(isinstance(correction, dict) for correction in value):
             raise self.fail("corrections", "must be a list of lines of a mapping, such as `- rate: {unit: deg/s}`")
         allowed = ("world", "body", "time", *entries)
@@ -244,9 +264,7 @@ class _Reader:
                 reader.known(key, lines, ("unit", "scale", "frame", *keys))
             elif key == "time":
                 reader.known(key, lines, ("unit", "scale"))
-        return tuple(
-            reader.correction(correction, {name: len(e.columns) for name, e in entries.items()}) for correction in value
-        )
+        return tuple(reader.correction(correction, entries) for correction in value)
 
     def correction(self, lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
         """Lines as a mapping of which streams in SI, ENU and FLU are the log. widths: columns by quantity."""
@@ -282,6 +300,9 @@ class _Reader:
                 raise self.fail(f"{name}.mounting", "turns a sensor in the body, but `frame` says world")
             what = "[roll, pitch, yaw] of the sensor in the body (deg)"
             options["mounting"] = mounting_matrix(self.numbers(f"{name}.mounting", value["mounting"], [3], what))
+        if "offset" in value:
+            bias = self.numbers(f"{name}.offset", value["offset"], [3], "[x, y, z], the bias in SI units")
+            options["offset"] = np.array(bias, float)
         if "range" in value:
             what = "[value of command 0, value of command 1]"
             low, high = map(float, self.numbers(f"{name}.range", value["range"], [2], what))
@@ -344,7 +365,13 @@ class _Reader:
             raise self.fail(f"{name}.frame", "give the frames as `world:` and `body:` at the top")
         if np.linalg.det(frames["world"] @ frames["body"]) < 0:
             raise self.fail("body", "of the world and the body frame one is left-handed: no attitude joins them")
-        return {"order": order, "inverse": direction == DIRECTIONS[1], "axes": frames["body"], "world": frames["world"]}
+        what = "signs of roll, pitch and yaw, as [1, -1, 1]"
+        signs = self.numbers(f"{name}.angles", value.get("angles", [1, 1, 1]), [3], what, lambda sign: abs(sign) == 1)
+        (turn,) = self.numbers(f"{name}.turn", value.get("turn", 0.0), [1], "degrees about the world's z axis")
+        return {
+            "order": order, "inverse": direction == DIRECTIONS[1], "axes": frames["body"], "world": frames["world"],
+            "angles": tuple(map(float, signs)), "turn": math.radians(turn),
+        }  # fmt: skip
 
     def layout(self, name: str, value: Any, count: int) -> None:
         if not isinstance(value, list) or len(value) != count or len(set(map(str, value))) != count:

@@ -53,7 +53,8 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     if not good.any():
         raise DataError(f"{path}: {name}: not one row of {count} is a number throughout")
     if not good.all():
-        notes.append(f"{name}: {count - good.sum()} of {count} rows are empty or not numbers")
+        empty = count - int(good.sum())
+        notes.append(f"{name}: {empty} of {count} rows ({empty / count:.1%}) are empty or not numbers")
         t, values = t[good], values[good]
     late = increasing(t)
     if late.all():
@@ -65,15 +66,14 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
         raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}")
     if lost:
         what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
-        notes.append(f"{name}: {lost} of {len(t)} rows {what}: dropped")
+        notes.append(f"{name}: {lost} of {len(t)} rows ({lost / len(t):.1%}) {what}: dropped")
     return Stream(t[late], values[late])
 
 
 def sorted_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:
     """As clean_stream, of rows that may lie out of order: they are put into the order of their times."""
     order = np.argsort(t, kind="stable")
-    later = increasing(t[order])
-    return clean_stream(path, name, t[order][later], values[order][later], notes)
+    return clean_stream(path, name, t[order], values[order], notes)
 
 
 def read_mapped(table: Table, mapping: Mapping) -> RawLog:
@@ -122,6 +122,8 @@ def _convert(name: str, entry: Entry, stream: Stream) -> Stream:
         values = values @ entry.axes.T
     if not (entry.mounting == np.eye(3)).all():
         values = values @ entry.mounting.T
+    if entry.offset.any():
+        values = values - entry.offset
     return Stream(stream.t, values)
 
 
@@ -135,7 +137,14 @@ def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
         q = values if entry.order == "wxyz" else values[:, [entry.order.index(axis) for axis in "wxyz"]]
     if entry.inverse:
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
-    return turn_attitude(q, entry.world, entry.axes)
+    q = turn_attitude(q, entry.world, entry.axes)
+    if min(entry.angles) < 0:
+        yaw, pitch, roll = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX").T
+        angles = np.column_stack([yaw, pitch, roll]) * np.array(entry.angles[::-1])
+        q = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+    if entry.turn:
+        q = multiply(np.array([np.cos(entry.turn / 2), 0.0, 0.0, np.sin(entry.turn / 2)]), q)
+    return q
 
 
 def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Tables with named columns: delimited text and HDF5, of which only what is asked for is read.
+"""Tables with named columns: delimited text, HDF5 (MATLAB's since 7.3 too) and Parquet, of which only what is asked for
+is read.
 
 Text may begin with lines of other content; the header is the last line without numbers above the rows. Units in
 brackets stay part of the column's name. A file without a header has the names "0", "1", ...
@@ -19,7 +20,7 @@ import numpy as np
 
 from quadexp.errors import DataError, missing_package
 from quadexp.log.integrity import allowed_bytes
-from quadexp.log.store import as_numpy, first_line
+from quadexp.log.store import METADATA_KEY, as_numpy, first_line
 from quadexp.names import distinct
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
@@ -28,24 +29,22 @@ TEXT_SHARE = 0.97  # of the first bytes that must be printable for a file to be 
 MOST_VALUES = 1 << 30  # numbers read from one file at most: 8 GB would not fit beside what is made of them
 DESCRIBED_ROWS = 300_000
 DESCRIBED_COLUMNS = 400  # looked at for a mapping
+_DELIMITERS = ((",", "."), (";", "."), ("\t", "."), (" ", "."), (";", ","), ("\t", ","))
 EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]
 
 
 @dataclass(frozen=True)
 class Table:
-    """path, and the names of its columns. delimiter, skip, encoding: of text; lines before the rows."""
+    """path, and the names of its columns. format: as a mapping calls it. delimiter, skip, encoding, decimal: of text;
+    skip: lines before the rows; decimal: the sign between units and tenths."""
 
     path: Path
     columns: tuple[str, ...]
     delimiter: str = ","
     skip: int = 0
-    hdf5: bool = False
+    format: str = "text"
     encoding: str = "utf-8"
-
-    @property
-    def format(self) -> str:
-        """As a mapping calls it."""
-        return "hdf5" if self.hdf5 else "text"
+    decimal: str = "."
 
     def read(self, names: Sequence[str], notes: list[str], rows: int | None = None) -> dict[str, np.ndarray]:
         """Columns by name, each (k,), NaN where a cell is empty. rows: the first so many only.
@@ -57,15 +56,18 @@ class Table:
             close = ", ".join(self.columns[:16]) + (", ..." if len(self.columns) > 16 else "")
             raise DataError(f"{self.path}: no column {missing[0]!r} (it has {close})")
         wanted = distinct(names)
-        return _read_hdf5(self, wanted, rows) if self.hdf5 else _read_text(self, wanted, notes, rows)
+        if self.format == "parquet":
+            return _read_parquet(self, wanted, rows)
+        return _read_hdf5(self, wanted, rows) if self.format == "hdf5" else _read_text(self, wanted, notes, rows)
 
 
 def kind_of(path: Path, head: bytes) -> str:
-    """ "hdf5", "text", or "" for what is no table, by the first bytes. Raises DataError for text that is none to us."""
-    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+    """ "hdf5", "parquet", "text", or "" for what is no table, by the first bytes. Raises DataError for text that
+    is none to us."""
+    if head.startswith((b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")):
         return "hdf5"
     if head.startswith(b"PAR1"):
-        raise DataError(f"{path}: Parquet: a flight of this program needs no import, use it as it is")
+        return "parquet"
     if head.startswith(b"version https://git-lfs"):
         raise DataError(f"{path}: a pointer of Git LFS, not the log itself: fetch it with `git lfs pull`")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -77,7 +79,8 @@ def kind_of(path: Path, head: bytes) -> str:
 def open_table(path: Path) -> Table:
     """The table in a file. Raises DataError."""
     with open(path, "rb") as file:
-        return _open_hdf5(path) if kind_of(path, file.read(8)) == "hdf5" else _open_text(path)
+        kind = kind_of(path, file.read(16))
+    return {"hdf5": _open_hdf5, "parquet": _open_parquet}.get(kind, _open_text)(path)
 
 
 # ------------------------------------------------------------------------------------------------------------ text
@@ -93,7 +96,7 @@ def _open_text(path: Path) -> Table:
     lines = text.removeprefix("\ufeff").splitlines()
     if not lines or max(map(len, lines)) > LONGEST_LINE:
         raise DataError(f"{path}: not a table: no line ends within {LONGEST_LINE} characters")
-    row, delimiter = _first_row(path, lines)
+    row, delimiter, decimal = _first_row(path, lines)
     width = len(_cells(lines[row], delimiter))
     names = [str(i) for i in range(width)]
     above = next((k for k in range(row - 1, -1, -1) if lines[k].strip()), None)
@@ -107,7 +110,7 @@ def _open_text(path: Path) -> Table:
         elif above == row - 1 and not comment:
             named = f"line {above + 1} names {len(header)} columns"
             raise DataError(f"{path}: {named}, but line {row + 1} has {width} values")
-    return Table(path, _unique(names), delimiter, row, encoding=encoding)
+    return Table(path, _unique(names), delimiter, row, encoding=encoding, decimal=decimal)
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -116,17 +119,21 @@ def _cells(line: str, delimiter: str) -> list[str]:
     return [part.strip().strip('"').strip() for part in parts]
 
 
-def _first_row(path: Path, lines: list[str]) -> tuple[int, str]:
-    """The first line that is a row of numbers (two at least, and most of the cells), and its delimiter."""
+def _first_row(path: Path, lines: list[str]) -> tuple[int, str, str]:
+    """The first line that is a row of numbers (two at least, and most of the cells), its delimiter and decimal sign: a
+    comma where it does not separate cells, which have one in numbers of later lines too."""
+    commas = any(re.search(r"\d,\d", line) for line in lines) and not any(re.search(r"\d\.\d", line) for line in lines)
     for row, line in enumerate(lines):
         if line.lstrip().startswith(("#", "%")):
             continue
-        for delimiter in (",", ";", "\t", " "):
+        for delimiter, decimal in _DELIMITERS:
+            if (decimal == ",") != (commas and any(sign in line for sign in ";\t")):
+                continue
             cells = _cells(line, delimiter)
-            numbers = sum(map(_is_number, cells))
+            numbers = sum(_is_number(cell.replace(decimal, ".")) for cell in cells)
             filled = sum(cell != "" for cell in cells)
             if len(cells) >= (3 if delimiter == " " else 2) and numbers >= 2 and numbers >= 0.5 * filled:
-                return row, delimiter
+                return row, delimiter, decimal
     raise DataError(f"{path}: not a table: no line of numbers in its first {len(lines)} lines")
 
 
@@ -168,7 +175,7 @@ def _read_text(table: Table, names: list[str], notes: list[str], rows: int | Non
     parse = csv.ParseOptions(delimiter=table.delimiter, invalid_row_handler=bad_row)
     convert = csv.ConvertOptions(
         include_columns=list(places.values()), column_types=dict.fromkeys(places.values(), pa.float64()),
-        null_values=EMPTY, strings_can_be_null=True,
+        null_values=EMPTY, strings_can_be_null=True, decimal_point=table.decimal,
     )  # fmt: skip
     chunks: dict[str, list[np.ndarray]] = {name: [] for name in names}
     count = 0
@@ -236,6 +243,34 @@ def numbers(table: Table) -> tuple[list[str], np.ndarray]:
     return names, np.column_stack([columns[name] for name in names])
 
 
+# --------------------------------------------------------------------------------------------------------- Parquet
+def _open_parquet(path: Path) -> Table:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        schema = pq.read_schema(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DataError(f"{path}: Parquet, but damaged or truncated ({first_line(error)})") from None
+    if METADATA_KEY in (schema.metadata or {}):
+        raise DataError(f"{path}: a flight of this program needs no import, use it as it is")
+    return Table(path, tuple(schema.names), format="parquet")
+
+
+def _read_parquet(table: Table, names: list[str], rows: int | None) -> dict[str, np.ndarray]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {}
+    for name in names:
+        column = pq.read_table(table.path, columns=[name]).column(0).slice(0, rows)
+        try:
+            columns[name] = as_numpy(column.cast(pa.float64()).fill_null(float("nan")))
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+            raise DataError(f"{table.path}: column {name!r} holds {column.type}, a number is needed") from None
+    return columns
+
+
 # ------------------------------------------------------------------------------------------------------------ HDF5
 def _open_hdf5(path: Path) -> Table:
     h5py = _h5py(path)
@@ -243,9 +278,10 @@ def _open_hdf5(path: Path) -> Table:
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim in (1, 2):
-            width = 1 if item.ndim == 1 else item.shape[1]
+            flat = item.ndim == 1 or item.shape[0] == 1
+            width = 1 if flat else min(item.shape)
             if width <= 64:
-                names.extend([name] if item.ndim == 1 else [f"{name}[{i}]" for i in range(width)])
+                names.extend([name] if flat else [f"{name}[{i}]" for i in range(width)])
 
     try:
         with h5py.File(path, "r") as file:
@@ -254,7 +290,7 @@ def _open_hdf5(path: Path) -> Table:
         raise DataError(f"{path}: an HDF5 file, but damaged or truncated ({first_line(error)})") from None
     if not names:
         raise DataError(f"{path}: an HDF5 file without one data set of numbers")
-    return Table(path, tuple(names), hdf5=True)
+    return Table(path, tuple(names), format="hdf5")
 
 
 def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np.ndarray]:
@@ -265,11 +301,13 @@ def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np
             for name in names:
                 key, _, index = name.partition("[")
                 data = file[key]
+                if data.ndim == 2 and data.shape[0] < data.shape[1]:  # as MATLAB lays out its columns
+                    data = data[:].T
                 part = slice(None, rows)
                 declared = min(len(data), rows or len(data)) * len(names)
                 if declared > MOST_VALUES or 8 * declared > allowed_bytes(table.path):
                     raise DataError(f"{table.path}: {key} declares {len(data)} rows: too many to be a log, or damaged")
-                columns[name] = np.asarray(data[part, int(index[:-1])] if index else data[part], float)
+                columns[name] = np.ravel(data[part, int(index[:-1])] if index else data[part]).astype(float)
     except (OSError, RuntimeError, ValueError, KeyError, MemoryError) as error:
         raise DataError(f"{table.path}: damaged ({first_line(error)})") from None
     return columns

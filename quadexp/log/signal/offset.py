@@ -7,6 +7,11 @@ A positive offset: what `a` shows at t, `b` shows at t + tau, so b's clock is to
 brought to one clock and to one band (Gaussian low- and high-pass, without phase): above it noise dominates, below it
 drift and drag shift the phase of a slow signal without any delay. The standard error is that of a jackknife over
 stretches of the log. Offsets are reported only; moving a stream is asked for (`--align`).
+
+A clock that runs at another rate shows as offsets that grow: a line (Theil 1950, Sen 1968) through those of stretches
+of WINDOW seconds, each looked for about where the stretches before say,
+
+    tau(t) = tau_m + drift (t - t_m)        t_m: middle of the log
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.signal import Stream, as_stream, period_of
+from quadexp.log.signal import Stream, as_stream, continuous, period_of
 from quadexp.log.signal.resample import resample
 from quadexp.log.signal.windows import attitude_rate
 from quadexp.physics.vehicle import GRAVITY
@@ -32,7 +37,12 @@ AMBIGUOUS = 0.97  # another peak as high as this share of the highest one
 LARGEST_ERROR = 0.02  # s
 LEAST_SAMPLES = 50
 # Which stream is compared with which other one, and with what correlation: an accelerometer feels more than the motion.
-PAIRS = (("rate", "attitude", 0.7), ("acceleration", "velocity", 0.9), ("acceleration", "position", 0.9))
+PAIRS = (("rate", "attitude", 0.7), ("acceleration", "velocity", 0.9), ("acceleration", "position", 0.9),
+         ("position", "velocity", 0.9))  # fmt: skip
+WINDOW, MOST_WINDOWS, LEAST_WINDOWS = 8.0, 24, 4  # s, and how many of them a line takes
+LEAST_DRIFT = 3e-4  # s/s: quartz keeps a tenth of that
+CLEARLY = 0.8  # of the misfit, below which the other side is taken to be late
+AROUND_LINE = 0.01  # s: what offsets of stretches may lie beside a line
 PARTS, PART = 6, 20.0  # how many stretches of a long flight are looked at, and how long (s)
 
 
@@ -41,6 +51,7 @@ class Offset(NamedTuple):
 
     rival: height of the next peak over that of the first (near 1: periodic motion, cannot tell). certain: correlation
     above LEAST_CORRELATION, no rival, a small error, stretches of the log that agree, peak not at the edge.
+    drift: by which it grows (s/s), 0 where that is not seen; seconds is then the offset at `middle` (s).
     """
 
     seconds: float
@@ -48,6 +59,17 @@ class Offset(NamedTuple):
     correlation: float
     rival: float
     certain: bool
+    drift: float = 0.0
+    middle: float = 0.0
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """The offset at times t (k,) of b's clock (s)."""
+        return self.seconds + self.drift * (t - self.middle)
+
+    @property
+    def words(self) -> str:
+        drift = f", growing by {1e3 * self.drift:+.2f} ms each second" if self.drift else ""
+        return f"(standard error {1e3 * self.error:.2g} ms, correlation {self.correlation:.2f}){drift}"
 
 
 def estimate_offset(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> Offset:
@@ -138,20 +160,110 @@ def _peak(sums: np.ndarray, rate: float) -> tuple[float, float, float, bool]:
     return float(peaks[best]), float(heights[best]), rival, bool(correlation.max() > heights[best] + 1e-6)
 
 
+def drifting(a: Stream, b: Stream) -> Offset | None:
+    """Offset of b behind a that grows with time; None where it does not."""
+    from scipy.stats import theilslopes
+
+    begin, end = max(a.t[0], b.t[0]) + LARGEST, min(a.t[-1], b.t[-1]) - LARGEST
+    count = min(int((end - begin) / WINDOW), MOST_WINDOWS)
+    if count < LEAST_WINDOWS:
+        return None
+    known: list[Offset] = []
+    middles: list[float] = []
+    for middle in np.linspace(begin + WINDOW / 2, end - WINDOW / 2, count):
+        before = known[-1].seconds if known else 0.0
+        if len(known) > 1:
+            slope = (known[-1].seconds - known[0].seconds) / (middles[-1] - middles[0])
+            before += slope * (middle - middles[-1])
+        near = np.abs(a.t - middle) < WINDOW / 2 + LARGEST
+        other = np.abs(b.t - before - middle) < WINDOW / 2 + LARGEST
+        try:
+            offset = estimate_offset((a.t[near], a.values[near]), (b.t[other] - before, b.values[other]))
+        except DataError:
+            continue
+        if offset.correlation > LEAST_CORRELATION and offset.rival < AMBIGUOUS and abs(offset.seconds) < LARGEST:
+            known.append(offset._replace(seconds=offset.seconds + before))
+            middles.append(float(middle))
+    if len(known) < LEAST_WINDOWS:
+        return None
+    t, tau = np.array(middles), np.array([offset.seconds for offset in known])
+    slope, _, low, high = theilslopes(tau, t, 0.95)
+    middle = (begin + end) / 2
+    level = float(np.median(tau - slope * (t - middle)))
+    beside = tau - level - slope * (t - middle)
+    if abs(slope) < LEAST_DRIFT or low * high <= 0 or np.median(np.abs(beside)) > AROUND_LINE:
+        return None
+    if np.ptp(slope * t) < 4 * np.median(np.abs(beside)):
+        return None
+    error = 1.4826 * float(np.median(np.abs(beside))) / np.sqrt(len(known))
+    correlation = float(np.median([offset.correlation for offset in known]))
+    return Offset(level, error, correlation, 0.0, True, float(slope), middle)
+
+
 # ----------------------------------------------------------------------------------------------- streams of a flight
 def find_offsets(streams: Mapping[str, Stream]) -> dict[tuple[str, str], Offset]:
     """(stream, behind which) -> offset; those that cannot be estimated are left out."""
     parts = {name: spread(stream) for name, stream in streams.items() if len(stream.t) >= LEAST_SAMPLES}
     offsets: dict[tuple[str, str], Offset] = {}
     for name, source, correlation in PAIRS:
-        if ("acceleration", "velocity") in offsets or not {name, source} <= parts.keys():
+        known = source == "position" and ("acceleration", "velocity") in offsets
+        if known or not {name, source} <= parts.keys():
             continue
         try:
-            offset = estimate_offset(*_compared(name, source, parts))
+            offset = drifting(*_compared(name, source, streams)) or estimate_offset(*_compared(name, source, parts))
         except (DataError, ValueError, np.linalg.LinAlgError):
             continue
         offsets[name, source] = offset._replace(certain=offset.certain and offset.correlation > correlation)
     return offsets
+
+
+def aligned(streams: Mapping[str, Stream], offsets: Mapping[tuple[str, str], Offset]) -> dict[str, Stream]:
+    """The streams that are late or early, on the clock of the others, by the offsets that are certain.
+
+    An offset does not say which of its two streams is late. Gyro and accelerometer are moved, unless the specific force
+    turned into the world fits the motion better with attitude, or position and velocity, moved in their place.
+    """
+    named = {name: offset for (name, _), offset in offsets.items() if offset.certain}
+    first = [("position", named["position"], -1.0)] if "position" in named else []
+    of_rate = [("rate", -1.0)] if "rate" in named else []
+    of_force = [("acceleration", -1.0)] if "acceleration" in named else []
+    others = [[("attitude", 1.0), *of_force]] if of_rate else []
+    others += [[*of_rate, ("velocity", 1.0), ("position", 1.0)]] if of_force else []
+    made = []
+    for chosen in ([*of_rate, *of_force], *others):
+        moves = [
+            (name, named["rate" if name in ("rate", "attitude") else "acceleration"], sign) for name, sign in chosen
+        ]
+        made.append(_moved(streams, [*first, *moves]))
+    misfits = [_misfit(one) for one in made]
+    best = min(range(len(made)), key=misfits.__getitem__)
+    return made[best if misfits[best] < CLEARLY * misfits[0] else 0]
+
+
+def _moved(streams: Mapping[str, Stream], moves: list[tuple[str, Offset, float]]) -> dict[str, Stream]:
+    made = dict(streams)
+    for name, offset, sign in moves:
+        if name in made:
+            t, values = made[name]
+            made[name] = Stream(t + sign * offset.at(t), values)
+    return made
+
+
+def _misfit(streams: Mapping[str, Stream]) -> float:
+    """Root mean square of R f less the acceleration of the motion (m/s^2); 0 where it is not known."""
+    from scipy.spatial.transform import Rotation
+
+    motion = streams.get("velocity") or streams.get("position")
+    if motion is None or not {"attitude", "acceleration"} <= streams.keys():
+        return 0.0
+    motion = spread(motion)
+    slopes = _slopes(motion) if "velocity" in streams else _slopes(_slopes(motion))
+    (t, f), attitude = streams["acceleration"], streams["attitude"]
+    q = np.stack([np.interp(t, attitude.t, column) for column in continuous(attitude.values).T], axis=-1)
+    pushed = Rotation.from_quat(q, scalar_first=True).apply(f)
+    seen = np.stack([np.interp(slopes.t, t, column) for column in pushed.T], axis=-1)
+    gap = _in_band(seen - slopes.values - [0.0, 0.0, GRAVITY], 1 / period_of(slopes.t))
+    return float(np.sqrt(np.mean(gap**2)))
 
 
 def spread(stream: Stream) -> Stream:
@@ -182,6 +294,8 @@ def _compared(name: str, source: str, streams: Mapping[str, Stream]) -> tuple[St
     late, early = streams[name], streams[source]
     if name == "rate":
         return _turning(early), late
+    if name == "position":
+        return early, _slopes(late)
     # Sizes do not depend on the attitude, whose own delay would turn gravity into a force along x and y.
     motion = _slopes(early) if source == "velocity" else _slopes(_slopes(early))
     return _size(Stream(motion.t, motion.values + [0.0, 0.0, GRAVITY])), _size(late)

@@ -9,7 +9,7 @@ from quadexp.log.importers import Options, import_log
 from quadexp.log.importers.describe import describe_log
 from quadexp.log.importers.mapping import load_mapping
 from tests.log.importers import logs
-from tests.log.importers.logs import quad_x
+from tests.log.importers.logs import G, quad_x
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +126,80 @@ def test_an_attitude_at_ten_hertz(tmp_path):
     columns = {"t": f.t, **logs._named("qw|qx|qy|qz", fast.as_quat(scalar_first=True)), **logs._named("x|y|z", f.p)}
     found = describe_log(logs.write_csv(tmp_path / "a.csv", columns))
     assert found.fields["attitude"].value["columns"] == ["qw", "qx", "qy", "qz"]
+
+
+def columns_of(f):
+    """Columns of the truth without attitude, in SI."""
+    named = {"t": f.t}
+    for name, values in (("p", f.p), ("v", f.v), ("w", f.w), ("acc", f.acc)):
+        named |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
+    return named
+
+
+@pytest.mark.parametrize("signs", [(1, -1, 1), (-1, 1, 1), (1, 1, -1)])
+def test_signs_of_roll_pitch_and_yaw_that_wraps(truth, tmp_path, signs):
+    """As Crazyflie's stabilizer.pitch, positive nose up, with a heading that goes through 180 deg."""
+    turn = Rotation.from_euler("z", 170, degrees=True)
+    angles = (turn * truth.R).as_euler("ZYX", degrees=True)[:, ::-1] * signs
+    log = columns_of(truth)
+    for name in ("p", "v"):
+        turned = turn.apply(np.column_stack([log[f"{name}_{axis}"] for axis in "xyz"]))
+        log |= {f"{name}_{axis}": turned[:, i] for i, axis in enumerate("xyz")}
+    log |= {name: angles[:, i] for i, name in enumerate(("roll", "pitch", "yaw"))}
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", log), tmp_path)
+    got = Rotation.from_quat(flight.stack([f"q_{axis}" for axis in "wxyz"]), scalar_first=True)
+    assert found.fields["attitude"].sureness == "sure" and "corrections" not in found.fields
+    assert ((turn * truth.R).inv() * got).magnitude().max() < 1e-5
+
+
+@pytest.mark.parametrize("rows", [1990, 1991])
+def test_a_quaternion_with_w_above_zero_is_continued(truth, tmp_path, rows):
+    """Its sign jumps where the nose points west; rows: whether the samples looked at lie between those of the log."""
+    turned = Rotation.from_euler("z", 180, degrees=True) * truth.R
+    q = turned.as_quat(scalar_first=True)
+    q *= np.sign(q[:, :1])
+    assert (np.sum(q[1:] * q[:-1], axis=1) < 0).any()
+    log = columns_of(truth) | {f"q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+    log |= {name: -log[name] for name in ("p_x", "p_y", "v_x", "v_y")}
+    log["t"] = log["t"] + 0.003 * np.sin(np.arange(len(truth.t)))
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", {name: x[:rows] for name, x in log.items()}))
+    assert found.fields["attitude"].value["columns"] == ["q_w", "q_x", "q_y", "q_z"]
+
+
+@pytest.mark.parametrize("counts", [16.4, 32.8, 65.5, 131.0])
+def test_counts_of_a_gyro_are_no_milliradians(truth, tmp_path, counts):
+    log = columns_of(truth) | {f"q_{axis}": truth.q[:, i] for i, axis in enumerate("wxyz")}
+    log |= {f"w_{axis}": np.round(np.degrees(truth.w[:, i]) * counts) for i, axis in enumerate("xyz")}
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", log), tmp_path)
+    np.testing.assert_allclose(flight.stack(["w_x", "w_y", "w_z"]), truth.w, atol=2e-3)
+    assert found.fields["rate"].value["unit"] == "deg/s"
+
+
+def test_electrical_turns_of_betaflight_are_hundreds(truth, tmp_path):
+    log = {"loopIteration": np.arange(len(truth.t)), "time (us)": 1e6 * truth.t, "axisP[0]": 0 * truth.t}
+    log |= {f"accSmooth[{i}]": 2048 * truth.acc[:, i] / G for i in range(3)}
+    log |= {f"eRPM[{i}]": np.round(100 + 500 * truth.command[:, i]) for i in range(4)}
+    _, flight = imported(logs.write_csv(tmp_path / "a.csv", log), tmp_path)
+    expected = np.sort(log["eRPM[0]"])[-1] * 100 / 7 * 2 * np.pi / 60
+    assert flight["rotor_speed_0"].max() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+@pytest.mark.parametrize("rate", [1.0, 50.0])
+def test_times_since_1970_and_a_trajectory_without_header(truth, tmp_path, factor, unit, rate):
+    t = (1.7e9 + np.arange(len(truth.t)) / rate) * factor
+    rows = np.column_stack([t, truth.p, truth.q[:, [1, 2, 3, 0]]])
+    np.savetxt(tmp_path / "a.tum", rows, fmt="%.9f")
+    fields = describe_log(tmp_path / "a.tum").fields
+    assert fields["time"].value == {"column": "0", "unit": unit}
+    assert fields["position"].value["columns"] == ["1", "2", "3"]
+    assert fields["attitude"].value["columns"] == ["7", "4", "5", "6"]
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimal_commas(truth, tmp_path, delimiter):
+    log = columns_of(truth) | {f"q_{axis}": truth.q[:, i] for i, axis in enumerate("wxyz")}
+    text = logs.write_csv(tmp_path / "a.csv", log).read_text().replace(",", delimiter).replace(".", ",")
+    (tmp_path / "a.csv").write_text(text)
+    _, flight = imported(tmp_path / "a.csv", tmp_path)
+    np.testing.assert_allclose(flight["p_x"], truth.p[:, 0])

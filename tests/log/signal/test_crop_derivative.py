@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.log.importers.assemble import crop
+from quadexp.log.importers.ground import crop
 from quadexp.log.signal import derivative, increasing
 
 T = np.arange(0, 20, 0.01)
@@ -34,12 +34,7 @@ def test_a_short_dropout_does_not_cut_the_flight_and_a_landing_does():
 
 def test_a_log_in_the_air_is_kept_and_one_on_the_ground_has_no_flight():
     assert crop(T, 1 + 0.1 * np.sin(T), **CROP).all()
-    assert not crop(T, 0.05 + 0 * T, **CROP).any() and not crop(T, None, thrust=0 * T, **CROP).any()
-
-
-def test_thrust_tells_where_there_is_no_height():
-    thrust = np.where((T > 3) & (T < 17), 0.6, 0.0)
-    assert T[crop(T, None, thrust=thrust, clearance=0.0, margin=0.0)][0] == pytest.approx(3, abs=0.02)
+    assert not crop(T, 0.05 + 0 * T, **CROP).any()
 
 
 def test_derivative_of_tones_and_its_bandwidth():

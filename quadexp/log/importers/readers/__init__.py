@@ -19,6 +19,31 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.raw import RawLog
 
 HEAD = 4096  # bytes
+# What files of other kinds begin with, or are named, and the way from there to one that is read.
+OTHERS: tuple[tuple[str, bytes, tuple[str, ...], str], ...] = (
+    ("Betaflight's log", b"H Product:Blackbox", (".bbl", ".bfl"), "make a table of it: `blackbox_decode LOG.BBL`"),
+    ("a telemetry log of MAVLink", b"", (".tlog",), "`mavlogdump.py --format csv --types RAW_IMU LOG.tlog > imu.csv`"),
+    ("MATLAB's format before 7.3", b"MATLAB 5.0", (), "save it with `save('log.mat', 'name', '-v7.3')`, which is HDF5"),
+    ("an array of NumPy", b"\x93NUMPY", (".npy",), "`numpy.savetxt('log.csv', x, delimiter=',', header='t,..')`"),
+    ("a pickle", b"\x80\x04", (".pkl", ".pickle"), "write it as a table: `pandas.DataFrame(..).to_csv('log.csv')`"),
+    ("compressed by gzip", b"\x1f\x8b", (".gz",), "`gunzip` it first"),
+    ("compressed by bzip2", b"BZh", (".bz2",), "`bunzip2` it first"),
+    ("compressed by xz", b"\xfd7zXZ", (".xz",), "`unxz` it first"),
+    ("compressed by Zstandard", b"\x28\xb5\x2f\xfd", (".zst",), "`unzstd` it first"),
+    ("arrays of NumPy in one file", b"PK\x03\x04", (".npz",),
+     "`pandas.DataFrame(dict(numpy.load('log.npz'))).to_csv('log.csv')`"),
+    ("a spreadsheet", b"PK\x03\x04", (".xlsx", ".ods"), "save it as CSV"),
+    ("an archive", b"PK\x03\x04", (".zip",), "`unzip` it first"),
+    ("Arrow's format", b"ARROW1", (".feather", ".arrow"), "write Parquet: `pandas.read_feather(..).to_parquet(..)`"),
+)  # fmt: skip
+
+
+def way_of(path: Path, head: bytes) -> str:
+    """Of a file that no reader takes: what it is, and the way to one that is read; "" where it is not known."""
+    suffix = path.suffix.lower()
+    fits = [row for row in OTHERS if row[1] and head.startswith(row[1])]
+    fits = [row for row in fits if suffix in row[2]] or fits or [row for row in OTHERS if suffix in row[2]]
+    return f"{fits[0][0]}: {fits[0][3]}" if fits else ""
 
 
 class Reader(Protocol):
@@ -52,7 +77,11 @@ def reader_of(path: Path) -> str:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from None
         if not head:
             raise DataError(f"{path}: the file is empty")
+    if head and head.startswith(OTHERS[0][1]):  # its header is text
+        raise DataError(f"{path}: {way_of(path, head)}")
     known = next((name for name, reader in readers().items() if reader.recognises(path, head)), None)
+    if known is None and head and (way := way_of(path, head)):
+        raise DataError(f"{path}: {way}")
     if known is None:
         what = "neither text nor" if head is not None else "a folder, but none of"
         raise DataError(f"{path}: {what} {', '.join(f'{name} ({r.ABOUT})' for name, r in readers().items())}")

@@ -5,15 +5,20 @@
     geometry_msgs/TwistStamped         velocity, rate   (body where the frame is a body's, else world)
     sensor_msgs/Imu                    rate, specific force
     sensor_msgs/BatteryState           voltage
+    px4_msgs/..                        as the topics of a ULog, in NED and FRD
     mav_msgs/Actuators, mavros ESCStatus/ESCTelemetry, and any message of `motor`s or `rpm`   rotor speeds or commands
 
-ROS is ENU and FLU already (REP 103). Several topics of one kind: estimate before reference, most messages first.
+Channels of other types are not looked into, whatever their encoding. ROS is ENU and FLU already (REP 103). Several
+topics of one kind: estimate before reference, most messages first.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
-from functools import cache
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +26,7 @@ import numpy as np
 
 from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.importers.raw import RawLog, sorted_stream, with_attitude
+from quadexp.log.importers.readers.ulog import TOPICS, read_topics
 from quadexp.log.integrity import allowed_bytes
 from quadexp.log.signal import Stream
 from quadexp.log.store import first_line
@@ -61,29 +67,95 @@ def read(path: Path, named: str) -> RawLog:
     except ImportError:
         raise missing_package(path, "rosbags", "logs") from None
     rows: _Found = {}
+    px4: dict[str, list[dict[str, Any]]] = {}
+    others: list[str] = []
     notes: list[str] = []
     try:
         source = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file() else path
-        with AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            wanted = [c for c in reader.connections if _fields(c.msgtype)]
+        with _opened(AnyReader, source, get_typestore(Stores.ROS2_HUMBLE)) as (reader, others):
+            wanted = reader.connections
             if not wanted:
-                there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})[:8]) or "none"
+                there = ", ".join(others[:8]) or "none"
                 raise DataError(f"no topic of pose, motion, IMU or motors; topics: {there}")
             declared = sum(c.msgcount for c in wanted)
             if declared > MOST_MESSAGES or declared * PER_MESSAGE > allowed_bytes(source):
                 raise DataError(f"declares {declared} messages: too many for its size, or for any log")
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
+                if topic := _px4_topic(connection.msgtype):
+                    px4.setdefault(topic, []).append(_flat(message))
+                    continue
                 _take(rows, _fields(connection.msgtype), connection.topic, _time(message, stamp), message)
     except QuadexpError as error:
         raise DataError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except Exception as error:  # readers of bags, decompressors and databases raise what they like
-        if not any(rows.values()):
+        if not any(rows.values()) and not px4:
             raise DataError(f"{path}: not a bag, or damaged ({type(error).__name__}: {first_line(error)})") from None
         notes.append(f"damaged ({first_line(error)}): what could be read was")
+    if others:
+        notes.append(f"topics of other types: {', '.join(others[:6])}{', ..' if len(others) > 6 else ''}: not read")
+    if px4:
+        log = read_topics(path, {name: [_columns(messages)] for name, messages in px4.items()}, {})
+        notes += [f"{name}: px4_msgs are taken instead" for name in rows]
+        return replace(log, format="rosbag", notes=[*notes, *log.notes])
     log = RawLog("rosbag", {}, "ros", notes=notes)
     _choose(path, log, rows)
     return log
+
+
+@contextlib.contextmanager
+def _opened(reader_class: Any, source: Path, typestore: Any) -> Iterator[tuple[Any, list[str]]]:
+    """A reader of the channels that are read, and what the others are, whose definitions are not parsed."""
+    from rosbags.rosbag2 import storage_mcap
+
+    others: set[str] = set()
+    reader, known = reader_class([source], default_typestore=typestore), storage_mcap.get_msgdef
+
+    def definition(schema: Any) -> Any:
+        try:
+            return known(schema)
+        except KeyError:  # an encoding of another program
+            return known(None)
+
+    def of_use(connection: Any) -> bool:
+        encoding = getattr(connection.ext, "serialization_format", "cdr")
+        return encoding == "cdr" and bool(_fields(connection.msgtype) or _px4_topic(connection.msgtype))
+
+    def narrowed(one: Any, begin: Callable[[], None]) -> None:
+        begin()
+        others.update(f"{c.topic} ({c.msgtype})" for c in one.connections if not of_use(c))
+        one.connections[:] = [c for c in one.connections if of_use(c)]
+
+    for one in reader.readers:
+        one.open = partial(narrowed, one, one.open)
+    storage_mcap.get_msgdef = definition
+    try:
+        with reader:
+            yield reader, sorted(others)
+    finally:
+        storage_mcap.get_msgdef = known
+
+
+def _px4_topic(kind: str) -> str:
+    """The ULog's name of a message of PX4, or "" where it is of no use."""
+    found = re.fullmatch(r"px4_msgs/msg/(\w+)", kind)
+    name = re.sub(r"(?<=.)([A-Z])", r"_\1", found[1]).lower() if found else ""
+    return name if name in TOPICS else ""
+
+
+def _flat(message: Any) -> dict[str, Any]:
+    """Fields of a message as a ULog names them, "q[0]" and so on."""
+    flat: dict[str, Any] = {}
+    for name, value in vars(message).items():
+        values = np.asarray(value)
+        if values.dtype.kind not in "biuf":
+            continue
+        flat |= {name: value} if values.ndim == 0 else {f"{name}[{i}]": x for i, x in enumerate(values.ravel())}
+    return flat
+
+
+def _columns(messages: list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    return {name: np.array([message[name] for message in messages]) for name in messages[0]}
 
 
 def _time(message: Any, stamp: int) -> float:

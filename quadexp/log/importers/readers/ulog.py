@@ -66,6 +66,14 @@ RESETS = {
     "attitude": ("quat_reset_counter", "reset_counter"),
 }
 ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE
+# Vehicles whose rotors do not alone carry them, by MAV_TYPE.
+OTHER_VEHICLES = {
+    1: "a fixed wing",
+    10: "a rover",
+    11: "a boat",
+    12: "a submarine",
+    **dict.fromkeys(range(19, 26), "a VTOL"),
+}
 ODOMETRY = "vehicle_odometry"
 # What an odometry says of its axes: north, east, down; of any heading ("local"); of the body, of its velocity. Before
 # PX4 1.14 with other numbers, and `local_frame` for `pose_frame`.
@@ -98,7 +106,7 @@ def read(path: Path, named: str) -> RawLog:
     if not topics:
         raise DataError(f"{path}: a ULog without data of {', '.join(TOPICS[-3:])}: truncated, or no flight was logged")
     parameters = {key: value for key, value in file.initial_parameters.items() if isinstance(value, (int, float))}
-    log = _read_topics(path, topics, parameters)
+    log = read_topics(path, topics, parameters)
     if file.file_corruption or "corruption" in printed.getvalue():
         log.notes.append("the file is damaged in places: what could be read was")
     if file.dropouts:
@@ -155,7 +163,7 @@ def _check_formats(formats: dict[str, Any]) -> None:
 
 
 # ---------------------------------------------------------------------------------------------------------- its topics
-def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> RawLog:
+def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> RawLog:
     """Streams of one log. parameters: of the vehicle, as logged. Raises DataError where there is neither attitude nor
     motion."""
     log = RawLog("ulog", {}, "px4")
@@ -180,7 +188,7 @@ def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) ->
                 continue
             stream = _stream(path, f"{name} ({topic})", instance, fields, log.notes)
             if stream is not None:
-                log.streams[name], used[name] = _turned(name, stream), topic
+                log.streams[name], used[name] = turned(name, stream), topic
                 body_velocity |= frame == "body"
                 if frame in ("NED", "local"):
                     axes = frame
@@ -193,6 +201,11 @@ def _read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) ->
     absent = {"position", "attitude", "rate", "acceleration"} - used.keys() - refused
     if missing := [f"{name} ({sources[0].split()[0]})" for name, sources in SOURCES.items() if name in absent]:
         log.notes.append(f"topics missing: {', '.join(missing)}")
+    kind = OTHER_VEHICLES.get(int(parameters.get("MAV_TYPE", 0)))
+    if kind is not None:
+        log.notes.append(
+            f"warning: the log is of {kind} (MAV_TYPE): models here are of multirotors, their drag and thrust"
+        )
     if axes == "local":
         log.notes.append("the world's axes are those of vehicle_odometry: x and y may have any heading")
     if body_velocity and "attitude" in used:
@@ -278,7 +291,7 @@ def _stream(path: Path, name: str, topic: Topic, fields: Sequence[str], notes: l
     return sorted_stream(path, name, t, values, notes)
 
 
-def _turned(name: str, stream: Stream) -> Stream:
+def turned(name: str, stream: Stream) -> Stream:
     """NED to ENU, FRD to FLU."""
     t, values = stream
     if name == "attitude":
@@ -306,6 +319,14 @@ def _motors(path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, fl
         stream = _stream(path, f"{quantity} ({topic})", instance, fields, log.notes) if count >= 3 else None
         if stream is not None:
             log.streams[quantity], used[quantity] = stream, topic
+    factor = float(parameters.get("THR_MDL_FAC", 0.0))
+    if used.get("motor_command") == "actuator_motors" and 0 < factor <= 1:
+        t, thrust = log.streams["motor_command"]
+        log.streams["motor_command"] = Stream(t, signal_of_thrust(np.clip(thrust, 0.0, 1.0), factor))
+        log.about["thr_mdl_fac"] = factor
+        log.notes.append(
+            f"motor_command (actuator_motors): the signal that THR_MDL_FAC {factor:g} makes of the thrust logged"
+        )
     if used.get("motor_command") == "actuator_outputs":
         log.streams["motor_command"] = _pwm(log.streams["motor_command"], parameters, log.notes)
     if "rotor_speed" in used:
@@ -313,6 +334,11 @@ def _motors(path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, fl
         log.streams["rotor_speed"] = Stream(t, RPM * np.abs(values))
     counts = [log.streams[name].values.shape[1] for name in ("motor_command", "rotor_speed") if name in used]
     log.layout = _layout(max(counts, default=0), parameters, log.notes)
+
+
+def signal_of_thrust(thrust: np.ndarray, factor: float) -> np.ndarray:
+    """Signal s of a motor from PX4's thrust u = f s^2 + (1 - f) s, f: THR_MDL_FAC."""
+    return (np.sqrt((1 - factor) ** 2 + 4 * factor * thrust) - (1 - factor)) / (2 * factor)
 
 
 def _moving(topic: Topic, field: str, most: int) -> int:

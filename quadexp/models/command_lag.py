@@ -1,0 +1,205 @@
+"""Dead time and lag of the thrust behind commands of any unit (a share, pulse width, rotor speed or force).
+
+    f_z = sum_p c_p sum_i L[s_i^p] + c_v v_z + c_w |v_z| v_z + c_h |v_xy|^2     p = 1, 2
+
+L: dead time d, then a first-order lag tau, of a signal that is held between its samples: T the period, y_j the state at
+the beginning of the interval j in which t - d lies, a the time since then,
+
+    L[s](t) = (1 - exp(-a / tau)) s_j + exp(-a / tau) y_j,      y_j+1 = exp(-T / tau) y_j + (1 - exp(-T / tau)) s_j
+
+Every column goes through the band LOW .. HIGH (battery, wind and the slow part of the loop below it, noise above); c by
+least squares at each (d, tau). The cost is n/2 log of the residual's square, n of samples that are independent in the
+band. A dead time or a lag alone is taken where both are not SIMPLER more likely, and of dead times that are alike, as
+those of a held command are over a period where nothing lags, the shortest. Interval:
+blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and RESOLUTION at each end: of a sampled
+log no finer time is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from quadexp.log.signal import period_of, runs
+
+FINE = 1e-3  # s
+LOW, HIGH = 0.8, 12.0  # Hz
+BLOCK, DRAWS = 1.0, 100
+RESOLUTION = 3e-3  # s
+EDGE = 0.3  # s, where the filters settle
+LEAST_SECONDS = 4.0
+MOST_SECONDS = 240.0  # of all flights together
+WORTH = 8.0  # log likelihood that a delay must bring to be real
+ALIKE, SIMPLER, NEAR = 0.25, 2.0, 1.92  # log likelihood: as good as the best; of one more constant; of 95 %
+DEAD_TIMES = np.arange(0.0, 0.0605, FINE)
+LAGS = np.concatenate([
+    np.arange(0.0, 0.006, FINE), np.arange(0.0075, 0.02, 0.0025), np.arange(0.02, 0.05, 0.005),
+    np.arange(0.05, 0.1601, 0.01),
+])  # fmt: skip
+FINE_LAGS = np.arange(0.0, LAGS[-1] + FINE / 2, FINE)
+
+
+class CommandLag(NamedTuple):
+    """dead_time, lag (s). intervals: 95 %, low and high, of dead time, lag and their sum, (3, 2) (s). worth: log
+    likelihood above that of commands that act at once."""
+
+    dead_time: float
+    lag: float
+    intervals: np.ndarray
+    worth: float
+
+    @property
+    def late(self) -> bool:
+        """Whether the flights show that commands act late at all."""
+        return self.worth > WORTH
+
+    @property
+    def error(self) -> float:
+        """Standard error of the sum (s)."""
+        return float(self.intervals[2, 1] - self.intervals[2, 0]) / (2 * 1.96)
+
+    @property
+    def at_bound(self) -> np.ndarray:
+        """Whether dead time, lag or their sum may be beyond what is searched, (3,): no upper end is known."""
+        largest = np.array([DEAD_TIMES[-1], LAGS[-1]])
+        beyond = self.intervals[:2, 1] > largest - FINE
+        return np.append(beyond, beyond.any())
+
+    def __str__(self) -> str:
+        parts = []
+        values = (self.dead_time, self.lag, self.dead_time + self.lag)
+        for i, name in enumerate(("dead time", "lag", "sum")):
+            low, high = 1e3 * self.intervals[i]
+            span = f"at least {low:.0f}" if self.at_bound[i] else f"[{low:.0f}, {high:.0f}]"
+            parts.append(f"{name} {1e3 * values[i]:.0f} {span} ms")
+        return ", ".join(parts)
+
+
+def lagged(signal: np.ndarray, period: float, dead_time: float, lag: float, *, ends: bool = False) -> np.ndarray:
+    """L[s] at the samples, (k, n), of one stretch. signal: (k, n), held from each sample to the next; ends: over the
+    interval that ends at the sample instead. Before the first sample it is that of the first."""
+    back, kept = _place(period, dead_time, lag, ends)
+    at = np.maximum(np.arange(len(signal)) - back, 0)
+    return (1 - kept) * signal[at] + kept * _begins(signal, period, lag)[at]
+
+
+def _place(period: float, dead_time: float, lag: float, ends: bool) -> tuple[int, float]:
+    """How many intervals before that of a sample a time `dead_time` before it lies, and exp(-a / tau)."""
+    part = dead_time / period
+    back = int(np.floor(part + 1e-9)) if ends else int(np.ceil(part - 1e-9))
+    since = (back + ends - part) * period
+    return back, float(np.exp(-since / lag)) if lag > 0 else 0.0
+
+
+def _begins(signal: np.ndarray, period: float, lag: float) -> np.ndarray:
+    """y_j, (k, n)."""
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-period / lag)) if lag > 0 else 0.0
+    before = np.concatenate([signal[:1], signal[:-1]])
+    return lfilter([1 - kept], [1.0, -kept], before, axis=0, zi=kept * signal[:1])[0]
+
+
+def find_lag(
+    time: np.ndarray, segment: np.ndarray, signal: np.ndarray, force: np.ndarray, velocity: np.ndarray, held: np.ndarray
+) -> CommandLag | None:
+    """Of flights one after another; None where they are too short or too slow to tell.
+
+    time: (k,) s. segment: (k,), ascending numbers. signal: (k, n). force: f_z, (k,) m/s^2. velocity: (k, 3) body, m/s.
+    held: (k,), whether the signal is that of the interval that ends at the sample.
+    """
+    v_z = velocity[:, 2]
+    beside = np.column_stack([v_z, np.abs(v_z) * v_z, velocity[:, 0] ** 2 + velocity[:, 1] ** 2, force])
+    sums, counts, seconds = [], [], 0.0
+    for rows in _stretches(time, segment):
+        period = period_of(time[rows])
+        if period > 1 / (2.5 * HIGH):
+            continue
+        made = _sums(signal[rows], beside[rows], period, bool(held[rows][0]))
+        sums.append(made[0])
+        counts.append(made[1] * min(1.0, 2 * HIGH * period))
+        seconds += float(time[rows][-1] - time[rows][0])
+        if seconds > MOST_SECONDS:
+            break
+    if seconds < LEAST_SECONDS:
+        return None
+    blocks, count = np.concatenate(sums, axis=2), np.concatenate(counts)
+    cost = _cost(blocks, count, np.ones(len(count)))
+    best, near = _likeliest(cost)
+    drawn = np.random.default_rng(0).multinomial(len(count), np.full(len(count), 1 / len(count)), DRAWS)
+    likely = np.array([_likeliest(_cost(blocks, count, weight))[0] for weight in drawn])
+    ends = np.percentile(np.column_stack([likely, likely.sum(axis=1)]), [2.5, 97.5], axis=0).T
+    ends = np.column_stack([np.minimum(ends[:, 0], near[:, 0]), np.maximum(ends[:, 1], near[:, 1])])
+    ends += RESOLUTION * np.array([-1.0, 1.0])
+    return CommandLag(float(best[0]), float(best[1]), np.maximum(ends, 0.0), float(cost[0, 0] - cost.min()))
+
+
+def _stretches(time: np.ndarray, segment: np.ndarray) -> Iterator[slice]:
+    """Evenly sampled stretches that are long enough."""
+    for number in np.unique(segment):
+        rows = np.flatnonzero(segment == number)
+        step = np.diff(time[rows])
+        for start, stop in runs(np.abs(step - np.median(step)) < 0.1 * np.median(step)) if len(step) else ():
+            if time[rows[stop]] - time[rows[start]] > 2 * EDGE + 2 * BLOCK:
+                yield slice(rows[start], rows[stop] + 1)
+
+
+def _sums(signal: np.ndarray, beside: np.ndarray, period: float, held: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of products of the columns and f_z by dead time, lag and block, (d, tau, b, 6, 6); samples of each block."""
+    powers = np.column_stack([signal.sum(axis=1), np.sum(signal**2, axis=1)])
+    fixed, held_band = _band(beside, period), _band(powers, period)
+    most = int(np.ceil(DEAD_TIMES[-1] / period))
+    edge = max(int(EDGE / period), most)
+    inner = np.arange(edge, len(signal) - edge)
+    blocks = np.array_split(inner, max(2, int(len(inner) * period / BLOCK)))
+    size, beginning = powers.shape[1] + beside.shape[1], 2 * (most + 1)
+    sums = np.zeros((len(DEAD_TIMES), len(LAGS), len(blocks), size, size))
+    for j, lag in enumerate(LAGS):
+        begun = _band(_begins(powers, period, lag), period)
+        shifted = [np.roll(x, back, axis=0) for x in (held_band, begun) for back in range(most + 1)]
+        columns = np.column_stack([*shifted, fixed])
+        products = np.array([columns[block].T @ columns[block] for block in blocks])
+        for i, dead_time in enumerate(DEAD_TIMES):
+            back, kept = _place(period, dead_time, lag, held)
+            chosen = np.zeros((columns.shape[1], size))
+            for power in range(2):
+                chosen[2 * back + power, power] = 1 - kept
+                chosen[beginning + 2 * back + power, power] = kept
+            chosen[-beside.shape[1] :, 2:] = np.eye(beside.shape[1])
+            sums[i, j] = chosen.T @ products @ chosen
+    return sums, np.array([len(block) for block in blocks])
+
+
+def _band(x: np.ndarray, period: float) -> np.ndarray:
+    """Between LOW and HIGH, (k, m), without phase."""
+    from scipy.signal import butter, sosfiltfilt
+
+    low, high = (sosfiltfilt(butter(2, f, fs=1 / period, output="sos"), x, axis=0) for f in (LOW, HIGH))
+    return high - low
+
+
+def _cost(blocks: np.ndarray, count: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Minus the log likelihood by dead time and lag, on grids of FINE, with blocks of these weights, (b,)."""
+    from scipy.interpolate import Akima1DInterpolator
+
+    total = np.tensordot(blocks, weight, (2, 0))
+    normal, mixed, power = total[..., :-1, :-1], total[..., :-1, -1], total[..., -1, -1]
+    size = np.maximum(np.einsum("...ii->...i", normal), 1e-300) ** -0.5
+    scaled = normal * size[..., None] * size[..., None, :] + 1e-9 * np.eye(normal.shape[-1])
+    along = mixed * size
+    left = power - np.einsum("...i,...i->...", along, np.linalg.solve(scaled, along[..., None])[..., 0])
+    cost = float(weight @ count) / 2 * np.log(np.maximum(left, 1e-12 * power))
+    return Akima1DInterpolator(LAGS, cost, axis=1, method="makima")(FINE_LAGS)
+
+
+def _likeliest(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Dead time and lag, (2,) (s); and the range of each and of their sum that is about as likely, (3, 2) (s)."""
+    claimed = cost + SIMPLER * ((DEAD_TIMES > 0)[:, None] + 1.0 * (FINE_LAGS > 0))
+    i, _ = np.nonzero(claimed < claimed.min() + ALIKE)
+    first = int(i.min())
+    best = np.array([DEAD_TIMES[first], FINE_LAGS[int(claimed[first].argmin())]])
+    rows, columns = np.nonzero(cost < cost.min() + NEAR)
+    near = np.stack([DEAD_TIMES[rows], FINE_LAGS[columns], DEAD_TIMES[rows] + FINE_LAGS[columns]])
+    return best, np.column_stack([near.min(axis=1), near.max(axis=1)])
