@@ -216,6 +216,7 @@ class Auto(WrappedController):
         """Columns: beside the posterior's quantiles, what the model of all hypotheses leaves out."""
         age, _, lag = found.mean
         apart = math.hypot(self._apart, self._unsaid * age / INTERVAL.band, INTERVAL.unlike * lag)
+        self._filter.apart[0] = apart
         beside = INTERVAL.band * np.hypot(INTERVAL.inexact * found.mean, apart)
         low, high = np.hypot(found.mean - found.lower, beside), np.hypot(found.upper - found.mean, beside)
         bounds = [*found.mean, *np.maximum(found.mean - low, 0.0), *(found.mean + high)]

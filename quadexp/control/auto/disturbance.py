@@ -100,7 +100,8 @@ class DisturbanceFilter:
 
     belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
     thrust, one along it, and a torque are believed. Written by who knows them: timing, uncertainty of the commands'
-    delay (s), (1,); lateral, noise: variances that a bank has measured.
+    delay, and apart, by which age and delays cannot be told apart (s), (1,); lateral, noise: variances that a bank has
+    measured.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class DisturbanceFilter:
         air = (residual.unscaled or residual).form(backend == "compiled")
         self._update = BufferedFunction(built(backend, disturbance_function, vehicle, air, period, known))
         given, self._next = self._update.arguments, self._update.results
-        self._given, self._memory, self.timing = given, given["memory"], given["timing"]
+        self._given, self._memory, self.timing, self.apart = given, given["memory"], given["timing"], given["apart"]
         self.lateral, self.noise = given["lateral"], given["noise"]
         self._theta = theta.reshape(-1)[: given["theta"].size]
         self._initial, self._flown = np.square(known.initial), np.zeros(1)
@@ -119,7 +120,7 @@ class DisturbanceFilter:
     def reset(self, x: np.ndarray) -> None:
         """Begin a flight in the state x, (13,): nothing is believed."""
         self._memory[...], self._flown[0], self.timing[0] = 0.0, 0.0, DISTURBANCE.unknown_timing
-        self.lateral[...], self.noise[...] = 0.0, 0.0
+        self.lateral[...], self.noise[...], self.apart[...] = 0.0, 0.0, 0.0
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
         self._memory[PLACES["covariance"]] = np.tile(np.diag(self._initial).ravel(), WALKS)
         self._memory[PLACES["rates"]] = np.tile(x[RATE], TORQUES)
@@ -143,7 +144,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     across the thrust, of position and attitude."""
     n, s = vehicle.n_rotors, DISTURBANCE
     shapes = {"memory": PLACES["slope"].stop, "x": N_STATE, "reading": 3, "read": 1, "thrust": n, "mean": n}
-    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "theta": air.size1_in(1)}
+    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "theta": air.size1_in(1)}
     a = {name: ca.MX.sym(name, size) for name, size in shapes.items()}
     kept = {name: a["memory"][place] for name, place in PLACES.items()}
     x, read, thrust = a["x"], a["read"], a["thrust"]
@@ -238,7 +239,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     odds = ca.vertcat(*(ca.mmax(one) for one in (evidence[::2], evidence[1::2], torque_evidence)))
     needed = s.evidence_on * (1 - kept["acts"])
     timed = 1 if known.by_speeds else a["timing"] < s.timed
-    acts = (odds > needed) * ca.vertcat(1, timed, timed)
+    # torques are compared with the state, whose age is told apart from the delay of readings, and thrusts with readings
+    acts = (odds > needed) * ca.vertcat(1, timed, timed * (a["apart"] < s.timed))
     if known.by_speeds:
         acts = ca.vertcat(1, 1, acts[2])
     if known.has_drag:
