@@ -157,7 +157,7 @@ def test_known_delays_lie_within_what_is_said_of_them(vehicle, age, dead_time, l
     found = posterior(flown(vehicle, age=age, dead_time=dead_time, lag=lag))
     off = np.abs(found.mean - [age, dead_time + lag, lag])
     assert (off < 3 * found.deviation + 1e-3).all() and found.deviation[:2].max() < 3e-3
-    assert (found.age_odds > 5) == (age > 0) and (found.total_odds > 5) == (dead_time > 0) and not found.prompt
+    assert (found.age_odds > 5) == (age > 0) and (found.total_odds > 5) == (dead_time > 0) and found.newer == 0
     assert (found.lower <= found.mean).all() and (found.mean <= found.upper).all() and not found.at_end
 
 
@@ -235,4 +235,4 @@ def test_attitudes_tell_their_age_against_rates_of_now(vehicle, age):
         run(operations, k)
     found = posterior(bank)
     assert abs(found.mean[0] - age) < 0.003
-    assert found.age_odds > 5 and found.prompt if age else found.age_odds < 1
+    assert found.age_odds > 5 and found.newer == pytest.approx(age, abs=0.002) if age else found.age_odds < 1

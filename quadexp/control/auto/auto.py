@@ -88,7 +88,7 @@ class Auto(WrappedController):
         self._apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
         self._unsaid = turn.delay is None and bool(attitude.delay)
         self._lately = max(2, round(DECISION.saturation_memory / period))
-        self._prompt, self._soon, self._later = np.zeros(1), np.ones(1), np.zeros(1)
+        self._newer, self._soon, self._later = np.zeros(1), np.ones(1), np.zeros(1)
         self._beliefs, self._judged, self._begin = np.zeros(len(KNOWN)), False, Decision()
         self._decision, self._rows = Decision(), np.zeros(len(core.node_times))
         self._found: Posterior | None = None
@@ -135,14 +135,16 @@ class Auto(WrappedController):
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        now, belief = np.zeros(N_STATE), self._filter.belief
-        predicted, by_model = self._to_now.before(state)
+        belief = self._filter.belief
         propagated, by_readings = self._strapdown.before(told, state)
+        of_rates = np.zeros(N_STATE)  # the state of the time of the rates, and from there on by the model
+        propagated += [copy(of_rates, state), copy(of_rates, by_readings, self._newer)]
+        predicted, now = self._to_now.before(of_rates)
         operations = [
             python(self._decide, when)._replace(every=max(2, round(each / self.control_period)))
             for each, when in ((DECISION.soonest, self._soon), (DECISION.checks, self._later))
         ]
-        operations += [*predicted, *propagated, copy(now, by_model), copy(now, by_readings, self._prompt)]
+        operations += [*propagated, *predicted]
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
             compared, of_one_time, read = self._compared(told, now)
             operations += [*compared, *self._filter.before(of_one_time, read)]
@@ -206,10 +208,9 @@ class Auto(WrappedController):
     def _use(self, decision: Decision) -> None:
         """Act on this from now on."""
         self._decision, self._filter.timing[0] = decision, decision.timing
-        by_readings = decision.age if decision.prompt else 0.0
-        self._to_now.tune(by_readings - decision.age, 0.0, decision.dead_time, decision.lag)
-        self._strapdown.tune(by_readings)
-        self._prompt[0] = by_readings > 0
+        self._strapdown.tune(decision.newer)
+        self._newer[0] = decision.newer > 0
+        self._to_now.tune(decision.newer - decision.age, 0.0, decision.dead_time, decision.lag)
         self._plan(decision)
 
     def _report(self, found: Posterior) -> None:
@@ -220,4 +221,4 @@ class Auto(WrappedController):
         beside = INTERVAL.band * np.hypot(INTERVAL.inexact * found.mean, apart)
         low, high = np.hypot(found.mean - found.lower, beside), np.hypot(found.upper - found.mean, beside)
         bounds = [*found.mean, *np.maximum(found.mean - low, 0.0), *(found.mean + high)]
-        self._beliefs[: len(bounds) + 1] = *bounds, found.prompt
+        self._beliefs[: len(bounds) + 1] = *bounds, found.newer
