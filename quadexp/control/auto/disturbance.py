@@ -53,8 +53,8 @@ PLACES = places(
 class Sources(NamedTuple):
     """What a disturbance is found from. has_drag: whether the model's drag tells a wind; by_speeds: whether rotor
     speeds tell the thrusts. walk, initial: deviations of each number of the estimate, a root of a second, and as a
-    flight begins. reading, thrust: least noise of the accelerometer, and of the model along the thrust beside it
-    (m/s^2). wind_offset, wind_untimed, force_offset: what a wind is off by for a slow error of sensors, and upward for
+    flight begins. reading: least noise of the accelerometer (m/s^2). thrust: noise of the model along the
+    thrust beside it, as a share of the thrust. wind_offset, wind_untimed, force_offset: what a wind is off by for a slow error of sensors, and upward for
     thrusts of an unknown time (m/s), and what an acceleration is (m/s^2)."""
 
     has_drag: bool
@@ -90,7 +90,7 @@ def sources(vehicle: Vehicle, sheet: SensorSheet, slope: float, *, by_speeds: bo
     )
     offset = math.hypot(reading.drift, vehicle.gravity * tilted.drift)
     noise = math.hypot(max(reading.noise, s.reading_noise), s.tilt_to_acceleration * tilted.noise)
-    thrust = 2 * turned.noise * vehicle.gravity / math.sqrt(vehicle.n_rotors) if by_speeds else s.thrust_noise
+    thrust = 2 * turned.noise / math.sqrt(vehicle.n_rotors) if by_speeds else s.thrust_noise
     wind = (offset / slope, INTERVAL.untimed_noise / slope) if slope else (0.0, 0.0)
     return Sources(slope > 0, by_speeds, tuple(walk), tuple(initial), noise, thrust, *wind, offset)
 
@@ -158,7 +158,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     across = ca.fmax(ca.fmax(a["lateral"], s.reading_noise**2) + tilt, known.reading**2 * known.by_speeds)
     timing = 0 if known.by_speeds else ca.fmin(a["timing"], s.unknown_timing)
     misdated = timing**2 * slope
-    along = known.thrust**2 + misdated
+    of_thrust = (known.thrust * ca.fmax(specific, vehicle.gravity)) ** 2
+    along = of_thrust + misdated
     # no force is followed faster than most_force_bandwidth, which is q / (r sqrt(T)) of a random walk
     fastest = SPEEDS.most_force_bandwidth if known.by_speeds else s.most_force_bandwidth
     least = (max(known.walk[FORCE]) / fastest) ** 2 / period
@@ -199,7 +200,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         K = read * ca.mtimes([trusted, P, H.T, information])
         # what a noise of the thrust, which is in y and in H, takes off the scale (observers/filters.py)
         sure = ca.fmin(1, ca.fmax(0, 1 - estimate[SCALE] / STATED))
-        unsure = known.thrust**2 if known.by_speeds else misdated
+        unsure = of_thrust if known.by_speeds else misdated
         taken = sure * unsure * (1 + estimate[SCALE]) * information[2, 2]
         estimate = estimate + read * taken * ca.mtimes(trusted, P[:, SCALE])
         estimate = estimate + ca.mtimes(K, innovation)
@@ -238,9 +239,9 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     torque = _likeliest(torque_evidence, torques[1:])
     odds = ca.vertcat(*(ca.mmax(one) for one in (evidence[::2], evidence[1::2], torque_evidence)))
     needed = s.evidence_on * (1 - kept["acts"])
-    timed = 1 if known.by_speeds else a["timing"] < s.timed
     # torques are compared with the state, whose age is told apart from the delay of readings, and thrusts with readings
-    acts = (odds > needed) * ca.vertcat(1, timed, timed * (a["apart"] < s.timed))
+    timed = ca.vertcat(1, a["timing"] < s.timed, ca.fmax(a["timing"], a["apart"]) < s.torque_timed)
+    acts = (odds > needed) * (1 if known.by_speeds else timed)
     if known.by_speeds:
         acts = ca.vertcat(1, 1, acts[2])
     if known.has_drag:

@@ -68,7 +68,7 @@ class DisturbanceSettings:
     """Walks of the disturbance filter, and what it believes."""
 
     reading_noise: float = 0.05  # m/s^2, least of the accelerometer against the model
-    thrust_noise: float = 0.28  # m/s^2, of the model along the thrust: 3 % of gravity
+    thrust_noise: float = 0.0286  # of the thrust, or the weight, along it: rotors follow their map within 3 %
     walk_factors: tuple[float, ...] = (0.1, 1.0)  # slow and fast: 1.20 with one
     wind_walk: float = 1.5  # m/s/sqrt(s), of a gust (Dryden, low altitude, moderate)
     wind_initial: tuple[float, ...] = (4.0, 4.0, 1.0)  # m/s: over ground a mean wind is level; never beyond it later
@@ -92,7 +92,8 @@ class DisturbanceSettings:
     rate_noise: float = 1e-3  # rad/s, least of the gyroscope against the model
     evidence_on: float = 8.0  # log likelihood ratio from which a disturbance acts: very strong (Kass & Raftery 1995)
     unknown_timing: float = 0.03  # s, most that the uncertainty of a delay counts for the noise of the thrust
-    timed: float = 0.005  # s, of it up to which thrusts are compared with readings: a late one looks like a force
+    timed: float = 0.01  # s, of it up to which thrusts are compared with readings: a late one looks like a force
+    torque_timed: float = 0.005  # s, likewise torques with rates: the attitude is the faster loop
     slope_memory: float = 10.0  # control periods, of how thrusts change
     least_drag_bandwidth: float = 1.0  # rad/s, of the wind that the model's drag tells; below it a force is estimated
     tilt_to_acceleration: float = 12.0  # m/s^2 per rad: thrust over mass in a turn
