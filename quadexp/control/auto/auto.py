@@ -39,7 +39,7 @@ from quadexp.physics.state import N_STATE
 QUANTITIES = "age", "delay", "lag"
 KNOWN = (
     *(f"{name}{of}" for of in ("", "_low", "_high") for name in QUANTITIES),
-    "rates_fresh", "acts_age", "acts_dead_time", "acts_lag", "grid",
+    "rates_newer", "acts_age", "acts_dead_time", "acts_lag", "grid",
 )  # fmt: skip
 ACTS = "acts_lateral", "acts_vertical", "acts_torque"
 COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
