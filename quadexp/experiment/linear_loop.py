@@ -118,7 +118,11 @@ def _lumped(phases: list[Phase], kinds: np.ndarray) -> tuple[list[Phase], np.nda
     tell). kinds: only numbers of one kind are put together, (m, k)."""
     m, n = phases[0].B.shape
     rng, count = np.random.default_rng(0), 0
-    of_kind, of_class, of_number = rng.normal(size=kinds.shape[1]), rng.normal(size=m), rng.normal(size=(len(phases), m))
+    of_kind, of_class, of_number = (
+        rng.normal(size=kinds.shape[1]),
+        rng.normal(size=m),
+        rng.normal(size=(len(phases), m)),
+    )
     of_command = rng.normal(size=(len(phases), n))
     classes, first = np.zeros(m, int), np.arange(min(m, 1))
     while len(first) > count:

@@ -210,7 +210,7 @@ def test_poses_that_are_late_are_found_before_the_vehicle_is_far_off():
 
 
 def test_rates_between_a_late_pose_and_now_are_dated():
-    """A gyroscope's low pass is 6 ms shorter than the poses are late: 32 ms of age and 36 of dead time were believed as 6
+    """A gyroscope behind a low pass is 6 ms newer than late poses: 32 ms of age and 36 of dead time were believed as 6
     and 62, and the vehicle was lost or 2.4 times as far off as without (seed 772, draw 13)."""
     late = ["sensor=race_serial", "estimator=late", "estimator.delay=0.0273", "link=latency", "link.latency=0.0313"]
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=10"]
