@@ -37,8 +37,8 @@ SETTING_COLUMNS = ("plant", "vehicle", "trajectory", "speed", "controller", "mod
 ROW_COLUMNS = (
     *SETTING_COLUMNS, *ERRORS, "solve_time_median",
     "solve_time_p99", "solve_time_max", "saturated_share", "command_change", "charge_used", "peak_speed",
-    "duration", "unconverged_count", "reference_residual", "outside_data", "outside_where", "outcome", "backend", "cause", "program", "sources",
-    "libraries", "key",
+    "duration", "unconverged_count", "reference_residual", "outside_data", "outside_where", "outcome", "backend",
+    "cause", "program", "sources", "libraries", "key",
 )  # fmt: skip
 _NUMBERS = (*METRICS, "speed", "seed", "reference_residual", "outside_data")
 TEXT_COLUMNS = tuple(name for name in ROW_COLUMNS if name not in _NUMBERS)
@@ -131,8 +131,7 @@ def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> flo
 
 def command_change(flight: Flight, thrust_min: float, thrust_max: float, every: int = 1) -> float:
     """Root mean square, over rotors and steps, of a command's change from one step of the controller to the next, as a
-    share of the thrust range; NaN for one step. every: samples in a step. As the smoothness of normalised motor commands
-    (Mysore et al. 2021, CAPS)."""
+    share of the thrust range; NaN for one step. every: samples in a step."""
     changes = np.diff(flight.input[::every], axis=0) / (thrust_max - thrust_min)
     return float(np.sqrt(np.mean(changes**2))) if changes.size else math.nan
 

@@ -148,8 +148,8 @@ def _heading_error(rows: Sequence[Row]) -> str:
 
 
 def restless(flights: Mapping[Contestant, Sequence[Row]], labels: Mapping[Contestant, str]) -> list[str]:
-    """Contestants with remedies=auto whose commands change, or whose rotors use the battery, more than RESTLESS times as
-    much as without, in the median of the flights that both flew."""
+    """Contestants with remedies=auto whose commands change, or that use the battery, more than RESTLESS times as much as
+    without, in the median of the flights that both flew."""
     lines = []
     for who, without in _with_auto(flights):
         for name, what in (("command_change", "commands change"), ("charge_used", "the battery is used")):

@@ -213,8 +213,7 @@ def test_the_bands_hold(vehicle, correlation):
 
 @pytest.mark.parametrize(("age", "of_rates"), [(0.0, 0.0), (0.02, 0.0), (0.05, 0.0), (0.036, 0.03)])
 def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
-    """Of a vehicle that turns at random, noise of both sensors and a bias of the gyroscope; within a second. Rates 31 ms
-    old before poses of 37 ms were taken for rates of now before poses of 6 ms."""
+    """Of a vehicle that turns at random, noise of both sensors and a bias of the gyroscope; within a second."""
     rng, fine, bias = np.random.default_rng(5), 0.002, np.array([0.02, -0.01, 0.01])
     noise = 0.005, 0.0035
     model = no_residual(vehicle)

@@ -109,8 +109,7 @@ def test_a_noise_of_thrust_grows_with_the_thrust(vehicle, rng):
 
 
 def test_a_torque_needs_age_and_delays_that_are_told_apart(vehicle):
-    """Two of 96 wider draws, with an age of 44 ms split as 6 and with motors of 20 ms of age, were lost by a torque that
-    swung with the vehicle; where only the sum is known, no torque is believed."""
+    """Two of 96 wider draws were lost by a torque that swung with the vehicle: of 44 ms of age 6 were believed."""
     for apart, found in ((2 * DISTURBANCE.torque_timed, False), (0.0, True)):
         watched = Watched(vehicle)
         watched.filter.apart[0] = apart

@@ -48,8 +48,8 @@ def test_margins_of_a_double_integrator_under_pd_control():
 
 
 def test_numbers_that_are_always_equal_are_one():
-    """Commands that an observer, a prediction and an MPC keep each for themselves: 206 numbers of 120, and a margin cost
-    half the flight. The loop is the same."""
+    """Commands that a filter, a prediction and an MPC keep each for itself were 86 of 206 numbers, and a margin cost half
+    the flight. The loop is the same."""
     A, B = held(0.05)
     own, copies, kept = 2, 3, 5
     size = own + copies * kept

@@ -60,5 +60,6 @@ def test_commands_that_change_far_more_with_auto_are_named():
 
     assert notes(pairs(1.9)) == []
     assert notes(pairs(3.4)) == [
-        "geometric remedies=auto: commands change 3.4 times as much as of geometric remedies=none, in the median of 3 pairs"
+        "geometric remedies=auto: commands change 3.4 times as much as of geometric remedies=none, in the median of 3"
+        " pairs"
     ]

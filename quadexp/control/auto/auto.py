@@ -92,6 +92,7 @@ class Auto(WrappedController):
         self._beliefs, self._judged, self._begin = np.zeros(len(KNOWN)), False, Decision()
         self._decision, self._rows = Decision(), np.zeros(len(core.node_times))
         self._found: Posterior | None = None
+        self._unsure = 0.0  # s, by which age and delays cannot be told apart
 
     def _plan(self, decision: Decision) -> None:
         """Plan with these delays, and with what else is acted on, from now on; sets `_rows`, of the reference."""
@@ -118,7 +119,7 @@ class Auto(WrappedController):
         self._bank.reset(x, thrust)
         self._filter.reset(x)
         self._filter.timing[0] = self._begin.timing
-        self._found, self._next, self._saturates = None, DECISION.begins, 0.0
+        self._found, self._next, self._saturates, self._unsure = None, DECISION.begins, 0.0, 0.0
         self._soon[0], self._later[0] = 1.0, 0.0
         self._beliefs[...] = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
 
@@ -195,6 +196,9 @@ class Auto(WrappedController):
         decision = decide(self._found, self._decision, self._senses())
         if decision != self._decision:
             self._use(decision)
+        late = 0.0 if self._found is None else abs(self._found.mean[0] - decision.age)  # age that does not act
+        inexact = DECISION.inexact * (decision.age + decision.total)
+        self._filter.apart[0] = math.hypot(self._unsure, late, inexact)
         self._beliefs[-4:] = decision.age, decision.dead_time, decision.lag, decision.grid
 
     def _senses(self) -> Senses:
@@ -217,7 +221,7 @@ class Auto(WrappedController):
         """Columns: beside the posterior's quantiles, what the model of all hypotheses leaves out."""
         age, _, lag = found.mean
         apart = math.hypot(self._apart, self._unsaid * age / INTERVAL.band, INTERVAL.unlike * lag)
-        self._filter.apart[0] = apart
+        self._unsure = apart
         beside = INTERVAL.band * np.hypot(INTERVAL.inexact * found.mean, apart)
         low, high = np.hypot(found.mean - found.lower, beside), np.hypot(found.upper - found.mean, beside)
         bounds = [*found.mean, *np.maximum(found.mean - low, 0.0), *(found.mean + high)]

@@ -21,8 +21,8 @@ from quadexp.control.mpc.settings import MPCSettings
 
 
 class Decision(NamedTuple):
-    """What is acted on. age, dead_time, lag, timing (s): timing is the uncertainty of the commands' delay. newer:
-    by how much the rates are newer than the pose (s). grid: which of DECISION.grids, from 1 on; 0: the controller's own."""
+    """What is acted on. age, dead_time, lag, timing (s): timing is the uncertainty of the commands' delay. newer: by
+    how much the rates are newer than the pose (s). grid: of DECISION.grids, from 1 on; 0: the controller's own."""
 
     age: float = 0.0
     dead_time: float = 0.0

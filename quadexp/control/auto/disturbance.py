@@ -53,9 +53,9 @@ PLACES = places(
 class Sources(NamedTuple):
     """What a disturbance is found from. has_drag: whether the model's drag tells a wind; by_speeds: whether rotor
     speeds tell the thrusts. walk, initial: deviations of each number of the estimate, a root of a second, and as a
-    flight begins. reading: least noise of the accelerometer (m/s^2). thrust: noise of the model along the
-    thrust beside it, as a share of the thrust. wind_offset, wind_untimed, force_offset: what a wind is off by for a slow error of sensors, and upward for
-    thrusts of an unknown time (m/s), and what an acceleration is (m/s^2)."""
+    flight begins. reading: least noise of the accelerometer (m/s^2). thrust: noise of the model along the thrust, as a
+    share of it. wind_offset, wind_untimed, force_offset: what a wind is off by for a slow error of sensors, and upward
+    for thrusts of an unknown time (m/s), and what an acceleration is (m/s^2)."""
 
     has_drag: bool
     by_speeds: bool

@@ -1,7 +1,7 @@
-"""Posterior over age a, total delay D = dead time + lag, lag l, and by how much rates are newer than the pose, r: a pure
-function of the bank's moments.
+"""Posterior over age a, total delay D = dead time + lag, lag l, and by how much rates are newer than the pose, r: a
+pure function of the bank's moments.
 
-    log p(a, D, l, r) = - sum over filters  kappa n / 2 log(SSE)  - (a + D) / mean_delay - log(lags that D has) - odds(r)
+    log p(a, D, l, r) = - sum over filters  kappa n / 2 log(SSE)  - (a + D) / mean_delay - log(lags of D) - odds(r)
 
 Thrusts tell D and l, velocities a, attitudes r, and the gyroscope a - r + D and l. odds: 0 for r = 0, newer_odds else.
 

@@ -138,7 +138,7 @@ class DecisionSettings:
     total_odds: float = 2.0  # log Bayes factor against no dead time and lag: positive
     least_age: float = 0.001  # s, worth a prediction
     least_change: float = 0.0005  # s, of age and total, worth another plan
-    inexact: float = 0.05  # of what is predicted over: what happens meanwhile is not known
+    inexact: float = 0.08  # of what is predicted over: what happens meanwhile is not known
     least_lag: float = 0.003  # s, below which a lag is not inverted: it would amplify noise
     large_noise: float = 0.002  # m, of the estimated position, which a stiff controller would amplify
     stiff_total: float = 0.015  # s, largest total under the stiffest grid
