@@ -360,6 +360,7 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
     ("given", "said"),
     [
         (["controller=nominal_mpc", "controller.dead_time=0.01"], "finds dead time and lag itself"),
+        (["controller=nominal_mpc", "controller.input_hold=command"], "plans with controller.input_hold=deviation only"),
         (["controller=nominal_mpc", "observer=disturbance"], ".*; set observer=none$"),
         (["controller=nominal_mpc", "adaptive=l1", "inner=indi"], ".*; set adaptive=none and inner=none$"),
         (["controller=static_feedback", "vehicle=lei_li"], ".* a law in closed form, which this one is not$"),
