@@ -257,6 +257,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     scale_doubt = ca.hypot(
         spread(rest, SCALE), INTERVAL.speed_scale if known.by_speeds else INTERVAL.scale_share * rest[SCALE]
     )
+    lifting = ca.mtimes(along_body, rest[FORCE])[2]  # a force along the thrust, which a scale of it looks like
+    scale_doubt = ca.hypot(scale_doubt, lifting / ca.fmax(specific, vehicle.gravity))
     by_drag = rest[SCALE] * ca.norm_2(x[VELOCITY] - wind[WIND])
     off = ca.hypot(known.wind_offset, by_drag) + (1 - acts[1]) * ca.DM([0, 0, known.wind_untimed])
     winds = [

@@ -3,7 +3,8 @@ pure function of the bank's moments.
 
     log p(a, D, l, r) = - sum over filters  kappa n / 2 log(SSE)  - (a + D) / mean_delay - log(lags of D) - odds(r)
 
-Thrusts tell D and l, velocities a, attitudes r, and the gyroscope a - r + D and l. odds: 0 for r = 0, newer_odds else.
+Thrusts tell D and l, velocities a, attitudes r, and the gyroscope a - r + D and l. odds: rates_odds, of rates
+with the pose, of now, or in between.
 
 SSE: sum of n squared innovations of the hypothesis, its variance profiled out, and so is a scale of the thrust (and of
 the torque) with a normal prior, and the bias of the sensor (ridge regression). kappa: what an innovation is
@@ -44,11 +45,15 @@ class Posterior(NamedTuple):
         return bool(np.isinf(self.upper[:2]).any())
 
 
+LATE, PROMPT, BETWEEN = range(3)
+
+
 class Choice(NamedTuple):
-    """Noise models of gyroscope and velocity."""
+    """Noise models of gyroscope and velocity, and when rates are: with the pose, now, or in between."""
 
     gyro: int
     velocity: int
+    rates: int
 
 
 def posterior(bank: Bank) -> Posterior:
@@ -60,7 +65,31 @@ def posterior(bank: Bank) -> Posterior:
     mode = np.unravel_index(int(log.argmax()), log.shape)
     upper_end = [at == len(grid) - 1 for at, grid in zip(mode, whole, strict=True)]
     odds = float(log.max() - log[0].max()), float(log.max() - log[:, 0].max())
-    centre = np.array([grid[at] for grid, at in zip(whole, mode, strict=True)])
+    refined = _refined(bank, log, whole, steps, largest, choice)
+    if choice.rates == BETWEEN:  # one more number fits what lies between the points of a coarse grid
+        rates = rates_of(whole[0], whole[3])[:, None, None]
+        others = np.where(rates == BETWEEN, -np.inf, log)
+        at = np.unravel_index(int(others.argmax()), log.shape)
+        other = choice._replace(rates=int(rates[at[0], 0, 0, at[3]]))
+        alternative = _refined(bank, others, whole, steps, largest, other)
+        if alternative[0].max() > refined[0].max():
+            refined, choice = alternative, other
+    log, grids, centre = refined
+    beside = steps[[0, 2, 2]] / BANK.fine  # a total goes along with a lag that is between points of the grid
+    fine = zip(grids[:3], steps[:3] / BANK.fine, beside, strict=True)
+    rows = [_marginal(log, axis, *of) for axis, of in enumerate(fine)]
+    mean, deviation, lower, upper = np.array(rows).T
+    upper[upper_end[:3]] = np.inf
+    newer = mean[0] if choice.rates == PROMPT else centre[3]
+    return Posterior(mean, deviation, lower, upper, *odds, float(newer))
+
+
+def _refined(
+    bank: Bank, log: np.ndarray, grids: list[np.ndarray], steps: np.ndarray, largest: tuple[float, ...], choice: Choice
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    """Log posterior on a finer grid around the mode of a coarse one, its grids and its mode."""
+    mode = np.unravel_index(int(log.argmax()), log.shape)
+    centre = np.array([grid[at] for grid, at in zip(grids, mode, strict=True)])
     for _ in range(BANK.passes):
         grids = [_finer(*of) for of in zip(centre, steps, largest, strict=True)]
         log, _ = joint(bank, grids, choice)
@@ -68,12 +97,14 @@ def posterior(bank: Bank) -> Posterior:
         before, centre = centre, np.array([grid[at] for grid, at in zip(grids, mode, strict=True)])
         if (np.abs(centre - before) < steps - INSTANT).all():
             break
-    beside = steps[[0, 2, 2]] / BANK.fine  # a total goes along with a lag that is between points of the grid
-    fine = zip(grids[:3], steps[:3] / BANK.fine, beside, strict=True)
-    rows = [_marginal(log, axis, *of) for axis, of in enumerate(fine)]
-    mean, deviation, lower, upper = np.array(rows).T
-    upper[upper_end[:3]] = np.inf
-    return Posterior(mean, deviation, lower, upper, *odds, float(centre[3]))
+    return log, grids, centre
+
+
+def rates_of(ages: np.ndarray, newer: np.ndarray) -> np.ndarray:
+    """LATE, PROMPT or BETWEEN, (a, r), of ages and by how much rates are newer (s)."""
+    is_prompt = np.abs(ages[:, None] - newer) < INSTANT
+    rates: np.ndarray = np.where(newer < INSTANT, LATE, np.where(is_prompt, PROMPT, BETWEEN))
+    return rates
 
 
 def _finer(centre: float, step: float, largest: float) -> np.ndarray:
@@ -119,15 +150,18 @@ def joint(bank: Bank, grids: list[np.ndarray], choice: Choice | None = None) -> 
     }
     velocity = max(by_velocity, key=lambda model: float(by_velocity[model].max()))
     attitude = _by_readings(bank, "attitude", 0, newer, *bank.turn_noise, BANK.rate_bias_deviation)
-    odd = BANK.newer_odds * (newer > INSTANT)
     ways = np.minimum(totals[d], BANK.largest_lag) - np.maximum(totals[d] - BANK.largest_dead_time, 0.0)
     prior = -totals[d] / BANK.mean_delay - np.log(ways + BANK.lag_step)
     of_total = (thrust + prior)[:, None, None]
     of_age = (by_velocity[velocity] - ages / BANK.mean_delay)[:, None]
-    possible = np.where(of_rates > -INSTANT, 0.0, -np.inf)
+    rates = rates_of(ages, newer)
+    possible = (of_rates > -INSTANT) & (rates == (rates if choice is None else choice.rates))
+    possible &= (rates != BETWEEN) | (newer > BANK.age_step - INSTANT)  # less is how rates go between readings
+    of_age = np.where(possible, of_age + attitude - np.array(BANK.rates_odds)[rates], -np.inf)
     log = np.full((len(ages), len(totals), len(lags), len(newer)), -np.inf)
-    log[:, d, k] = np.moveaxis(of_total + of_age + attitude - odd + of_gyro + possible, 0, 1)
-    return log, Choice(gyro, velocity)
+    log[:, d, k] = np.moveaxis(of_total + of_age + of_gyro, 0, 1)
+    at_mode = np.unravel_index(int(log.max(axis=(1, 2)).argmax()), rates.shape)
+    return log, Choice(gyro, velocity, int(rates[at_mode]))
 
 
 def _by_commands(bank: Bank, name: str, model: int, total: np.ndarray, lag: np.ndarray) -> np.ndarray:
