@@ -45,7 +45,7 @@ class BankSettings:
     rate_bias_deviation: float = 0.02  # rad/s, prior of the gyroscope's bias
     least_information: float = 0.02  # of an innovation: models are never exact
     most_information: float = 0.5  # of one, likewise (Bayley & Hammersley 1946 for what lies in between)
-    # Log Bayes factors for rates that are not as old as the pose: of now, and in between, where another number is fitted
+    # Log Bayes factors against rates with the pose, of now, and in between, where one more number is fitted
     rates_odds: tuple[float, ...] = (0.0, 1.0, 5.0)
     floor: float = 1e-14  # of mean squared innovations, so that their logarithm is finite
 
