@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-NOTHING = 1e-6  # a derivative that is none
+NOTHING = 1e-5  # a derivative that is none
+DIGITS = 9  # of derivatives that are equal
 FIXED = 1e-6  # an eigenvalue that differs by less is the same
 ORDER = 4  # of the response to a command over a few periods
 
@@ -39,9 +40,10 @@ class LinearLoop:
         from_command = sum(np.abs(B).sum(axis=1) for _, B, _ in phases) > NOTHING
         to_command = sum(np.abs(C).sum(axis=0) for _, _, C in phases) > NOTHING
         follows = np.where(sum(np.abs(A) for A, _, _ in phases) > NOTHING, 1.0, 0.0)
-        kept = _reached(follows, from_command) & _reached(follows.T, to_command)
-        self.period, self._smooth, self._direct = period, smooth[kept], direct[kept]
-        self.phases = [Phase(A[np.ix_(kept, kept)], B[kept], C[:, kept]) for A, B, C in phases]
+        kept = np.flatnonzero(_reached(follows, from_command) & _reached(follows.T, to_command))
+        phases = [Phase(A[np.ix_(kept, kept)], B[kept], C[:, kept]) for A, B, C in phases]
+        self.phases, first = _lumped(phases, np.column_stack([smooth, direct])[kept])
+        self.period, self._smooth, self._direct = period, smooth[kept[first]], direct[kept[first]]
         self._held = self._response()
         self._open = functools.reduce(lambda before, matrix: matrix @ before, (A for A, _, _ in self.phases))
         self._fixed = np.linalg.eigvals(self._open)
@@ -108,6 +110,25 @@ class LinearLoop:
             smooth = np.einsum("ij,jmn->imn", inverse, np.array(values))
             responses.append(np.concatenate([(B * self._direct[:, None])[None], smooth]))
         return responses
+
+
+def _lumped(phases: list[Phase], kinds: np.ndarray) -> tuple[list[Phase], np.ndarray]:
+    """The loop with one number in place of those that are always equal, as copies of commands are, and where these were
+    first (exact lumping: a partition is refined until numbers of a class follow alike, which random sums over classes
+    tell). kinds: only numbers of one kind are put together, (m, k)."""
+    m, n = phases[0].B.shape
+    rng, count = np.random.default_rng(0), 0
+    of_kind, of_class = rng.normal(size=kinds.shape[1]), rng.normal(size=m)
+    of_number, of_command = rng.normal(size=(len(phases), m)), rng.normal(size=(len(phases), n))
+    classes, first = np.zeros(m, int), np.arange(min(m, 1))
+    while len(first) > count:
+        count = len(first)
+        told: Any = kinds @ of_kind + of_class[classes]
+        for (A, B, _), number, command in zip(phases, of_number, of_command, strict=True):
+            told = told + A @ number[classes] + B @ command
+        _, first, classes = np.unique(np.round(told, DIGITS), return_index=True, return_inverse=True)
+    together = np.eye(len(first))[classes]
+    return [Phase(A[first] @ together, B[first], C @ together) for A, B, C in phases], first
 
 
 def _reached(follows: np.ndarray, begin: np.ndarray) -> np.ndarray:

@@ -106,6 +106,8 @@ RESULT_COLUMNS: Columns = {
     "solve_time_p99": Column("s", "", "wall time of the control step"),
     "solve_time_max": Column("s", "", "wall time of the control step"),
     "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
+    "command_change": Column("1", "", "change of a command in a step, as a share of the thrust range (RMS)"),
+    "charge_used": Column("1", "", "share of the full battery that was used"),
     "peak_speed": Column("m/s", "world", "largest speed flown"),
     "duration": Column("s", "", "length of the flight"),
     "unconverged_count": Column("1", "", "1 where the first step ended away from a stationary point"),

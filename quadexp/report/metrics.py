@@ -30,15 +30,15 @@ SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor count
 ERRORS = ("rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse")
 METRICS = (
     *ERRORS, "saturated_share", "peak_speed", "duration", "unconverged_count", "solve_time_median", "solve_time_p99",
-    "solve_time_max",
+    "solve_time_max", "command_change", "charge_used",
 )  # fmt: skip
 # Columns of a row of results, in the order they are written.
 SETTING_COLUMNS = ("plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed")
 ROW_COLUMNS = (
     *SETTING_COLUMNS, *ERRORS, "solve_time_median",
-    "solve_time_p99", "solve_time_max", "saturated_share", "peak_speed", "duration", "unconverged_count",
-    "reference_residual", "outside_data", "outside_where", "outcome", "backend", "cause", "program", "sources",
-    "libraries", "key",
+    "solve_time_p99", "solve_time_max", "saturated_share", "command_change", "charge_used", "peak_speed",
+    "duration", "unconverged_count", "reference_residual", "outside_data", "outside_where", "outcome", "backend",
+    "cause", "program", "sources", "libraries", "key",
 )  # fmt: skip
 _NUMBERS = (*METRICS, "speed", "seed", "reference_residual", "outside_data")
 TEXT_COLUMNS = tuple(name for name in ROW_COLUMNS if name not in _NUMBERS)
@@ -60,6 +60,8 @@ NUMBERS = {
     "attitude_rmse": Shown("attitude error (RMS)", 180 / math.pi, "°"),
     "heading_rmse": Shown("heading error (RMS)", 180 / math.pi, "°"),
     "saturated_share": Shown("samples at a thrust limit", 100.0, "%"),
+    "command_change": Shown("change of a command in a step (RMS)", 100.0, "% of the thrust range"),
+    "charge_used": Shown("charge used", 100.0, "% of the battery"),
     "outside_data": Shown("outside data", 100.0, "%"),
     "peak_speed": Shown("peak speed", 1.0, "m/s"),
     "duration": Shown("duration", 1.0, "s"),
@@ -127,6 +129,21 @@ def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> flo
     return float(at_limit.any(axis=1).mean())
 
 
+def command_change(flight: Flight, thrust_min: float, thrust_max: float, every: int = 1) -> float:
+    """Root mean square, over rotors and steps, of a command's change from one step of the controller to the next, as a
+    share of the thrust range; NaN for one step. every: samples in a step."""
+    changes = np.diff(flight.input[::every], axis=0) / (thrust_max - thrust_min)
+    return float(np.sqrt(np.mean(changes**2))) if changes.size else math.nan
+
+
+def charge_used(flight: Flight) -> float:
+    """Share of the full battery that a flight used; NaN without a battery."""
+    if "state_of_charge" not in flight.columns:
+        return math.nan
+    charge = flight["state_of_charge"]
+    return float(charge[0] - charge[-1])
+
+
 def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period: float | None = None) -> dict[str, Any]:
     """The numbers of a result row that come from the flight itself; NaN for a flight without samples, and the errors
     of one that was not flown to its end.
@@ -154,6 +171,8 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
         "solve_time_median": median,
         "solve_time_p99": p99,
         "solve_time_max": longest,
+        "command_change": command_change(flight, thrust_min, thrust_max, every),
+        "charge_used": charge_used(flight),
     }
     return metrics | errors_none(flight.outcome)
 

@@ -9,13 +9,23 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
 from quadexp.report.checked import programs_text
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, grouped, is_bound, is_invalid
+from quadexp.report.pairing import (
+    Contestant,
+    condition_of,
+    contestant_labels,
+    contestant_of,
+    grouped,
+    is_bound,
+    is_invalid,
+    setting_pairs,
+)
 from quadexp.report.text import count, speed_text
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
@@ -26,6 +36,7 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
 LARGE_HEADING_ERROR = math.radians(10.0)  # rad, RMS over a flight
 REPORTED_SHARE = 0.01  # least share of samples outside the data that is reported for a flight
 MOST_CONTESTANTS = 10  # that a kind of note has a line on
+RESTLESS = 2.0  # times as much as the baseline, from which on it is said
 MOST_CAUSES = 3  # of invalid combinations that are named
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name
 
@@ -68,6 +79,7 @@ def notes(rows: Sequence[Row]) -> list[str]:
     lines = []
     for note in OF_A_CONTESTANT:
         lines += _first([f"{labels[who]}: {text}" for who, flown in flights.items() if (text := note(flown))])
+    lines += _first(restless(flights, labels))
     programs = len({(row.get("program"), row["sources"]) if row.get("sources") else None for row in rows})
     mixed = [f"flights of {programs} programs stand side by side: {programs_text(rows)}"] if programs > 1 else []
     return invalid + lines + mixed
@@ -133,6 +145,34 @@ def _heading_error(rows: Sequence[Row]) -> str:
         return ""
     above = f"heading error above {math.degrees(LARGE_HEADING_ERROR):.0f} degrees in {large}"
     return f"{above} of {count(len(errors), 'flight')} (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
+
+
+def restless(flights: Mapping[Contestant, Sequence[Row]], labels: Mapping[Contestant, str]) -> list[str]:
+    """Contestants with remedies=auto whose commands change, or that use the battery, more than RESTLESS times as much
+    as without, in the median of the flights that both flew."""
+    lines = []
+    for who, without in _with_auto(flights):
+        for name, what in (("command_change", "commands change"), ("charge_used", "the battery is used")):
+            before = {(condition_of(row), row["seed"]): value for value, row in _known(flights[without], name)}
+            pairs = [(value, before.get((condition_of(row), row["seed"]))) for value, row in _known(flights[who], name)]
+            ratios = [value / other for value, other in pairs if other]
+            if ratios and (ratio := median(ratios)) > RESTLESS:
+                pairs_text = f"in the median of {count(len(ratios), 'pair')}"
+                lines.append(f"{labels[who]}: {what} {ratio:.2g} times as much as of {labels[without]}, {pairs_text}")
+    return lines
+
+
+def _with_auto(contestants: Iterable[Contestant]) -> Iterator[tuple[Contestant, Contestant]]:
+    """Each with remedies=auto, and the one that differs from it in nothing but that."""
+    others = {}
+    for who in contestants:
+        settings = dict(setting_pairs(who.settings))
+        remedies = settings.pop("remedies", "none")
+        others[who.controller, who.model, remedies, frozenset(settings.items())] = who
+    for (controller, model, remedies, beside), who in others.items():
+        without = others.get((controller, model, "none", beside))
+        if remedies == "auto" and without is not None:
+            yield who, without
 
 
 OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (

@@ -34,7 +34,8 @@ from quadexp.report.text import count, probability
 from quadexp.report.winner import best_of_lines
 
 COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
-DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share")  # no comparison: they are not paired by noise
+# No comparison: they are not paired by noise.
+DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share", "command_change")
 CONFIDENCE = 0.95
 NAN = math.nan
 

@@ -86,6 +86,10 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         f"flight      {row['duration']:.2f} s, peak speed {row['peak_speed']:.2f} m/s,"
         f" {100 * row['saturated_share']:.1f} % of samples at a thrust limit"
     )
+    if (change := row.get("command_change")) is not None and math.isfinite(change):
+        used = row.get("charge_used")
+        battery = f", {100 * used:.0f} % of the battery used" if used is not None and math.isfinite(used) else ""
+        lines.append(f"            a command changes by {100 * change:.2g} % of its range a step (RMS){battery}")
     if thinned := metadata.get("thinned"):
         every, period = thinned["log_period"], thinned["control_period"]
         lines.append(f"stored      a sample every {every:g} s, not every {period:g} s")

@@ -157,7 +157,7 @@ def test_known_delays_lie_within_what_is_said_of_them(vehicle, age, dead_time, l
     found = posterior(flown(vehicle, age=age, dead_time=dead_time, lag=lag))
     off = np.abs(found.mean - [age, dead_time + lag, lag])
     assert (off < 3 * found.deviation + 1e-3).all() and found.deviation[:2].max() < 3e-3
-    assert (found.age_odds > 5) == (age > 0) and (found.total_odds > 5) == (dead_time > 0) and not found.prompt
+    assert (found.age_odds > 5) == (age > 0) and (found.total_odds > 5) == (dead_time > 0) and found.newer == 0
     assert (found.lower <= found.mean).all() and (found.mean <= found.upper).all() and not found.at_end
 
 
@@ -211,8 +211,8 @@ def test_the_bands_hold(vehicle, correlation):
     assert np.mean(hits) > 0.9
 
 
-@pytest.mark.parametrize("age", [0.0, 0.02, 0.05])
-def test_attitudes_tell_their_age_against_rates_of_now(vehicle, age):
+@pytest.mark.parametrize(("age", "of_rates"), [(0.0, 0.0), (0.02, 0.0), (0.05, 0.0), (0.036, 0.03)])
+def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
     """Of a vehicle that turns at random, noise of both sensors and a bias of the gyroscope; within a second."""
     rng, fine, bias = np.random.default_rng(5), 0.002, np.array([0.02, -0.01, 0.01])
     noise = 0.005, 0.0035
@@ -231,8 +231,9 @@ def test_attitudes_tell_their_age_against_rates_of_now(vehicle, age):
         attitude = attitudes[max(now - round(age / fine), 0)] * Rotation.from_rotvec(noise[1] * rng.normal(size=3))
         told.state[:] = x
         told.state[ATTITUDE] = attitude.as_quat(scalar_first=True)
-        told.state[RATE] = turns[now] + bias + noise[0] * rng.normal(size=3)
+        told.state[RATE] = turns[max(now - round(of_rates / fine), 0)] + bias + noise[0] * rng.normal(size=3)
         run(operations, k)
     found = posterior(bank)
-    assert abs(found.mean[0] - age) < 0.003
-    assert found.age_odds > 5 and found.prompt if age else found.age_odds < 1
+    newer = age - of_rates
+    assert found.newer == pytest.approx(newer, abs=0.002) and found.mean[0] > newer - 0.003
+    assert found.age_odds > 5 and found.mean[0] < newer + 0.003 if age else found.age_odds < 1

@@ -13,6 +13,8 @@ from quadexp.report.metrics import (
     ERRORS,
     METRICS,
     attitude_error,
+    charge_used,
+    command_change,
     flight_metrics,
     position_error,
     saturated_share,
@@ -126,3 +128,14 @@ def test_a_free_heading_is_in_no_error(rng):
     flight.metadata["free_heading"] = True
     assert attitude_error(flight) == pytest.approx(tilt)
     assert flight_metrics(flight, 0.0, 20.0)["heading_rmse"] is None
+
+
+def test_change_of_a_command_and_charge_used():
+    """Two rotors of four swing by 1 N of a range of 20 N from step to step: sqrt(1 / 2) / 20."""
+    t = np.arange(6) * 0.01
+    swing = np.where(np.arange(6) % 2, 6.0, 5.0)
+    columns = {"t": t, "u_0": swing, "u_1": swing, "u_2": 0 * t + 5, "u_3": 0 * t + 5}
+    flight = Flight(columns | {"state_of_charge": 1 - 0.02 * np.arange(6)}, {})
+    assert command_change(flight, 0.0, 20.0) == pytest.approx(math.sqrt(0.5) / 20)
+    assert command_change(flight, 0.0, 20.0, every=2) == 0  # of a controller that steps at every other sample
+    assert charge_used(flight) == pytest.approx(0.1) and math.isnan(charge_used(Flight(columns, {})))

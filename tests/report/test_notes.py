@@ -46,3 +46,19 @@ def test_several_versions_of_the_program():
     assert notes(rows) == [
         "flights of 2 programs stand side by side: 3 by quadexp 1.1, sources aa; 2 by quadexp 1.0, sources aa"
     ]
+
+
+def test_commands_that_change_far_more_with_auto_are_named():
+    """A13: three to four times in the median, and nobody was told."""
+
+    def pairs(factor):
+        alone = [row("geometric", seed=s) | {"command_change": 0.02, "charge_used": 0.1} for s in range(3)]
+        auto = [
+            {**one, "command_change": factor * 0.02, "charge_used": 0.15, "variant": "remedies=auto"} for one in alone
+        ]
+        return [*({**one, "variant": "remedies=none"} for one in alone), *auto]
+
+    assert notes(pairs(1.9)) == []
+    (line,) = notes(pairs(3.4))
+    assert line.startswith("geometric remedies=auto: commands change 3.4 times as much as of geometric remedies=none")
+    assert line.endswith("in the median of 3 pairs")

@@ -41,7 +41,7 @@ from quadexp.physics.state import N_STATE
 QUANTITIES = "age", "delay", "lag"
 KNOWN = (
     *(f"{name}{of}" for of in ("", "_low", "_high") for name in QUANTITIES),
-    "rates_fresh", "acts_age", "acts_dead_time", "acts_lag", "grid",
+    "rates_newer", "acts_age", "acts_dead_time", "acts_lag", "grid",
 )  # fmt: skip
 ACTS = "acts_lateral", "acts_vertical", "acts_torque"
 COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
@@ -92,10 +92,11 @@ class Auto(WrappedController):
         self._apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
         self._unsaid = turn.delay is None and bool(attitude.delay)
         self._lately = max(2, round(DECISION.saturation_memory / period))
-        self._prompt, self._soon, self._later = np.zeros(1), np.ones(1), np.zeros(1)
+        self._newer, self._soon, self._later = np.zeros(1), np.ones(1), np.zeros(1)
         self._beliefs, self._judged, self._begin = np.zeros(len(KNOWN)), False, Decision()
         self._decision, self._rows = Decision(), np.zeros(len(core.node_times))
         self._found: Posterior | None = None
+        self._unsure = 0.0  # s, by which age and delays cannot be told apart
 
     def _plan(self, decision: Decision) -> None:
         """Plan with these delays, and with what else is acted on, from now on; sets `_rows`, of the reference."""
@@ -122,7 +123,7 @@ class Auto(WrappedController):
         self._bank.reset(x, thrust)
         self._filter.reset(x)
         self._filter.timing[0] = self._begin.timing
-        self._found, self._next, self._saturates = None, DECISION.begins, 0.0
+        self._found, self._next, self._saturates, self._unsure = None, DECISION.begins, 0.0, 0.0
         self._soon[0], self._later[0] = 1.0, 0.0
         self._beliefs[...] = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
 
@@ -139,14 +140,16 @@ class Auto(WrappedController):
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        now, belief = np.zeros(N_STATE), self._filter.belief
-        predicted, by_model = self._to_now.before(state)
+        belief = self._filter.belief
         propagated, by_readings = self._strapdown.calls("before", told, state), self._strapdown.results["state"]
+        of_rates = np.zeros(N_STATE)  # the state of the time of the rates, and from there on by the model
+        propagated += [copy(of_rates, state), copy(of_rates, by_readings, self._newer)]
+        predicted, now = self._to_now.before(of_rates)
         operations = [
             python(self._decide, when)._replace(every=max(2, round(each / self.control_period)))
             for each, when in ((DECISION.soonest, self._soon), (DECISION.checks, self._later))
         ]
-        operations += [*predicted, *propagated, copy(now, by_model), copy(now, by_readings, self._prompt)]
+        operations += [*propagated, *predicted]
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
             compared, of_one_time, read = self._compared(told, now)
             operations += [*compared, *self._filter.before(of_one_time, read)]
@@ -198,6 +201,9 @@ class Auto(WrappedController):
         decision = decide(self._found, self._decision, self._senses())
         if decision != self._decision:
             self._use(decision)
+        late = 0.0 if self._found is None else abs(self._found.mean[0] - decision.age)  # age that does not act
+        inexact = DECISION.inexact * (decision.age + decision.total)
+        self._filter.apart[0] = math.hypot(self._unsure, late, inexact)
         self._beliefs[-4:] = decision.age, decision.dead_time, decision.lag, decision.grid
 
     def _senses(self) -> Senses:
@@ -211,17 +217,17 @@ class Auto(WrappedController):
     def _use(self, decision: Decision) -> None:
         """Act on this from now on."""
         self._decision, self._filter.timing[0] = decision, decision.timing
-        by_readings = decision.age if decision.prompt else 0.0
-        self._to_now.tune(by_readings - decision.age, 0.0, decision.dead_time, decision.lag)
-        self._late[0] = by_readings
-        self._prompt[0] = by_readings > 0
+        self._late[0] = decision.newer
+        self._newer[0] = decision.newer > 0
+        self._to_now.tune(decision.newer - decision.age, 0.0, decision.dead_time, decision.lag)
         self._plan(decision)
 
     def _report(self, found: Posterior) -> None:
         """Columns: beside the posterior's quantiles, what the model of all hypotheses leaves out."""
         age, _, lag = found.mean
         apart = math.hypot(self._apart, self._unsaid * age / INTERVAL.band, INTERVAL.unlike * lag)
+        self._unsure = apart
         beside = INTERVAL.band * np.hypot(INTERVAL.inexact * found.mean, apart)
         low, high = np.hypot(found.mean - found.lower, beside), np.hypot(found.upper - found.mean, beside)
         bounds = [*found.mean, *np.maximum(found.mean - low, 0.0), *(found.mean + high)]
-        self._beliefs[: len(bounds) + 1] = *bounds, found.prompt
+        self._beliefs[: len(bounds) + 1] = *bounds, found.newer

@@ -21,13 +21,13 @@ from quadexp.control.mpc.settings import MPCSettings
 
 
 class Decision(NamedTuple):
-    """What is acted on. age, dead_time, lag, timing (s): timing is the uncertainty of the commands' delay. prompt: the
-    told rates are of now. grid: which of DECISION.grids, from 1 on; 0: the controller's own."""
+    """What is acted on. age, dead_time, lag, timing (s): timing is the uncertainty of the commands' delay. newer: by
+    how much the rates are newer than the pose (s). grid: of DECISION.grids, from 1 on; 0: the controller's own."""
 
     age: float = 0.0
     dead_time: float = 0.0
     lag: float = 0.0
-    prompt: bool = False
+    newer: float = 0.0
     grid: int = 0
     timing: float = 0.03
 
@@ -57,8 +57,9 @@ def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
     age = age if found.age_odds > needed and age > s.least_age else 0.0
     acted = total if found.total_odds > s.total_odds else 0.0
     lag = min(lag, acted)
+    newer = min(found.newer, age)
     if abs(age - last.age) < s.least_change and abs(acted - last.total) < s.least_change:
-        age, acted, lag = last.age, last.total, last.lag
+        age, acted, lag, newer = last.age, last.total, last.lag, last.newer
     timing = float(found.deviation[1] + abs(total - acted) + found.deviation[0] / 2)
     grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
     if acted >= s.stiff_total or senses.position > s.large_noise or senses.saturates > s.saturates:
@@ -68,7 +69,7 @@ def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
         grid = min(grid, s.middle)
     if found.at_end:
         grid = 0
-    return Decision(age, acted - lag, lag, found.prompt, grid, timing)
+    return Decision(age, acted - lag, lag, newer, grid, timing)
 
 
 def known(age: float, dead_time: float, lag: float) -> Decision:

@@ -53,9 +53,9 @@ PLACES = places(
 class Sources(NamedTuple):
     """What a disturbance is found from. has_drag: whether the model's drag tells a wind; by_speeds: whether rotor
     speeds tell the thrusts. walk, initial: deviations of each number of the estimate, a root of a second, and as a
-    flight begins. reading, thrust: least noise of the accelerometer, and of the model along the thrust beside it
-    (m/s^2). wind_offset, wind_untimed, force_offset: what a wind is off by for a slow error of sensors, and upward for
-    thrusts of an unknown time (m/s), and what an acceleration is (m/s^2)."""
+    flight begins. reading: least noise of the accelerometer (m/s^2). thrust: noise of the model along the thrust, as a
+    share of it. wind_offset, wind_untimed, force_offset: what a wind is off by for a slow error of sensors, and upward
+    for thrusts of an unknown time (m/s), and what an acceleration is (m/s^2)."""
 
     has_drag: bool
     by_speeds: bool
@@ -90,7 +90,7 @@ def sources(vehicle: Vehicle, sheet: SensorSheet, slope: float, *, by_speeds: bo
     )
     offset = math.hypot(reading.drift, vehicle.gravity * tilted.drift)
     noise = math.hypot(max(reading.noise, s.reading_noise), s.tilt_to_acceleration * tilted.noise)
-    thrust = 2 * turned.noise * vehicle.gravity / math.sqrt(vehicle.n_rotors) if by_speeds else s.thrust_noise
+    thrust = 2 * turned.noise / math.sqrt(vehicle.n_rotors) if by_speeds else s.thrust_noise
     wind = (offset / slope, INTERVAL.untimed_noise / slope) if slope else (0.0, 0.0)
     return Sources(slope > 0, by_speeds, tuple(walk), tuple(initial), noise, thrust, *wind, offset)
 
@@ -100,7 +100,8 @@ class DisturbanceFilter:
 
     belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
     thrust, one along it, and a torque are believed. Written by who knows them: timing, uncertainty of the commands'
-    delay (s), (1,); lateral, noise: variances that a bank has measured.
+    delay, and apart, by which age and delays cannot be told apart (s), (1,); lateral, noise: variances that a bank has
+    measured.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class DisturbanceFilter:
         air = (residual.unscaled or residual).form(backend == "compiled")
         self._update = BufferedFunction(built(backend, disturbance_function, vehicle, air, period, known))
         given, self._next = self._update.arguments, self._update.results
-        self._given, self._memory, self.timing = given, given["memory"], given["timing"]
+        self._given, self._memory, self.timing, self.apart = given, given["memory"], given["timing"], given["apart"]
         self.lateral, self.noise = given["lateral"], given["noise"]
         self._theta = theta.reshape(-1)[: given["theta"].size]
         self._initial, self._flown = np.square(known.initial), np.zeros(1)
@@ -119,7 +120,7 @@ class DisturbanceFilter:
     def reset(self, x: np.ndarray) -> None:
         """Begin a flight in the state x, (13,): nothing is believed."""
         self._memory[...], self._flown[0], self.timing[0] = 0.0, 0.0, DISTURBANCE.unknown_timing
-        self.lateral[...], self.noise[...] = 0.0, 0.0
+        self.lateral[...], self.noise[...], self.apart[...] = 0.0, 0.0, 0.0
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
         self._memory[PLACES["covariance"]] = np.tile(np.diag(self._initial).ravel(), WALKS)
         self._memory[PLACES["rates"]] = np.tile(x[RATE], TORQUES)
@@ -143,7 +144,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     across the thrust, of position and attitude."""
     n, s = vehicle.n_rotors, DISTURBANCE
     shapes = {"memory": PLACES["slope"].stop, "x": N_STATE, "reading": 3, "read": 1, "thrust": n, "mean": n}
-    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "theta": air.size1_in(1)}
+    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "theta": air.size1_in(1)}
     a = {name: ca.MX.sym(name, size) for name, size in shapes.items()}
     kept = {name: a["memory"][place] for name, place in PLACES.items()}
     x, read, thrust = a["x"], a["read"], a["thrust"]
@@ -157,7 +158,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     across = ca.fmax(ca.fmax(a["lateral"], s.reading_noise**2) + tilt, known.reading**2 * known.by_speeds)
     timing = 0 if known.by_speeds else ca.fmin(a["timing"], s.unknown_timing)
     misdated = timing**2 * slope
-    along = known.thrust**2 + misdated
+    of_thrust = (known.thrust * ca.fmax(specific, vehicle.gravity)) ** 2
+    along = of_thrust + misdated
     # no force is followed faster than most_force_bandwidth, which is q / (r sqrt(T)) of a random walk
     fastest = SPEEDS.most_force_bandwidth if known.by_speeds else s.most_force_bandwidth
     least = (max(known.walk[FORCE]) / fastest) ** 2 / period
@@ -198,7 +200,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         K = read * ca.mtimes([trusted, P, H.T, information])
         # what a noise of the thrust, which is in y and in H, takes off the scale (observers/filters.py)
         sure = ca.fmin(1, ca.fmax(0, 1 - estimate[SCALE] / STATED))
-        unsure = known.thrust**2 if known.by_speeds else misdated
+        unsure = of_thrust if known.by_speeds else misdated
         taken = sure * unsure * (1 + estimate[SCALE]) * information[2, 2]
         estimate = estimate + read * taken * ca.mtimes(trusted, P[:, SCALE])
         estimate = estimate + ca.mtimes(K, innovation)
@@ -237,8 +239,9 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     torque = _likeliest(torque_evidence, torques[1:])
     odds = ca.vertcat(*(ca.mmax(one) for one in (evidence[::2], evidence[1::2], torque_evidence)))
     needed = s.evidence_on * (1 - kept["acts"])
-    timed = 1 if known.by_speeds else a["timing"] < s.timed
-    acts = (odds > needed) * ca.vertcat(1, timed, timed)
+    # torques are compared with the state, whose age is told apart from the delay of readings, and thrusts with readings
+    timed = ca.vertcat(1, a["timing"] < s.timed, ca.fmax(a["timing"], a["apart"]) < s.torque_timed)
+    acts = (odds > needed) * (1 if known.by_speeds else timed)
     if known.by_speeds:
         acts = ca.vertcat(1, 1, acts[2])
     if known.has_drag:
@@ -254,6 +257,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     scale_doubt = ca.hypot(
         spread(rest, SCALE), INTERVAL.speed_scale if known.by_speeds else INTERVAL.scale_share * rest[SCALE]
     )
+    lifting = ca.mtimes(along_body, rest[FORCE])[2]  # a force along the thrust, which a scale of it looks like
+    scale_doubt = ca.hypot(scale_doubt, lifting / ca.fmax(specific, vehicle.gravity))
     by_drag = rest[SCALE] * ca.norm_2(x[VELOCITY] - wind[WIND])
     off = ca.hypot(known.wind_offset, by_drag) + (1 - acts[1]) * ca.DM([0, 0, known.wind_untimed])
     winds = [

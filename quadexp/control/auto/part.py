@@ -29,12 +29,14 @@ class AutoPart(Remedy):
         return speeds_tell(given.vehicle, given.sheet)
 
     def suited(self, settings: Any) -> Any:
-        """See Remedy. UsageError where it is told of what it finds itself."""
+        """See Remedy. UsageError where it is told of what it finds itself, or to plan otherwise than it does."""
         if settings.dead_time or settings.known_lag:
             raise UsageError(
                 f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
                 " controller.motor_lead must be 0"
             )
+        if settings.input_hold == "command":
+            raise UsageError(f"delay={self.name}: plans with controller.input_hold=deviation only")
         return grids(replace(settings, input_hold="deviation"))[0]
 
     def put_around(self, controller: Any, given: Given) -> Auto:

@@ -1,14 +1,17 @@
-"""Posterior over age a, total delay D = dead time + lag, and lag l: a pure function of the bank's moments.
+"""Posterior over age a, total delay D = dead time + lag, lag l, and by how much rates are newer than the pose, r: a
+pure function of the bank's moments.
 
-    log p(a, D, l) = - sum over filters  kappa n / 2 log(SSE(a, D, l))  - (a + D) / mean_delay - log(lags that D has)
+    log p(a, D, l, r) = - sum over filters  kappa n / 2 log(SSE)  - (a + D) / mean_delay - log(lags of D) - odds(r)
+
+Thrusts tell D and l, velocities a, attitudes r, and the gyroscope a - r + D and l. odds: rates_odds, of rates
+with the pose, of now, or in between.
 
 SSE: sum of n squared innovations of the hypothesis, its variance profiled out, and so is a scale of the thrust (and of
 the torque) with a normal prior, and the bias of the sensor (ridge regression). kappa: what an innovation is
 worth, at most one half: (1 - rho) / (1 + rho) where successive ones are correlated by rho (Bayley & Hammersley 1946).
 Where readings are weighted, SSE is divided by what their noise adds to it, since a mean of several is less noisy than
-one (bias compensation, Soderstrom 2007). The likeliest noise model counts; the gyroscope is as old as the rest of the
-state, or prompt, whichever is likelier. The grid is fixed: coarse over all hypotheses, then a finer one that moves
-while its mode is on its edge.
+one (bias compensation, Soderstrom 2007). The likeliest noise model counts. The grid is fixed: coarse over all
+hypotheses, then a finer one that moves while its mode is on its edge.
 """
 
 from __future__ import annotations
@@ -25,8 +28,8 @@ from quadexp.control.delivered import INSTANT
 
 class Posterior(NamedTuple):
     """Of age, total and lag (s): mean, deviation, lower and upper, the 2.5 and 97.5 % quantiles; upper is infinite
-    where the mode is the last of the grid. age_odds, total_odds: log Bayes factors against none. prompt: the told rates
-    are of now."""
+    where the mode is the last of the grid. age_odds, total_odds: log Bayes factors against none. newer: by how much the
+    told rates are newer than the pose (s)."""
 
     mean: np.ndarray
     deviation: np.ndarray
@@ -34,7 +37,7 @@ class Posterior(NamedTuple):
     upper: np.ndarray
     age_odds: float
     total_odds: float
-    prompt: bool
+    newer: float
 
     @property
     def at_end(self) -> bool:
@@ -42,24 +45,51 @@ class Posterior(NamedTuple):
         return bool(np.isinf(self.upper[:2]).any())
 
 
+LATE, PROMPT, BETWEEN = range(3)
+
+
 class Choice(NamedTuple):
-    """Noise models of gyroscope and velocity, and whether the gyroscope is prompt."""
+    """Noise models of gyroscope and velocity, and when rates are: with the pose, now, or in between."""
 
     gyro: int
     velocity: int
-    prompt: bool
+    rates: int
 
 
 def posterior(bank: Bank) -> Posterior:
     """Of what the bank has seen; there must be some."""
-    steps = np.array([BANK.age_step, BANK.total_step, BANK.lag_step])
-    largest = BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag
+    steps = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])
+    largest = BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age
     whole = [np.arange(0.0, most + INSTANT, step) for most, step in zip(largest, steps, strict=True)]
     log, choice = joint(bank, whole)
     mode = np.unravel_index(int(log.argmax()), log.shape)
     upper_end = [at == len(grid) - 1 for at, grid in zip(mode, whole, strict=True)]
     odds = float(log.max() - log[0].max()), float(log.max() - log[:, 0].max())
-    centre = np.array([grid[at] for grid, at in zip(whole, mode, strict=True)])
+    refined = _refined(bank, log, whole, steps, largest, choice)
+    if choice.rates == BETWEEN:  # one more number fits what lies between the points of a coarse grid
+        rates = rates_of(whole[0], whole[3])[:, None, None]
+        others = np.where(rates == BETWEEN, -np.inf, log)
+        at = np.unravel_index(int(others.argmax()), log.shape)
+        other = choice._replace(rates=int(rates[at[0], 0, 0, at[3]]))
+        alternative = _refined(bank, others, whole, steps, largest, other)
+        if alternative[0].max() > refined[0].max():
+            refined, choice = alternative, other
+    log, grids, centre = refined
+    beside = steps[[0, 2, 2]] / BANK.fine  # a total goes along with a lag that is between points of the grid
+    fine = zip(grids[:3], steps[:3] / BANK.fine, beside, strict=True)
+    rows = [_marginal(log, axis, *of) for axis, of in enumerate(fine)]
+    mean, deviation, lower, upper = np.array(rows).T
+    upper[upper_end[:3]] = np.inf
+    newer = mean[0] if choice.rates == PROMPT else centre[3]
+    return Posterior(mean, deviation, lower, upper, *odds, float(newer))
+
+
+def _refined(
+    bank: Bank, log: np.ndarray, grids: list[np.ndarray], steps: np.ndarray, largest: tuple[float, ...], choice: Choice
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    """Log posterior on a finer grid around the mode of a coarse one, its grids and its mode."""
+    mode = np.unravel_index(int(log.argmax()), log.shape)
+    centre = np.array([grid[at] for grid, at in zip(grids, mode, strict=True)])
     for _ in range(BANK.passes):
         grids = [_finer(*of) for of in zip(centre, steps, largest, strict=True)]
         log, _ = joint(bank, grids, choice)
@@ -67,11 +97,14 @@ def posterior(bank: Bank) -> Posterior:
         before, centre = centre, np.array([grid[at] for grid, at in zip(grids, mode, strict=True)])
         if (np.abs(centre - before) < steps - INSTANT).all():
             break
-    beside = steps[[0, 2, 2]] / BANK.fine  # a total goes along with a lag that is between points of the grid
-    rows = [_marginal(log, axis, *of) for axis, of in enumerate(zip(grids, steps / BANK.fine, beside, strict=True))]
-    mean, deviation, lower, upper = np.array(rows).T
-    upper[upper_end] = np.inf
-    return Posterior(mean, deviation, lower, upper, *odds, choice.prompt)
+    return log, grids, centre
+
+
+def rates_of(ages: np.ndarray, newer: np.ndarray) -> np.ndarray:
+    """LATE, PROMPT or BETWEEN, (a, r), of ages and by how much rates are newer (s)."""
+    is_prompt = np.abs(ages[:, None] - newer) < INSTANT
+    rates: np.ndarray = np.where(newer < INSTANT, LATE, np.where(is_prompt, PROMPT, BETWEEN))
+    return rates
 
 
 def _finer(centre: float, step: float, largest: float) -> np.ndarray:
@@ -83,7 +116,7 @@ def _finer(centre: float, step: float, largest: float) -> np.ndarray:
 def _marginal(log: np.ndarray, axis: int, grid: np.ndarray, step: float, beside: float) -> tuple[float, ...]:
     """Mean, deviation and quantiles of an axis; a point of the grid stands for a step around it, and may be off by half
     of `beside` (s)."""
-    share = np.exp(log - log.max()).sum(axis=tuple(i for i in range(3) if i != axis))
+    share = np.exp(log - log.max()).sum(axis=tuple(i for i in range(4) if i != axis))
     share /= share.sum()
     mean = share @ grid
     deviation = np.sqrt(share @ (grid - mean) ** 2 + step**2 / 12)
@@ -94,19 +127,20 @@ def _marginal(log: np.ndarray, axis: int, grid: np.ndarray, step: float, beside:
 
 
 def joint(bank: Bank, grids: list[np.ndarray], choice: Choice | None = None) -> tuple[np.ndarray, Choice]:
-    """Log posterior (a, D, l), but for a constant, on grids of them (s), and the choice; None: the likeliest."""
-    ages, totals, lags = grids
+    """Log posterior (a, D, l, r), but for a constant, on grids of them (s), and the choice; None: the likeliest."""
+    ages, totals, lags, newer = grids
     dead_time = totals[:, None] - lags
     d, k = np.nonzero((dead_time > -INSTANT) & (dead_time < BANK.largest_dead_time + INSTANT))
     thrust = _by_commands(bank, "thrust", 0, totals[d], lags[k])
-    sums = np.concatenate([[0.0], ages])[:, None] + totals  # of a prompt gyroscope first
+    of_rates = ages[:, None] - newer
+    sums = np.maximum(of_rates, 0.0) + totals[:, None, None]
     times, at = np.unique(np.round(sums, 9), return_inverse=True)
-    at = at.reshape(sums.shape)[:, d]
+    at = at.reshape(sums.shape)
     both = np.repeat(times, len(lags)), np.tile(lags, len(times))
     models = range(GYROS) if choice is None else [choice.gyro]
     by_gyro = {model: _by_commands(bank, "gyro", model, *both) for model in models}
     gyro = max(by_gyro, key=lambda model: float(by_gyro[model].max()))
-    of_gyro = by_gyro[gyro].reshape(len(times), len(lags))[at, k]
+    of_gyro = by_gyro[gyro].reshape(len(times), len(lags))[at[d], k[:, None, None]]
 
     reading = bank.period * bank.lateral_noise
     models = range(len(BANK.velocity_models)) if choice is None else [choice.velocity]
@@ -115,15 +149,19 @@ def joint(bank: Bank, grids: list[np.ndarray], choice: Choice | None = None) -> 
         for i in models
     }
     velocity = max(by_velocity, key=lambda model: float(by_velocity[model].max()))
-    attitude = _by_readings(bank, "attitude", 0, ages, *bank.turn_noise, BANK.rate_bias_deviation)
+    attitude = _by_readings(bank, "attitude", 0, newer, *bank.turn_noise, BANK.rate_bias_deviation)
     ways = np.minimum(totals[d], BANK.largest_lag) - np.maximum(totals[d] - BANK.largest_dead_time, 0.0)
-    prior = -(ages[:, None] + totals[d]) / BANK.mean_delay - np.log(ways + BANK.lag_step)
-    shared = thrust + by_velocity[velocity][:, None] + prior
-    of_late, of_prompt = shared + of_gyro[1:] + attitude[0], shared + of_gyro[0] + attitude[:, None]
-    is_prompt = choice.prompt if choice else bool(of_prompt.max() > of_late.max() + BANK.prompt_odds)
-    log = np.full((len(ages), len(totals), len(lags)), -np.inf)
-    log[:, d, k] = of_prompt if is_prompt else of_late
-    return log, Choice(gyro, velocity, is_prompt)
+    prior = -totals[d] / BANK.mean_delay - np.log(ways + BANK.lag_step)
+    of_total = (thrust + prior)[:, None, None]
+    of_age = (by_velocity[velocity] - ages / BANK.mean_delay)[:, None]
+    rates = rates_of(ages, newer)
+    possible = (of_rates > -INSTANT) & (rates == (rates if choice is None else choice.rates))
+    possible &= (rates != BETWEEN) | (newer > BANK.age_step - INSTANT)  # less is how rates go between readings
+    of_age = np.where(possible, of_age + attitude - np.array(BANK.rates_odds)[rates], -np.inf)
+    log = np.full((len(ages), len(totals), len(lags), len(newer)), -np.inf)
+    log[:, d, k] = np.moveaxis(of_total + of_age + of_gyro, 0, 1)
+    at_mode = np.unravel_index(int(log.max(axis=(1, 2)).argmax()), rates.shape)
+    return log, Choice(gyro, velocity, int(rates[at_mode]))
 
 
 def _by_commands(bank: Bank, name: str, model: int, total: np.ndarray, lag: np.ndarray) -> np.ndarray:

@@ -45,7 +45,8 @@ class BankSettings:
     rate_bias_deviation: float = 0.02  # rad/s, prior of the gyroscope's bias
     least_information: float = 0.02  # of an innovation: models are never exact
     most_information: float = 0.5  # of one, likewise (Bayley & Hammersley 1946 for what lies in between)
-    prompt_odds: float = 1.0  # log Bayes factor for a gyroscope that is prompt where the pose is late
+    # Log Bayes factors against rates with the pose, of now, and in between, where one more number is fitted
+    rates_odds: tuple[float, ...] = (0.0, 1.0, 5.0)
     floor: float = 1e-14  # of mean squared innovations, so that their logarithm is finite
 
 
@@ -68,7 +69,7 @@ class DisturbanceSettings:
     """Walks of the disturbance filter, and what it believes."""
 
     reading_noise: float = 0.05  # m/s^2, least of the accelerometer against the model
-    thrust_noise: float = 0.28  # m/s^2, of the model along the thrust: 3 % of gravity
+    thrust_noise: float = 0.0286  # of the thrust, or the weight, along it: rotors follow their map within 3 %
     walk_factors: tuple[float, ...] = (0.1, 1.0)  # slow and fast: 1.20 with one
     wind_walk: float = 1.5  # m/s/sqrt(s), of a gust (Dryden, low altitude, moderate)
     wind_initial: tuple[float, ...] = (4.0, 4.0, 1.0)  # m/s: over ground a mean wind is level; never beyond it later
@@ -92,7 +93,8 @@ class DisturbanceSettings:
     rate_noise: float = 1e-3  # rad/s, least of the gyroscope against the model
     evidence_on: float = 8.0  # log likelihood ratio from which a disturbance acts: very strong (Kass & Raftery 1995)
     unknown_timing: float = 0.03  # s, most that the uncertainty of a delay counts for the noise of the thrust
-    timed: float = 0.005  # s, of it up to which thrusts are compared with readings: a late one looks like a force
+    timed: float = 0.01  # s, of it up to which thrusts are compared with readings: a late one looks like a force
+    torque_timed: float = 0.005  # s, likewise torques with rates: the attitude is the faster loop
     slope_memory: float = 10.0  # control periods, of how thrusts change
     least_drag_bandwidth: float = 1.0  # rad/s, of the wind that the model's drag tells; below it a force is estimated
     tilt_to_acceleration: float = 12.0  # m/s^2 per rad: thrust over mass in a turn
@@ -137,7 +139,7 @@ class DecisionSettings:
     total_odds: float = 2.0  # log Bayes factor against no dead time and lag: positive
     least_age: float = 0.001  # s, worth a prediction
     least_change: float = 0.0005  # s, of age and total, worth another plan
-    inexact: float = 0.05  # of what is predicted over: what happens meanwhile is not known
+    inexact: float = 0.08  # of what is predicted over: what happens meanwhile is not known
     least_lag: float = 0.003  # s, below which a lag is not inverted: it would amplify noise
     large_noise: float = 0.002  # m, of the estimated position, which a stiff controller would amplify
     stiff_total: float = 0.015  # s, largest total under the stiffest grid

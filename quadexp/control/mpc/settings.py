@@ -32,8 +32,10 @@ class MPCSettings(Settings):
     first_node: float = key(
         0.0, "first interval, from which the others grow: less error, less margin; 0: equal ones", "[0, 10]", "s"
     )
-    input_hold: Literal["command", "deviation"] = key(
-        "command", "what is constant in an interval: the command, or its deviation from the reference"
+    input_hold: Literal["command", "deviation"] | None = key(
+        None,
+        "what is constant in an interval: the command, or its deviation from the reference; null: the command, but with"
+        " delay=auto the deviation",
     )
     dead_time: float = key(
         0.0, "known delay of thrust, predicted over; with any lag that motor_lag does not model", "[0, 0.5]", "s"
