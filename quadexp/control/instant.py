@@ -26,7 +26,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import N_STATE
 
 KINDS = (
-    "call", "copy", "move", "commit", "window", "square", "divide", "mix", "gather", "finite", "near", "plan",
+    "call", "copy", "move", "commit", "window", "square", "divide", "mix", "add", "gather", "finite", "near", "plan",
     "python",
 )  # fmt: skip
 YES = np.ones(1)
@@ -44,6 +44,7 @@ class Operation(NamedTuple):
     square  to = factor source^2
     divide  to = source / other[0]
     mix     to = factor source + (1 - factor) other
+    add     to = source + other
     gather  to (b, c, c) = factor to + sum over the rows s of source, (b, k, c), of s' s
     finite  left to Python where a number of source is not
     near    left to Python where positions at the beginning of source and other are further apart than factor
@@ -160,6 +161,8 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
             np.divide(source, other[0], out=to)
         elif kind == "mix":
             to[...] = factor * source + (1 - factor) * other
+        elif kind == "add":
+            np.add(source, other, out=to)
         elif kind == "gather":
             to *= factor
             for row in np.moveaxis(source, 1, 0):

@@ -12,7 +12,7 @@
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
 /* KINDS of instant.py */
-enum { CALL, COPY, MOVE, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, GATHER, FINITE, NEAR, PLAN, PYTHON };
+enum { CALL, COPY, MOVE, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
 typedef long long integer;
@@ -184,6 +184,7 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
     case WINDOW: look_ahead(r, at, o, l->inputs); return 1;
     case SQUARE: for (integer i = 0; i < n; i++) o->to[i] = o->factor * (o->source[i] * o->source[i]); return 1;
     case DIVIDE: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] / o->other[0]; return 1;
+    case ADD: for (integer i = 0; i < n; i++) o->to[i] = o->source[i] + o->other[i]; return 1;
     case MIX:
         for (integer i = 0; i < n; i++) o->to[i] = o->factor * o->source[i] + (1 - o->factor) * o->other[i];
         return 1;

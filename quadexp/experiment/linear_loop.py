@@ -118,12 +118,14 @@ def _lumped(phases: list[Phase], kinds: np.ndarray) -> tuple[list[Phase], np.nda
     tell). kinds: only numbers of one kind are put together, (m, k)."""
     m, n = phases[0].B.shape
     rng, count = np.random.default_rng(0), 0
-    of_kind, of_class = rng.normal(size=kinds.shape[1]), rng.normal(size=m)
-    of_number, of_command = rng.normal(size=(len(phases), m)), rng.normal(size=(len(phases), n))
+    of_class: Any = rng.normal(size=m)
+    of_kind = rng.normal(size=kinds.shape[1])
+    of_number: Any = rng.normal(size=(len(phases), m))
+    of_command = rng.normal(size=(len(phases), n))
     classes, first = np.zeros(m, int), np.arange(min(m, 1))
     while len(first) > count:
         count = len(first)
-        told: Any = kinds @ of_kind + of_class[classes]
+        told = kinds @ of_kind + of_class[classes]
         for (A, B, _), number, command in zip(phases, of_number, of_command, strict=True):
             told = told + A @ number[classes] + B @ command
         _, first, classes = np.unique(np.round(told, DIGITS), return_index=True, return_inverse=True)

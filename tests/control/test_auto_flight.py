@@ -366,7 +366,10 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
         ),
         (["controller=nominal_mpc", "observer=disturbance"], ".*; set observer=none$"),
         (["controller=nominal_mpc", "adaptive=l1", "inner=indi"], ".*; set adaptive=none and inner=none$"),
-        (["controller=static_feedback", "vehicle=lei_li"], ".* a law in closed form, which this one is not$"),
+        (
+            ["controller=rls_mpc", "vehicle=lei_li", "plant=blade_element"],
+            ".* a law in closed form, which this one is not$",
+        ),
     ],
 )
 def test_what_it_cannot_stand_around_is_refused(given, said):
