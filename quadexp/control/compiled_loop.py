@@ -70,9 +70,7 @@ class CompiledLoop:
 
     def __init__(self, running: Running, period: float) -> None:
         self.running, instant, told = running, running.instant, running.told
-        kept = {"move": lambda o: np.empty_like(o.to), "commit": lambda o: o.source}
-        self._kept = [kept[o.kind](o) if o.kind in kept else None for o in instant.operations]
-        operations = [_operation(o, kept) for o, kept in zip(instant.operations, self._kept, strict=True)]
+        operations = [_operation(o) for o in instant.operations]
         self._operations = (OPERATION * len(operations))(*operations)
         self.mpc = None if instant.plan is None else self._mpc(instant.plan)
         names = ("state", "force", "speed", "path", "yaw", "read", "turning")
@@ -204,11 +202,12 @@ def goes_in_c(controller: Any) -> bool:
     )
 
 
-def _operation(o: Operation, kept: np.ndarray | None) -> ctypes.Structure:
+def _operation(o: Operation) -> ctypes.Structure:
     """As C has it."""
     counted, function = o.to if o.to is not None else o.source, o.function
     count = 0 if counted is None else counted.strides[0] // 8 if o.kind == "window" else counted.size
-    places = addresses({"to": o.to, "source": o.source, "other": o.other, "when": o.when, "kept": kept})
+    after = o.source if o.kind == "commit" else None
+    places = addresses({"to": o.to, "source": o.source, "other": o.other, "when": o.when, "next": after})
     if function is not None:
         places["function"] = ctypes.addressof(function.for_c)  # type: ignore[arg-type]  # `goes_in_c` saw to it
     shape = {"count": count, "factor": o.factor}

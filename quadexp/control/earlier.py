@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
-from quadexp.control.instant import Operation, move
+from quadexp.control.built import built
+from quadexp.control.instant import Operation, call
+from quadexp.physics.expression import named_function, named_symbols
 
 
 def kept_size(size: int, age: float, period: float) -> int:
@@ -31,24 +34,26 @@ def earlier(values: Any, kept: Any, age: float, period: float) -> tuple[Any, Any
 class Earlier:
     """Numbers (n,) of `age` (s) ago, in `then`; `reset` begins a flight, `before` stands at every control instant.
 
-    oldest: those that were told before all that `then` is made of, (n,).
+    oldest: those that were told before all that `then` is made of, (n,). memory: a part of the instant's.
     """
 
-    def __init__(self, size: int, age: float, period: float) -> None:
-        whole = int(age / period + 1e-9)
-        self._share = age / period - whole
-        self._kept = np.zeros((whole + 2, size))  # the oldest first
-        self.then = np.zeros(size) if age else self._kept[-1]
-        self.oldest = self._kept[0 if age else -1]
+    def __init__(self, size: int, age: float, period: float, backend: str) -> None:
+        self._function = built(backend, earlier_function, size, age, period)
+        self.memory, self.then = Memory("Earlier", sizes_of([self._function])), np.zeros(size)
+        self.oldest = self.memory.of_next["kept"].reshape(-1, size)[0 if age else -1]
 
     def reset(self, values: np.ndarray) -> None:
         """These values, (n,), have been there for long."""
-        self._kept[...] = self.then[...] = values
+        self.memory.begin({"kept": np.tile(values, self.memory.now.size // len(values))})
+        self.then[...] = values
 
-    def before(self, values: np.ndarray, when: np.ndarray | None = None) -> list[Operation]:
-        """Takes the values that are found there, (n,), and leaves `then`. when: (1,), only where it is not 0."""
-        flat, n = self._kept.reshape(-1), self._kept.shape[1]
-        taken = [move(flat[:-n], flat[n:], when), move(flat[-n:], values, when)]
-        if self.then.base is not None:
-            return taken
-        return [*taken, Operation("mix", self.then, self._kept[0], self._kept[1], factor=self._share)]
+    def before(self, values: np.ndarray) -> list[Operation]:
+        """Takes the values that are found there, (n,), and leaves `then`."""
+        return [call(connected(self._function, {"values": values}, {"then": self.then}, self.memory))]
+
+
+def earlier_function(size: int, age: float, period: float) -> ca.Function:
+    """`earlier` as a function: values -> then; kept is remembered."""
+    a = named_symbols(ca.SX, {"values": size, f"{NOW}kept": kept_size(size, age, period)})
+    then, kept = earlier(a["values"], a[f"{NOW}kept"], age, period)
+    return named_function("earlier", a, {"then": then, f"{NEXT}kept": kept})

@@ -6,7 +6,7 @@ by `run`, in Python, and by loop.c, so that either may take over from the other 
 be said in operations, such as a user's own controller, is an operation of the kind `python`.
 
 Where an instant is out of the ordinary, C leaves it to Python from its beginning: memory (compile/memory.py) is as it
-was until all operations have succeeded, and what is remembered in another way is moved by `move`, which C takes back.
+was until all operations have succeeded, and what else goes on from instant to instant is written behind the command.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import N_STATE
 
 KINDS = (
-    "call", "copy", "move", "commit", "window", "square", "divide", "mix", "add", "gather", "finite", "near", "plan",
+    "call", "copy", "commit", "window", "square", "divide", "mix", "add", "gather", "finite", "near", "plan",
     "python",
 )  # fmt: skip
 YES = np.ones(1)
@@ -38,7 +38,6 @@ class Operation(NamedTuple):
 
     call    function, on its arguments and results
     copy    to = source
-    move    the same, for what is remembered from instant to instant
     commit  the same, for memory: what is now and what has become of it
     window  states of the reference over the horizon to `to`, inputs to `other`; source: which of them, None: all
     square  to = factor source^2
@@ -69,10 +68,6 @@ def call(function: BufferedFunction, when: np.ndarray | None = None) -> Operatio
 
 def copy(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
     return Operation("copy", to, source, when=when)
-
-
-def move(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
-    return Operation("move", to, source, when=when)
 
 
 def python(act: Callable[[], Any], when: np.ndarray | None = None) -> Operation:
@@ -146,7 +141,7 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
         kind, to, source, other, factor, function, act, every, when = operation
         if k % every or (when is not None and not when[0]):
             continue
-        if kind == "copy" or kind == "move" or kind == "commit":
+        if kind == "copy" or kind == "commit":
             to[...] = source
         elif kind == "call":
             function()
@@ -182,7 +177,7 @@ class Running:
     @property
     def memory(self) -> dict[str, np.ndarray]:
         """What is remembered now, OWNER.NAME -> the array; empty where a part remembers what it does not declare."""
-        if any(o.kind in ("move", "python") for o in self.instant.operations):
+        if any(o.kind in ("python", "gather") for o in self.instant.operations):
             return {}
         kept = self.instant.memory
         return {f"{one.owner}.{name}": values for one in kept for name, values in one.of_now.items()}

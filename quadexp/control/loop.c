@@ -12,7 +12,7 @@
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
 /* KINDS of instant.py */
-enum { CALL, COPY, MOVE, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
+enum { CALL, COPY, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
 typedef long long integer;
@@ -30,11 +30,11 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
     real *w;
 } function;
 
-typedef struct { /* see instant.py; kept: of a MOVE, what was there before, of a COMMIT its source; count: of a WINDOW, length of to's rows,
-   factor: how many, where source says which; rows, columns: of a GATHER's block */
+typedef struct { /* see instant.py; next: of a COMMIT, its source; count: of a WINDOW, length of to's rows, factor: how
+   many, where source says which; rows, columns: of a GATHER's block */
     integer kind, every, count, rows, columns;
     real factor;
-    real *to, *kept, *other;
+    real *to, *next, *other;
     const real *source, *when;
     const function *function;
 } operation;
@@ -178,7 +178,6 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
     const integer n = o->count;
     switch (o->kind) {
     case CALL: return !run(o->function);
-    case MOVE: copy(o->kept, o->to, n); /* fall through */
     case COPY:
     case COMMIT: copy(o->to, o->source, n); return 1;
     case WINDOW: look_ahead(r, at, o, l->inputs); return 1;
@@ -210,10 +209,9 @@ static int control(const loop *l, integer k, const reference *r, integer at) {
     copy(l->yaw, r->yaws + YAW * at, YAW);
     for (integer i = 0; i < l->operations_size; i++) {
         if (!due(l->operations + i, k) || operate(l, l->operations + i, r, at)) continue;
-        for (integer j = l->operations_size; j-- > 0;) {
-            const operation *o = l->operations + j;
-            if (o->kind == COMMIT) copy(o->kept, o->to, o->count);
-            if (o->kind == MOVE && j < i && due(o, k)) copy(o->to, o->kept, o->count);
+        for (i = 0; i < l->operations_size; i++) {
+            const operation *o = l->operations + i;
+            if (o->kind == COMMIT) copy(o->next, o->to, o->count);
         }
         return 0;
     }

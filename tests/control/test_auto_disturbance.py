@@ -47,6 +47,7 @@ class Watched:
         self.told["reading"][:] = np.array([0.0, 0.0, self.vehicle.gravity]) + acceleration
         self.read[0] = read
         run(self.operations, self.k)
+        self.filter.memory.commit()
         self.k += 1
         return self.filter.belief[:3].copy()
 
@@ -138,7 +139,7 @@ def test_the_force_is_that_of_an_extended_kalman_filter(vehicle, rng):
         assert innovation @ np.linalg.solve(S, innovation) < DISTURBANCE.surprise**2
         K = P @ H.T @ np.linalg.inv(S)
         estimate, P = estimate + K @ innovation, (np.eye(4) - K @ H) @ P
-    fast = watched.filter._memory[PLACES["estimate"]][N_ESTIMATE:]
+    fast = watched.filter._estimate[PLACES["estimate"]][N_ESTIMATE:]
     assert fast[FORCE] == pytest.approx(estimate[:3], rel=1e-6) and fast[SCALE] == pytest.approx(estimate[3], rel=1e-6)
 
 

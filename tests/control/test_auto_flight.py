@@ -305,10 +305,10 @@ def test_a_path_is_known_later(vehicle):
         return np.column_stack([[np.polyval(np.polyder(p, i), t) for p in powers] for i in range(5)])
 
     yaw, states = rng.normal(size=4), rows_of(at, 0.065 + period * np.arange(3))
-    known = at(0), yaw, t, states, 0.065, np.zeros(4), at(t - period), 1, np.zeros((3, 3))
-    moved, turned, before, offset, coming = (np.array(result) for result in later(vehicle, period)(*known))
+    known = at(0), yaw, t, states, 0.065, np.zeros(4), at(t - period).ravel("F"), 1, np.zeros(9)
+    moved, turned, coming, before, _, offset = (np.array(result) for result in later(vehicle, period)(*known))
     assert coming[3] == 0
-    assert moved == pytest.approx(at(t)) and before == pytest.approx(at(t)) and (offset == 0).all()
+    assert moved == pytest.approx(at(t)) and before.ravel() == pytest.approx(at(t).ravel("F")) and (offset == 0).all()
     assert turned.ravel() == pytest.approx([yaw[0] + t * yaw[1] + t**2 / 2 * yaw[2], yaw[1] + t * yaw[2], *yaw[2:]])
 
 
@@ -323,7 +323,7 @@ def rows_of(at, times):
 def test_a_path_whose_velocity_jumps_is_told_as_one_that_can_be_flown(vehicle, ahead, looks):
     """On a corner of 8 m/s, seen in time or (looks 0) not: its derivatives fit each other, and it comes back."""
     period, corner, function = 0.01, 1.004, later(vehicle, 0.01)
-    before, goes_on, offset, coming, told = np.zeros((3, 5)), 0, np.zeros((3, 3)), np.zeros(4), []
+    kept, told = [np.zeros(4), np.zeros(15), 0, np.zeros(9)], []
 
     def at(t):
         path = np.zeros((3, 5))
@@ -333,10 +333,8 @@ def test_a_path_whose_velocity_jumps_is_told_as_one_that_can_be_flown(vehicle, a
     times = period * np.arange(700)
     for t in times:
         rows = rows_of(at, t + looks + period * np.arange(3) * (looks > 0))
-        results = function(at(t), np.zeros(4), ahead, rows, looks, coming, before, goes_on, offset)
-        path, _, before, offset, coming = (np.array(result) for result in results)
-        told.append(path)
-        goes_on = 1
+        path, _, *kept = function(at(t), np.zeros(4), ahead, rows, looks, *kept)
+        told.append(np.array(path))
     p, v, a, *_ = np.moveaxis(told, 2, 0)
     assert np.abs(v[1:] - v[:-1] - period * (a[1:] + a[:-1]) / 2).max() < 0.02
     late = 8 * period if looks == 0 else 0.001

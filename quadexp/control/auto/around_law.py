@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.auto.ahead import Ahead, CommandedThrust, sent_commands
 from quadexp.control.auto.auto import Auto
@@ -30,10 +31,11 @@ from quadexp.control.auto.settings import BANK, PATH
 from quadexp.control.base import N_BELIEF, Window
 from quadexp.control.built import built
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import YES, Instant, Operation, Told, call, copy, instant_of, move
+from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of
 from quadexp.control.wrapped import WrappedController
 from quadexp.models.residual import no_residual
 from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.physics.expression import dense_function, named_symbols
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -84,14 +86,15 @@ class Sooner(WrappedController):
         residual = no_residual(core.vehicle)
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
         self._rows = np.zeros(3)  # of the reference
-        self._later = BufferedFunction(built(core.backend, later, core.vehicle, core.control_period))
+        self._later = built(core.backend, later, core.vehicle, core.control_period)
+        self.memory = Memory("Sooner", sizes_of([self._later]))
+        self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
         self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
-        for name in ("offset", "coming", "goes_on"):
-            self._later.arguments[name][...] = 0.0
+        self.memory.begin({})
 
     @property
     def believed_numbers(self) -> np.ndarray:
@@ -107,27 +110,27 @@ class Sooner(WrappedController):
     def tune(self, dead_time: float, lag: float, row: int, at: float) -> None:
         """What commands wait and lag from now on (s). row: of the reference, `at` (s), from which a jump is seen."""
         self._ahead.tune(0.0, dead_time + lag, dead_time, lag)
-        given = self._later.arguments
-        given["ahead"][0], given["at"][0], given["goes_on"][0] = dead_time + lag, at, 0.0
+        self._tuned["ahead"][0], self._tuned["at"][0] = dead_time + lag, at
+        self.memory.of_now["goes_on"][0] = self.memory.of_next["goes_on"][0] = 0.0
         self._rows[...] = row + PATH.samples * np.arange(3)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
-        given, left = self._later.arguments, self._later.results
+        left = {"path_then": np.zeros((DERIVATIVES, 3)), "yaw_then": np.zeros(4)}
         predicted, then = self._ahead.before(state)
         states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
-        operations = [Operation("window", states, self._rows, thrusts), copy(given["states"], states)]
-        operations += [copy(given["path"], told.path), copy(given["yaw"], told.yaw), call(self._later)]
-        operations += [move(given[name], left[f"{name}_next"]) for name in ("before", "offset", "coming")]
-        operations.append(move(given["goes_on"], YES))
+        places = {"states": states, "path": told.path, "yaw": told.yaw, **self._tuned}
+        operations = [Operation("window", states, self._rows, thrusts)]
+        operations.append(call(connected(self._later, places, left, self.memory)))
         inside = copying.copy(told)
-        inside.path, inside.yaw = left["path_then"], left["yaw_then"]
+        inside.path, inside.yaw = left["path_then"], left["yaw_then"]  # type: ignore[assignment]  # of these shapes
         inner = instant_of(self.inner, inside, then)
         if hasattr(self.inner, "believed_numbers"):
             world, found = self._world.arguments, self._world.results
             believed = [copy(world["belief"], self.believed_numbers), copy(world["path"], left["path_then"])]
             operations = [*operations, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
-        return inner._replace(operations=[*predicted, *operations, *inner.operations])
+        memory = (*inner.memory, self.memory)
+        return inner._replace(operations=[*predicted, *operations, *inner.operations], memory=memory)
 
 
 def later(vehicle: Vehicle, period: float) -> ca.Function:
@@ -136,11 +139,13 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
 
     states: of the reference, (3, 13), a period apart, the first at a time `at` from now (s). coming: a jump of the
     velocity that they showed (m/s), and in which time it is (s), 0 for none, (4,). before: what path then was in the
-    last step, where it `goes_on`, (3, 5). offset: e, e', c, (3, 3), see the module.
+    last step, where it `goes_on`, (3, 5). offset: e, e', c, (3, 3), see the module. These four are remembered.
     """
-    path, before = ca.SX.sym("path", 3, DERIVATIVES), ca.SX.sym("before", 3, DERIVATIVES)
-    yaw, ahead, at, goes_on = ca.SX.sym("yaw", 4), ca.SX.sym("ahead"), ca.SX.sym("at"), ca.SX.sym("goes_on")
-    states, coming, offset = ca.SX.sym("states", N_STATE, 3), ca.SX.sym("coming", 4), ca.SX.sym("offset", 3, 3)
+    shapes = {"path": (3, DERIVATIVES), "yaw": 4, "ahead": 1, "states": (N_STATE, 3), "at": 1}
+    kept = {"coming": 4, "before": 3 * DERIVATIVES, "goes_on": 1, "offset": 9}
+    inputs = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in kept.items()})
+    path, yaw, ahead, states, at, coming, before, goes_on, offset = inputs.values()
+    before, offset = ca.reshape(before, 3, DERIVATIVES), ca.reshape(offset, 3, 3)
 
     def then(rows: list[ca.SX], ahead: Any) -> list[ca.SX]:
         return [
@@ -177,13 +182,12 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     results = {
         "path_then": ca.horzcat(*moved) + lasts * ca.horzcat(after, jerk, ca.SX.zeros(3)),
         "yaw_then": ca.vertcat(*then(ca.vertsplit(yaw[:3]), ahead), yaw[3]),
-        "before_next": ca.horzcat(*moved),
-        "offset_next": lasts * after,
-        "coming_next": ca.vertcat(jump, ca.fmax(left, 0)),
+        f"{NEXT}coming": ca.vertcat(jump, ca.fmax(left, 0)),
+        f"{NEXT}before": ca.vec(ca.horzcat(*moved)),
+        f"{NEXT}goes_on": 1,
+        f"{NEXT}offset": ca.vec(lasts * after),
     }
-    inputs = [path, yaw, ahead, states, at, coming, before, goes_on, offset]
-    names = ["path", "yaw", "ahead", "states", "at", "coming", "before", "goes_on", "offset"]
-    return ca.Function("later", inputs, ca.cse([*results.values()]), names, [*results])
+    return dense_function("later", inputs, results)
 
 
 def world_of(vehicle: Vehicle) -> ca.Function:

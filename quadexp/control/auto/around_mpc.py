@@ -41,7 +41,7 @@ class AutoMPC(Auto):
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
         self._world.rows = self._rows
         whole = round(later_speeds(sheet) / self.control_period) * self.control_period  # thrusts jump in between
-        self._earlier = Earlier(N_STATE + 4, whole, self.control_period)
+        self._earlier = Earlier(N_STATE + 4, whole, self.control_period, core.backend)
         self._use(Decision())
 
     def reset(self, x: np.ndarray, window: Window) -> None:
@@ -54,7 +54,8 @@ class AutoMPC(Auto):
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         made = super().instant(told, state)
-        return made._replace(operations=[*made.operations, *(copy(self._last[k], v) for k, v in self._now.items())])
+        operations = [*made.operations, *(copy(self._last[k], v) for k, v in self._now.items())]
+        return made._replace(operations=operations, memory=(*made.memory, self._earlier.memory))
 
     def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
         """See Auto. Rotor speeds are compared with the state and reading of their time."""

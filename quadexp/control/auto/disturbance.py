@@ -21,17 +21,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.auto.bank import places
 from quadexp.control.auto.settings import DISTURBANCE, INTERVAL, SPEEDS
 from quadexp.control.base import N_BELIEF, no_belief
 from quadexp.control.built import built
-from quadexp.control.instant import YES, Operation, call, copy, move
+from quadexp.control.instant import Operation, call
 from quadexp.control.observers.filters import STATED, inverse
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.physics.expression import limited
+from quadexp.physics.expression import limited, named_function
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -108,45 +108,50 @@ class DisturbanceFilter:
         self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, period: float, backend: str, known: Sources
     ) -> None:
         air = (residual.unscaled or residual).form(backend == "compiled")
-        self._update = BufferedFunction(built(backend, disturbance_function, vehicle, air, period, known))
-        given, self._next = self._update.arguments, self._update.results
-        self._given, self._memory, self.timing, self.apart = given, given["memory"], given["timing"], given["apart"]
-        self.lateral, self.noise = given["lateral"], given["noise"]
-        self._theta = theta.reshape(-1)[: given["theta"].size]
-        self._initial, self._flown = np.square(known.initial), np.zeros(1)
+        self._function = built(backend, disturbance_function, vehicle, air, period, known)
+        self.memory = Memory("Disturbance", sizes_of([self._function]))
+        self.timing, self.apart, self.lateral, self.noise = np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(3)
+        self._places = {"timing": self.timing, "apart": self.apart, "lateral": self.lateral, "noise": self.noise}
+        self._places["theta"] = theta.reshape(-1)[: self._function.numel_in("theta")]
+        self._initial = np.square(known.initial)
         self.belief, self.deviations = np.zeros(N_BELIEF), np.zeros(len(DEVIATIONS))
-        self.acts = self._memory[PLACES["acts"]]
+        self._estimate = self.memory.of_now["estimate"]
+        self.acts = self._estimate[PLACES["acts"]]
 
     def reset(self, x: np.ndarray) -> None:
         """Begin a flight in the state x, (13,): nothing is believed."""
-        self._memory[...], self._flown[0], self.timing[0] = 0.0, 0.0, DISTURBANCE.unknown_timing
+        self.timing[0] = DISTURBANCE.unknown_timing
         self.lateral[...], self.noise[...], self.apart[...] = 0.0, 0.0, 0.0
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
-        self._memory[PLACES["covariance"]] = np.tile(np.diag(self._initial).ravel(), WALKS)
-        self._memory[PLACES["rates"]] = np.tile(x[RATE], TORQUES)
+        estimate = np.zeros(self._estimate.size)
+        estimate[PLACES["covariance"]] = np.tile(np.diag(self._initial).ravel(), WALKS)
+        estimate[PLACES["rates"]] = np.tile(x[RATE], TORQUES)
+        self.memory.begin({"estimate": estimate})
 
     def before(self, known: dict[str, np.ndarray], read: np.ndarray) -> list[Operation]:
         """Leaves belief and deviations. known: arrays with the state x (13,), the reading (3,), thrust and mean,
         delivered then and over the last period, (n,) (N), of one time."""
-        given, found, flown = self._given, self._next, self._flown
-        to = {"memory_next": self._memory, "belief": self.belief, "deviations": self.deviations}
-        return [
-            *(copy(given[name], array) for name, array in (known | {"read": read, "theta": self._theta}).items()),
-            move(flown, YES, read),
-            call(self._update, flown),
-            *(move(array, found[name], flown) for name, array in to.items()),
-            move(flown, YES),
-        ]
+        given, found = {**self._places, **known, "read": read}, {"belief": self.belief, "deviations": self.deviations}
+        return [call(connected(self._function, given, found, self.memory))]
 
 
 def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, known: Sources) -> ca.Function:
     """Memory, belief and deviations after an instant; see DisturbanceFilter. noise: of the bank, variances of a reading
-    across the thrust, of position and attitude."""
+    across the thrust, of position and attitude. Memory: all of PLACES as `estimate`; whether anything has been read."""
     n, s = vehicle.n_rotors, DISTURBANCE
-    shapes = {"memory": PLACES["slope"].stop, "x": N_STATE, "reading": 3, "read": 1, "thrust": n, "mean": n}
+    shapes = {
+        f"{NOW}estimate": PLACES["slope"].stop,
+        f"{NOW}flown": 1,
+        "x": N_STATE,
+        "reading": 3,
+        "read": 1,
+        "thrust": n,
+        "mean": n,
+    }
     shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "theta": air.size1_in(1)}
     a = {name: ca.MX.sym(name, size) for name, size in shapes.items()}
-    kept = {name: a["memory"][place] for name, place in PLACES.items()}
+    last = a[f"{NOW}estimate"]
+    kept = {name: last[place] for name, place in PLACES.items()}
     x, read, thrust = a["x"], a["read"], a["thrust"]
     R, rate, specific = rotation_matrix(x[ATTITUDE]), x[RATE], ca.sum1(thrust) / vehicle.mass
     fading = math.exp(-period / s.noise_memory)
@@ -277,8 +282,11 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         "rates": ca.vertcat(*rates), "torque": ca.vertcat(*torques), "evidence": evidence, "squares": squares,
         "torque_evidence": torque_evidence, "acts": acts, "thrust": specific, "slope": slope,
     }  # fmt: skip
-    results = {"memory_next": ca.vertcat(*(now[name] for name in PLACES)), "belief": belief, "deviations": deviations}
-    return ca.Function("disturbance", [*a.values()], [*results.values()], [*a], [*results])
+    after, flown = ca.vertcat(*(now[name] for name in PLACES)), ca.fmax(a[f"{NOW}flown"], read)
+    results = {f"{NEXT}estimate": ca.if_else(flown, after, last), f"{NEXT}flown": ca.MX(1)}
+    results["belief"] = ca.if_else(flown, belief, ca.DM(np.hstack([*no_belief()])))
+    results["deviations"] = ca.if_else(flown, deviations, math.nan)
+    return named_function("disturbance", a, results)
 
 
 def _summed(evidence: ca.MX, fading: float, likelihoods: list[ca.MX]) -> ca.MX:
