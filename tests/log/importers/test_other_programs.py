@@ -21,7 +21,7 @@ def truth():
 
 FILES = {
     "a.bbl": (b"H Product:Blackbox flight data recorder\nH Data version:2\n" + bytes(200), "blackbox_decode"),
-    "a.tlog": (bytes(range(256)), "mavlogdump.py"),
+    "a.tlog": (bytes(range(256)), "mavlogdump"),
     "a.mat": (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(300), "-v7.3"),
     "a.npy": (b"\x93NUMPY\x01\x00" + bytes(200), "numpy.savetxt"),
     "a.pkl": (pickle.dumps([1.0] * 50), "to_csv"),

@@ -22,7 +22,8 @@ HEAD = 4096  # bytes
 # What files of other kinds begin with, or are named, and the way from there to one that is read.
 OTHERS: tuple[tuple[str, bytes, tuple[str, ...], str], ...] = (
     ("Betaflight's log", b"H Product:Blackbox", (".bbl", ".bfl"), "make a table of it: `blackbox_decode LOG.BBL`"),
-    ("a telemetry log of MAVLink", b"", (".tlog",), "`mavlogdump.py --format csv --types RAW_IMU LOG.tlog > imu.csv`"),
+    ("a telemetry log of MAVLink", b"", (".tlog",),
+     "`python -m pymavlink.tools.mavlogdump --format csv --types RAW_IMU LOG.tlog > imu.csv`"),
     ("MATLAB's format before 7.3", b"MATLAB 5.0", (), "save it with `save('log.mat', 'name', '-v7.3')`, which is HDF5"),
     ("an array of NumPy", b"\x93NUMPY", (".npy",), "`numpy.savetxt('log.csv', x, delimiter=',', header='t,..')`"),
     ("a pickle", b"\x80\x04", (".pkl", ".pickle"), "write it as a table: `pandas.DataFrame(..).to_csv('log.csv')`"),
