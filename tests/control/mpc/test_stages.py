@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from quadexp.compile.backend import compiler, linked_library
+from quadexp.control.mpc.mpc import stages_of
 from quadexp.control.mpc.node import Form, linearise_function
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.stages import CompiledStages, lanes_source, node_source, stages_of, stages_source
+from quadexp.control.mpc.stages import CompiledStages, lanes_source, node_source, stages_source
 from quadexp.control.mpc.step import Step, array_shapes
 from quadexp.models.residual import no_residual
 from tests.control.mpc.unrolled import unrolled
