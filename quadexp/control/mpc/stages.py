@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.backend import CFunction, generated, linked_library
+from quadexp.compile.compiler import unless_chosen
 from quadexp.compile.lanes import in_lanes
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.node import LENGTH_MAX, LENGTH_MIN, Form, frame_function, held_function, linearise_function
@@ -36,8 +37,8 @@ PRELUDE = """#ifndef REAL
 #define WEAK __attribute__((weak))
 """
 SIGNATURE = "(const casadi_real *const *given, casadi_real *const *results, casadi_real *work)"
-STAGES_FLAGS = ("-O2", "-fpeel-loops")  # as fast as -O3, in two thirds of the time
-LANES_FLAGS = ("-O1", "-ftree-vectorize")  # as fast as -O3, as it is written in vectors, and compiled in half the time
+STAGES_FLAGS = unless_chosen("-O2", "-fpeel-loops")  # as fast as -O3, in two thirds of the time
+LANES_FLAGS = unless_chosen("-O1", "-ftree-vectorize")  # the same in half of it: the source is written in vectors
 MOST_IN_LANES = 1000  # parameters of a model; each of them is copied to all lanes in every step
 PHASES = ("mpc_prepare", "mpc_feedback", "mpc_bounded")
 
