@@ -92,11 +92,6 @@ def compile_flags() -> tuple[str, ...]:
     return (OPTIMISED, *FLAGS, *GCC_FLAGS) if is_gcc else (OPTIMISED, *FLAGS)
 
 
-def unless_chosen(*flags: str) -> tuple[str, ...]:
-    """How to optimise a source, where QUADEXP_OPTIMISE does not say it for all."""
-    return () if CHOSEN else flags
-
-
 def toolchain() -> str:
     """What besides source and flags decides the binary: the whole command, its version, the processor."""
     command = required_compiler()

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.backend import CFunction, generated, linked_library
-from quadexp.compile.compiler import unless_chosen
+from quadexp.compile.compiler import CHOSEN
 from quadexp.compile.lanes import in_lanes
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.node import LENGTH_MAX, LENGTH_MIN, Form, frame_function, held_function, linearise_function
@@ -37,8 +37,8 @@ PRELUDE = """#ifndef REAL
 #define WEAK __attribute__((weak))
 """
 SIGNATURE = "(const casadi_real *const *given, casadi_real *const *results, casadi_real *work)"
-STAGES_FLAGS = unless_chosen("-O2", "-fpeel-loops")  # as fast as -O3, in two thirds of the time
-LANES_FLAGS = unless_chosen("-O1", "-ftree-vectorize")  # the same in half of it: the source is written in vectors
+STAGES_FLAGS = ("-O2", "-fpeel-loops")  # as fast as -O3, in two thirds of the time
+LANES_FLAGS = ("-O1", "-ftree-vectorize")  # the same in half of it: the source is written in vectors
 MOST_IN_LANES = 1000  # parameters of a model; each of them is copied to all lanes in every step
 PHASES = ("mpc_prepare", "mpc_feedback", "mpc_bounded")
 
@@ -49,7 +49,8 @@ def compiled_stages(vehicle: Vehicle, residual: Residual, form: Form) -> Compile
     functions += [held_function(form)] if form.deviation else []
     functions += [frame_function(form)] if form.frames else []
     sources: list[tuple[str, tuple[str, ...]]] = [(node_source(functions), ()), (stages_source(form), STAGES_FLAGS)]
-    side_by_side = lanes_source(functions[0]) if form.parameters <= MOST_IN_LANES else None
+    quick = CHOSEN is not None  # to compile: then without lanes
+    side_by_side = lanes_source(functions[0]) if form.parameters <= MOST_IN_LANES and not quick else None
     sources += [] if side_by_side is None else [(side_by_side, LANES_FLAGS)]
     return CompiledStages(form, linked_library("mpc", *sources))
 
