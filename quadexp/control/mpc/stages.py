@@ -37,8 +37,8 @@ PRELUDE = """#ifndef REAL
 #define WEAK __attribute__((weak))
 """
 SIGNATURE = "(const casadi_real *const *given, casadi_real *const *results, casadi_real *work)"
-STAGES_FLAGS = ("-O2", "-fpeel-loops")  # as fast as -O3, in two thirds of the time
-LANES_FLAGS = ("-O1", "-ftree-vectorize")  # the same in half of it: the source is written in vectors
+STAGES_FLAGS = ("-O2", "-fpeel-loops") if CHOSEN else ()  # all models share the object: quick in any case
+LANES_FLAGS = ("-O1", "-ftree-vectorize")  # as fast as -O3 in half of the time: the source is written in vectors
 MOST_IN_LANES = 1000  # parameters of a model; each of them is copied to all lanes in every step
 PHASES = ("mpc_prepare", "mpc_feedback", "mpc_bounded")
 
