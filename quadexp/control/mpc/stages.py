@@ -37,7 +37,6 @@ PRELUDE = """#ifndef REAL
 #define WEAK __attribute__((weak))
 """
 SIGNATURE = "(const casadi_real *const *given, casadi_real *const *results, casadi_real *work)"
-STAGES_FLAGS = ("-O2", "-fpeel-loops") if CHOSEN else ()  # all models share the object: quick in any case
 LANES_FLAGS = ("-O1", "-ftree-vectorize")  # as fast as -O3 in half of the time: the source is written in vectors
 MOST_IN_LANES = 1000  # parameters of a model; each of them is copied to all lanes in every step
 PHASES = ("mpc_prepare", "mpc_feedback", "mpc_bounded")
@@ -48,7 +47,7 @@ def compiled_stages(vehicle: Vehicle, residual: Residual, form: Form) -> Compile
     functions = [linearise_function(vehicle, residual, form, scalar=True)]
     functions += [held_function(form)] if form.deviation else []
     functions += [frame_function(form)] if form.frames else []
-    sources: list[tuple[str, tuple[str, ...]]] = [(node_source(functions), ()), (stages_source(form), STAGES_FLAGS)]
+    sources: list[tuple[str, tuple[str, ...]]] = [(node_source(functions), ()), (stages_source(form), ())]
     quick = CHOSEN is not None  # to compile: then without lanes
     side_by_side = lanes_source(functions[0]) if form.parameters <= MOST_IN_LANES and not quick else None
     sources += [] if side_by_side is None else [(side_by_side, LANES_FLAGS)]
