@@ -402,7 +402,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         limits = ["-" if limit is None else f"<= {limit:g}" for limit in RATIOS.values()]
         ratios = [f"{a} / {b}" for a, b in RATIOS]
         parts += ["", "Ratios, with the limit promised:", ""]
-        parts += markdown(ratios, rows, lambda row, name: number_cell(row["ratios"].get(name), ".2f"), limits)
+        parts += markdown(ratios, rows, lambda row, name: number_cell(row["ratios"].get(name), ".3f"), limits)
     if any(row["case"] == PLAIN for row in rows):
         parts += ["", f"({PLAIN}: acados solves the plain model; compiled / acados best is to be <= 0.6)"]
     rows = [row for row in rows if row["case"] != PLAIN]  # not the same problem

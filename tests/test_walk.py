@@ -52,7 +52,7 @@ LANDMARKS = {
     "fit": ("models.sgpr.loss",),
     "checkpoint": ("models.checkpoint.plain", "models.checkpoint.record_of"),
     "air": ("models.gaussian_process.gaussian_process_residual",),
-    "step": ("control.mpc.stages.stages_of", "control.mpc.node.linearise_function"),
+    "step": ("control.mpc.mpc.stages_of", "control.mpc.node.linearise_function"),
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),
 }

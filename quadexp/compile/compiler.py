@@ -18,7 +18,8 @@ from quadexp.errors import QuadexpError, UsageError
 # scalar code gets slower from being vectorised piecewise. CasADi's helper functions are global, and inlined only where
 # nobody may interpose them.
 FLAGS = ("-march=native", "-ffast-math", "-fno-tree-slp-vectorize", "-fno-semantic-interposition", "-fPIC")
-OPTIMISED = os.environ.get("QUADEXP_OPTIMISE", "-O3")  # -O1: compiled in half of the time, steps in twice the time
+CHOSEN = os.environ.get("QUADEXP_OPTIMISE")  # -O1: compiled in half of the time, steps in twice the time
+OPTIMISED = CHOSEN or "-O3"
 GCC_FLAGS = ("-fno-tree-reassoc",)  # CasADi's order of operations is the better one; clang refuses the flag
 STRICT_FLAGS = ("-O3", "-march=native", "-ffp-contract=off", "-fPIC")  # for C of ours whose every operation is meant
 CPUINFO = Path("/proc/cpuinfo")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+import struct
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -25,7 +26,7 @@ from quadexp.physics.state import N_STATE
 
 SOURCE = Path(__file__).with_name("loop.c")
 PLAIN = {"integer": ctypes.c_longlong, "real": ctypes.c_double, "function": CFunction}  # types of fields
-NUMBERS = 6  # before the readings in loop.c's `measured`
+NUMBERS = struct.Struct("6d")  # before the readings in loop.c's `measured`
 
 
 def structure(source: Path, name: str) -> type[ctypes.Structure]:
@@ -119,8 +120,9 @@ class UserLoop(CompiledLoop):
         self._controller, self._reference, self.command = controller, reference, self.running.instant.command
         self._plan = None if self.mpc is None else self.running.instant.plan.mpc
         rows, n = reference.where.shape[1], len(self.command)
-        self._given = given = np.zeros(NUMBERS + N_STATE + 3 + n)
-        self._state, self._force, self._speed = np.split(given[NUMBERS:], [N_STATE, N_STATE + 3])
+        first = NUMBERS.size // 8
+        self._given = given = np.zeros(first + N_STATE + 3 + n)
+        self._state, self._force, self._speed = np.split(given[first:], [N_STATE, N_STATE + 3])
         states, inputs, position, yaw = (np.zeros(size) for size in ((rows, N_STATE), (rows - 1, n), (5, 3), 4))
         self._window, self._drift = (states, inputs, position, yaw[:3]), yaw[3:]
         alone = CompiledReference((states, inputs, np.arange(rows)[None]), (position[None], yaw[None]))
@@ -134,13 +136,13 @@ class UserLoop(CompiledLoop):
 
         t: s. state: (13,). force: (3,), speed: (n,), None where there is none. window: of a reference for this step.
         """
-        plan, given = self._plan, self._given
+        plan = self._plan
         if self._controller._running is not self.running or state.shape != (N_STATE,):
             return False
         if plan is not None and (plan.cold or plan.prepared != (prepared >= 0 and window is None)):
             return False
-        given[0], given[1], given[2], given[3] = t, prepared, self.running.k, window is not None
-        given[4], given[5] = force is not None, speed is not None
+        told = window is not None, force is not None, speed is not None
+        NUMBERS.pack_into(self._given.data, 0, t, prepared, self.running.k, *told)
         self._state[...] = state
         if force is not None and not _fill(self._force, force):
             return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -108,6 +109,7 @@ class Horizon:
         self.error = attitude_error_in(*self.frames or [None])
 
 
+@lru_cache
 def guess_function(form: Form, nodes: int) -> ca.Function:
     """Where the horizon is linearised, and the gradients of its cost there: X_lin and q of the nodes from 1 on, U_lin,
     r, added, frames, named as in step.py like the inputs."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from quadexp.compile.memory import Memory
 from quadexp.control.built import built
 from quadexp.control.mpc.active_set import ActiveSet, Status
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
+from quadexp.control.mpc.interpreted import InterpretedStages
+from quadexp.control.mpc.node import Form
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.stages import stages_of
-from quadexp.control.mpc.step import Step
+from quadexp.control.mpc.stages import compiled_stages
+from quadexp.control.mpc.step import Stages, Step
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import changed
@@ -347,3 +349,10 @@ class ModelPredictiveController:
         length = MAX_TURN / turn
         self._X[...] = x + length * (X_new - x)
         self._U[...] = u + length * (U_new - u)
+
+
+def stages_of(vehicle: Vehicle, residual: Residual, backend: str, **structure: Any) -> Stages:
+    """The step of a model on a resolved back end. structure: see node.Form."""
+    form = Form(vehicle.n_rotors, residual.function.size1_in(1), **structure)
+    make = InterpretedStages if backend == "interpreted" else compiled_stages
+    return make(vehicle, residual, form)

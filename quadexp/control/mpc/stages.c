@@ -124,6 +124,14 @@ static inline void exchange(vector *a, vector *b, int h) {
     *a = __builtin_shufflevector(low, high, 0, 1, 2, 3, 8, 9, 10, 11);
     *b = __builtin_shufflevector(low, high, 4, 5, 6, 7, 12, 13, 14, 15);
   }
+#elif defined(__AVX__)
+  if (h == 1) {
+    *a = __builtin_shufflevector(low, high, 0, 4, 2, 6);
+    *b = __builtin_shufflevector(low, high, 1, 5, 3, 7);
+  } else {
+    *a = __builtin_shufflevector(low, high, 0, 1, 4, 5);
+    *b = __builtin_shufflevector(low, high, 2, 3, 6, 7);
+  }
 #else
   for (int l = 0; l < LANES; ++l) {
     (*a)[l] = l & h ? high[l - h] : low[l];

@@ -1,8 +1,9 @@
 """The compiled control step: stages.c, linked to the functions of one node of a model.
 
-There are two objects. That of stages.c depends on the form of the step alone, so all models share it; that of the node
-is what CasADi generates of node.py's functions, with a wrapper that stages.c calls. The number of nodes is given at run
-time: all horizons use one library.
+The object of stages.c depends on the form of the step alone, so all models share it; that of the node is what CasADi
+generates of node.py's functions, with a wrapper that stages.c calls. A third one is the node in lanes: nodes 1 .. N - 1
+are linearised several at a time where registers are that wide and the model has such a form, and one by one elsewhere,
+as node 0 always is. The number of nodes is given at run time: all horizons use one library.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.backend import CFunction, generated, linked_library
+from quadexp.compile.compiler import CHOSEN
 from quadexp.compile.lanes import in_lanes
 from quadexp.compile.symbolic import ca
-from quadexp.control.mpc.interpreted import InterpretedStages
 from quadexp.control.mpc.node import LENGTH_MAX, LENGTH_MIN, Form, frame_function, held_function, linearise_function
-from quadexp.control.mpc.step import Arrays, Stages, aligned, array_shapes
+from quadexp.control.mpc.step import Arrays, aligned, array_shapes
 from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
@@ -36,22 +37,19 @@ PRELUDE = """#ifndef REAL
 #define WEAK __attribute__((weak))
 """
 SIGNATURE = "(const casadi_real *const *given, casadi_real *const *results, casadi_real *work)"
-STAGES_FLAGS = ("-O2", "-fpeel-loops")  # as fast as -O3, in two thirds of the time
-LANES_FLAGS = ("-O1", "-ftree-vectorize")  # as fast as -O3, as it is written in vectors, and compiled in half the time
+LANES_FLAGS = ("-O1", "-ftree-vectorize")  # as fast as -O3 in half of the time: the source is written in vectors
 MOST_IN_LANES = 1000  # parameters of a model; each of them is copied to all lanes in every step
 PHASES = ("mpc_prepare", "mpc_feedback", "mpc_bounded")
 
 
-def stages_of(vehicle: Vehicle, residual: Residual, backend: str, **structure: Any) -> Stages:
-    """The step of a model on a resolved back end. structure: see node.Form."""
-    form = Form(vehicle.n_rotors, residual.function.size1_in(1), **structure)
-    if backend == "interpreted":
-        return InterpretedStages(vehicle, residual, form)
+def compiled_stages(vehicle: Vehicle, residual: Residual, form: Form) -> CompiledStages:
+    """The step of a model, compiled unless the cache has it."""
     functions = [linearise_function(vehicle, residual, form, scalar=True)]
     functions += [held_function(form)] if form.deviation else []
     functions += [frame_function(form)] if form.frames else []
-    sources: list[tuple[str, tuple[str, ...]]] = [(node_source(functions), ()), (stages_source(form), STAGES_FLAGS)]
-    side_by_side = lanes_source(functions[0]) if form.parameters <= MOST_IN_LANES else None
+    sources: list[tuple[str, tuple[str, ...]]] = [(node_source(functions), ()), (stages_source(form), ())]
+    quick = CHOSEN is not None  # to compile: then without lanes
+    side_by_side = lanes_source(functions[0]) if form.parameters <= MOST_IN_LANES and not quick else None
     sources += [] if side_by_side is None else [(side_by_side, LANES_FLAGS)]
     return CompiledStages(form, linked_library("mpc", *sources))
 

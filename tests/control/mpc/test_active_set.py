@@ -8,9 +8,8 @@ from benchmarks.step import make_residual as benchmark_residual
 from benchmarks.stress import SITUATIONS, pinched, stress_vehicle
 from quadexp.compile.backend import compiler
 from quadexp.control.mpc.active_set import ActiveSet, InterpretedSolver, Status
-from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController, stages_of
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.stages import stages_of
 from quadexp.control.mpc.step import Step
 from tests.models.residuals import make_residual
 from tests.states import random_state, with_rotor_count

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadexp.compile.backend import compiler
-from quadexp.control.mpc.stages import stages_of
+from quadexp.control.mpc.mpc import stages_of
 from quadexp.control.mpc.step import Step
 from quadexp.models.residual import no_residual
 from tests.states import with_rotor_count

@@ -2,15 +2,15 @@
 
 import ctypes
 import threading
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from quadexp.compile.backend import compiler, linked_library
+from quadexp.control.mpc.mpc import stages_of
 from quadexp.control.mpc.node import Form, linearise_function
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.stages import CompiledStages, lanes_source, node_source, stages_of, stages_source
+from quadexp.control.mpc.stages import CompiledStages, lanes_source, node_source, stages_source
 from quadexp.control.mpc.step import Step, array_shapes
 from quadexp.models.residual import no_residual
 from tests.control.mpc.unrolled import unrolled
@@ -79,14 +79,22 @@ def test_any_form(vehicle, rng, backend, form):
     assert_written_out(step, vehicle, residual, FORMS[form], rng)
 
 
+def built(vehicle, residual, *flags: str, **structure) -> CompiledStages:
+    """The compiled form with further flags, and with lanes where it has them, which tests are flown without."""
+    form = Form(vehicle.n_rotors, len(residual.theta), **structure)
+    linearise = linearise_function(vehicle, residual, form, scalar=True)
+    sources = [node_source([linearise]), stages_source(form), lanes_source(linearise)]
+    return CompiledStages(form, linked_library("mpc", *((source, flags) for source in sources if source is not None)))
+
+
 @compiled
 @pytest.mark.parametrize("name", RESIDUALS)
 def test_any_model(vehicle, rng, name):
-    """Those in lanes, and those that choose between numbers; with thrusts as states."""
+    """Those in lanes, and those that choose between numbers; with thrusts as states and a disturbance."""
     vehicle = with_rotors(vehicle) if name.startswith("blade") else vehicle
     residual = make_residual(name, vehicle)
-    step = Step(stages_of(vehicle, residual, "compiled", lag=True), 10)
-    assert_written_out(step, vehicle, residual, {"lag": True}, rng)
+    step = Step(built(vehicle, residual, lag=True, disturbed=True), 10)
+    assert_written_out(step, vehicle, residual, {"lag": True, "disturbed": True}, rng)
 
 
 @compiled
@@ -98,16 +106,8 @@ def test_any_number_of_rotors(vehicle, rng, rotors):
     assert_written_out(step, vehicle, residual, form, rng)
 
 
-def built(vehicle, residual, *flags: str) -> CompiledStages:
-    """The compiled form with further flags."""
-    form = Form(vehicle.n_rotors, len(residual.theta))
-    linearise = linearise_function(vehicle, residual, form, scalar=True)
-    sources: Sequence[str] = node_source([linearise]), stages_source(form), lanes_source(linearise)
-    return CompiledStages(form, linked_library("mpc", *((source, flags) for source in sources)))
-
-
 @compiled
-@pytest.mark.parametrize("flag", ["-mno-avx512f", "-mno-avx", "-O0"])
+@pytest.mark.parametrize("flag", ["-O3", "-mno-avx512f", "-mno-avx", "-O0"])
 def test_narrower_registers_and_none(vehicle, rng, flag):
     residual = make_residual("gp_per_axis", vehicle)
     assert_written_out(Step(built(vehicle, residual, flag), 10), vehicle, residual, {}, rng)

@@ -6,9 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
-from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController, stages_of
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.mpc.stages import stages_of
 from quadexp.control.mpc.step import Step
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE
