@@ -57,7 +57,7 @@ def grid(*overrides: str, conf: Path | None = None) -> tuple[float | str, ...]:
 @pytest.mark.parametrize("controller", MPCS)
 def test_the_presets(controller):
     """Published is the paper's grid, for every MPC, and what is flown when nothing is said."""
-    published = (0.0, 1.0, 10, "command")
+    published = (0.0, 1.0, 10, None)  # which is the command
     assert grid(f"controller={controller}") == grid(f"controller={controller}", "horizon=published") == published
     assert grid(f"controller={controller}", "horizon=precise") == (0.02, 0.6, 10, "deviation")
     assert grid(f"controller={controller}", "horizon=robust") == (0.06, 0.8, 10, "deviation")

@@ -96,5 +96,6 @@ def grids(settings: MPCSettings) -> list[MPCSettings]:
         first = max(grid.first_node, settings.control_period)
         horizon = max(grid.horizon, settings.nodes * first)
         x, y, z = (max(grid.position_weight * max(factor, 1.0), asked) for asked in settings.position_weight)
-        of_grids.append(replace(settings, first_node=first, horizon=horizon, position_weight=(x, y, z)))
+        weights = {"position_weight": (x, y, z), "input_weight": grid.inputs * settings.input_weight}
+        of_grids.append(replace(settings, first_node=first, horizon=horizon, **weights))
     return of_grids
