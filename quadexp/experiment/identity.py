@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
-from quadexp.models.base import model_class
 from quadexp.names import sha256_of
+from quadexp.parts.models import is_shipped, maker, model_part
 from quadexp.parts.part import Part
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
@@ -124,11 +124,12 @@ def find_model(config: Config) -> ModelFile | None:
     for candidate in candidates:
         if (Path(candidate) / MODEL_FILE).is_file():
             return _file(candidate)
-    maker = model_class(residual).maker
+    advice = f"give model=PATH, or make one: {maker(residual)}"
     if config.model:
-        raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
+        needs = f"{controller.name} needs one; make it: {maker(residual)}"
+        raise UsageError(f"model={config.model}: no checkpoint there ({needs})")
     looked = " or ".join(candidates) or "nowhere"
-    raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
+    raise UsageError(f"{controller.name} needs a model and none is in {looked}: {advice}")
 
 
 def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
@@ -140,8 +141,7 @@ def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
         raise UsageError(f"controller.models: {controller.name} needs one folder for each of {', '.join(kinds)}")
     for kind, folder in zip(kinds, controller.models, strict=True):
         if not (Path(folder) / MODEL_FILE).is_file():
-            maker = model_class(kind).maker
-            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {maker}")
+            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {maker(kind)}")
     files = tuple(_file(folder) for folder in controller.models)
     together = sha256_of("".join(file.sha256 for file in files))
     return ModelFile("+".join(file.path for file in files), together, files)
@@ -294,7 +294,8 @@ def identity_with(
     inputs = {"model": model.sha256} if model else {}
     files = {f"{file.path}/{MODEL_FILE}": file.sha256 for file in model.files} if model else {}
     modules, packages = {FLYING, *(FITTING if fitted else ())}, set[str]()
-    for group, part in parts.items():
+    own_models = [kind for kind in config.controller.learned if model and not is_shipped(kind)]
+    for group, part in [*parts.items(), *((f"model {kind}", model_part(kind)) for kind in own_models)]:
         if (group, id(part)) not in known:
             deciding = decides(group, part)
             known[group, id(part)] = part, deciding, deciding.inputs()
