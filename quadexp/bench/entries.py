@@ -19,8 +19,8 @@ from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import MODEL_FILE, digest, find_model, identity_with, part_identity
 from quadexp.log.store import read_text
+from quadexp.names import SPELLINGS
 from quadexp.parts.compose import Composer
-from quadexp.parts.models import is_shipped
 from quadexp.parts.options import Folders, OptionFiles
 from quadexp.parts.schema import REMEDIES, Config, remedies
 from quadexp.tune.preset import BY_HAND, provenance_of
@@ -67,10 +67,8 @@ def _rule(config: Config) -> str:
     """Which checkpoint the controller, or what is around it, may read; see Entry."""
     residual = getattr(config.controller, "residual", "none")
     if isinstance(residual, str) and config.controller.learned:
-        if not is_shipped(residual):
-            return residual
-        if residual == "neural":
-            return "network"
+        rules = {SPELLINGS[word]: rule for rule, words in RULES.items() for word in words}
+        return rules.get(residual, residual)
     return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
 
 

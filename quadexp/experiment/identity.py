@@ -12,6 +12,7 @@ same (`part_identity`).
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -23,7 +24,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from quadexp.errors import UsageError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
 from quadexp.parts.models import is_shipped, maker, model_part
 from quadexp.parts.part import Part
@@ -294,8 +295,7 @@ def identity_with(
     inputs = {"model": model.sha256} if model else {}
     files = {f"{file.path}/{MODEL_FILE}": file.sha256 for file in model.files} if model else {}
     modules, packages = {FLYING, *(FITTING if fitted else ())}, set[str]()
-    own_models = [kind for kind in config.controller.learned if model and not is_shipped(kind)]
-    for group, part in [*parts.items(), *((f"model {kind}", model_part(kind)) for kind in own_models)]:
+    for group, part in {**parts, **_own_models(config, model)}.items():
         if (group, id(part)) not in known:
             deciding = decides(group, part)
             known[group, id(part)] = part, deciding, deciding.inputs()
@@ -313,6 +313,24 @@ def identity_with(
         inputs[f"package {name}"] = known[name]
     places = {os.path.abspath(path): content for path, content in files.items()}
     return FlightIdentity(record, model, inputs, places, program)
+
+
+def _own_models(config: Config, model: ModelFile | None) -> dict[str, Part]:
+    """A user's own models of the air behind checkpoints of the controller and of the plant, whose code decides too."""
+    kinds = list(config.controller.learned) if model else []
+    stated = getattr(config.plant, "model", None)
+    if isinstance(stated, str):
+        with contextlib.suppress(QuadexpError, OSError):  # said where it is read to be flown
+            kinds.append(_kind_of(content_hash(Path(stated) / MODEL_FILE), stated))
+    return {f"model {kind}": model_part(kind) for kind in kinds if not is_shipped(kind)}
+
+
+@cache
+def _kind_of(content: str, folder: str) -> str:
+    """The kind of a checkpoint's model. content: its hash."""
+    from quadexp.models.checkpoint import load_model
+
+    return str(load_model(folder).kind)
 
 
 @cache

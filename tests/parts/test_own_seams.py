@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from quadexp.experiment.identity import flight_identity
+from quadexp.parts.compose import compose
 from tests.cli.command import run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -120,10 +122,13 @@ class TestLearnedModel:
         words = ["controller=nominal_mpc", "controller.residual=none,lateral", f"model={folder / 'fitted'}", *QUICK]
         words = ["evaluate", "--sweep", "--conf", folder, *words, "--no-figures", "--out", tmp_path / "r", "--json"]
         assert run(*words)[0] == 0
+        of_plant = ["plant=from_model", f"plant.model={folder / 'fitted'}"]
+        as_truth = flight_identity(compose(of_plant, folder)).digest
         file = folder / "lateral.py"
         file.write_text(file.read_text().replace("-theta[0] * z", "-1.0 * theta[0] * z"))
         code, out, error = run(*words)
         assert code == 0 and json.loads(out)["flown"] == 1, error
+        assert flight_identity(compose(of_plant, folder)).digest != as_truth
 
     @pytest.mark.parametrize(
         ("change", "said"),
