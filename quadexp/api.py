@@ -25,7 +25,7 @@ from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
 from quadexp.names import SPELLINGS
-from quadexp.parts.options import Folders, Place
+from quadexp.parts.options import Folders, Place, given_folders
 from quadexp.parts.override import GROUPS, MOST_CELLS, in_grammar
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
@@ -199,12 +199,14 @@ def _request(kind: type[S], keywords: dict[str, Any]) -> S:
     return kind(**given)
 
 
-def load(path: Place) -> Flight | Dataset | Results | Checkpoint | Frame:
+def load(path: Place, conf: Folders = None) -> Flight | Dataset | Results | Checkpoint | Frame:
     """Read what a command wrote: a flight, a data set, the folder of a checkpoint or of results.
 
+    conf: of the checkpoint of a model of one's own, which predicts by its class.
     Raises UsageError where there is nothing of that kind, DataError where it is damaged.
     """
     path = Path(path)
+    given_folders(conf)
     if path.is_dir():
         if (path / RESULTS).is_file():
             return _results(path)

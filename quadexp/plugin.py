@@ -6,7 +6,7 @@ package states its own in a mapping of the same form, in a module that an entry 
     [project.entry-points."quadexp.plugins"]
     my_lab = "my_lab"
 
-    # my_lab.py
+    # in the module my_lab
     BRINGS = {"commands": {"laps": "my_lab:laps"}, "sections": {"laps": "my_lab:lap_section"}}
 
 What a place must be: of "commands" a command (quadexp/cli/command.py), of "readers" a module, or another object, with
