@@ -10,7 +10,7 @@ from quadexp.parts import crazyflies
 from quadexp.parts.compose import compose
 from quadexp.parts.listing import candidates, key_words, listed
 from quadexp.parts.options import OptionFiles, groups
-from quadexp.parts.schema import CLASSES, PRESETS
+from quadexp.parts.schema import CLASSES, PARTS, PRESETS
 from quadexp.parts.settings import plain
 
 
@@ -20,7 +20,7 @@ def keys(option):
 
 def test_every_group_and_option_is_listed():
     groups = {one["group"]: one["options"].split() for one in listed()}
-    assert {*CLASSES, *PRESETS, "experiment", "world", "remedies"} <= groups.keys()
+    assert {*PARTS, "model", *PRESETS, "experiment", "world", "remedies"} <= groups.keys()
     for group, options in groups.items():
         found = listed(group)
         assert [one["option"] for one in found if "option" in one] == [f"{group}={option}" for option in options]
