@@ -129,7 +129,7 @@ def test_a_sum_knows_where_all_its_parts_were_fitted(vehicle):
     both = sum_residual([replace(part, ranges=own) for part, own in zip(parts, ranges, strict=True)])
     assert both.ranges == {"v_x": [-5.0, 8.0], "thrust": [1.0, 30.0]}
     assert sum_residual(parts[:1]) is parts[0]
-    with pytest.raises(UsageError, match="controller.residual=.*must be one of terms"):
+    with pytest.raises(UsageError, match="at least one"):
         sum_residual([])
 
 
