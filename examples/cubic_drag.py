@@ -1,35 +1,38 @@
-"""A residual of your own: drag that grows with the cube of the speed.
+"""A model of the air of your own: drag that grows with the cube of the speed, with a coefficient that is fitted.
 
     a_body = -c v |v|^2                                                             m/s^2
 
-As CasADi expressions it is used in the MPC's prediction and in the reference's feed-forward like any other residual.
+    quadexp fit cubic_drag data/residuals.parquet --conf examples
+
+From the equation follow its predictions, its residual in the MPC and in the reference's feed-forward, its checkpoint
+and its verdict against linear drag.
 """
 
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
-from quadexp.control.mpc.part import MPC
-from quadexp.models.residual import feature_names, symbolic_residual
+from quadexp.models.coefficients import Equation
 from quadexp.parts.settings import key
 
 
 @dataclass(frozen=True, kw_only=True)
-class CubicDragMPC(MPC):
-    """The MPC with this residual in its prediction."""
+class CubicDrag(Equation):
+    """How it is fitted. Fields are keys, such as model.least_speed, besides model.holdout and model.seed."""
 
-    # A key of controller=cubic_drag_mpc, besides those of every MPC; swept as controller.coefficient=0.003,0.006.
-    coefficient: float = key(0.006, "c", "[0, 1]", "s/m^2")
+    units = {"c": "s/m^2"}  # of the coefficients, in the order of theta
+    least_speed: float = key(0.0, "slower rows are left out of the fit", "[0, 60]", "m/s")
 
-    def model(self, given):
-        return cubic_drag(given.vehicle, coefficient=self.coefficient)
+    def acceleration(self, z, theta):
+        """Of CasADi expressions: z = [body velocity (3), body rate (3), rotor thrusts]."""
+        velocity = z[:3]
+        return -theta[0] * velocity * ca.sumsqr(velocity)
 
-
-def cubic_drag(vehicle, *, coefficient):
-    """coefficient: c, s/m^2; a runtime parameter, so that another value needs no recompilation."""
-    features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))  # body velocity, body rate, rotor thrusts
-    theta = ca.SX.sym("theta", 1)
-    velocity = features[:3]
-    acceleration = -theta * velocity * ca.sumsqr(velocity)
-    torque = ca.SX(3, 1)  # N m, body; structural zeros cost nothing
-    return symbolic_residual("cubic_drag", ca.vertcat(acceleration, torque), features, theta, [coefficient])
+    def estimate(self, rows):
+        """Least squares over all rows and axes."""
+        velocity = rows.matrix(["v_x", "v_y", "v_z"])
+        measured = rows.matrix(["a_x", "a_y", "a_z"])
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+        regressor = -velocity * speed**2 * (speed >= self.least_speed)
+        return [np.sum(regressor * measured) / np.sum(regressor**2)]

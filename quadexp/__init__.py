@@ -14,6 +14,7 @@ __version__ = "0.1.0"
 _API = {
     "simulate": "api",
     "collect": "api",
+    "fit": "api",
     "fit_gp": "api",
     "fit_drag": "api",
     "fit_nn": "api",

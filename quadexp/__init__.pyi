@@ -1,6 +1,7 @@
 # What type checkers and editors see of quadexp/__init__.py, which imports these names when they are first used.
 from quadexp.api import bench as bench
 from quadexp.api import collect as collect
+from quadexp.api import fit as fit
 from quadexp.api import fit_drag as fit_drag
 from quadexp.api import fit_gp as fit_gp
 from quadexp.api import fit_nn as fit_nn

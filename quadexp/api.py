@@ -24,7 +24,8 @@ from quadexp.bench import Bench
 from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
-from quadexp.parts.options import Folders, Place
+from quadexp.names import SPELLINGS
+from quadexp.parts.options import Folders, Place, given_folders
 from quadexp.parts.override import GROUPS, MOST_CELLS, in_grammar
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
@@ -35,7 +36,7 @@ from quadexp.tune import Tune
 Given = str | Mapping[str, Any]
 SINGLE = (str, os.PathLike, pd.DataFrame)  # what stands for a list of itself, where several are taken
 MODEL = "model.json"
-TOP = {*GROUPS, *declared(Config)}  # keys of the command line that stand in no group, and the groups
+TOP = {*GROUPS, *declared(Config), *SPELLINGS}  # keys of the command line that stand in no group, and the groups
 
 
 def simulate(
@@ -74,43 +75,43 @@ def collect(
     return Dataset.of(*read_table(path, "residuals"))
 
 
-def fit_gp(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
-    """Fit Gaussian processes, and linear drag to the same rows, as `quadexp fit-gp`.
-
-    data: a data set, or its file. A keyword that is no key of the configuration is one of `gp`: inducing=40;
-    out (a folder), conf, force and progress as elsewhere.
-    Raises DataError where the data are of another vehicle than the configuration.
-    """
-    return _fit("gp", data, settings, **keywords)
-
-
-def fit_drag(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
-    """Fit linear rotor drag, as `quadexp fit-drag`; see fit_gp. Other keywords are keys of `drag`."""
-    return _fit("drag", data, settings, **keywords)
-
-
-def fit_nn(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
-    """Fit a neural network, as `quadexp fit-nn`; see fit_gp. Other keywords are keys of `nn`."""
-    return _fit("nn", data, settings, **keywords)
-
-
-def _fit(
-    kind: str,
+def fit(
+    model: str,
     data: Place | Dataset,
-    settings: tuple[Given, ...],
-    *,
+    *settings: Given,
     out: Place | None = None,
     conf: Folders = None,
     force: bool = False,
     progress: bool = False,
     **keywords: Any,
 ) -> Checkpoint:
+    """Fit a model of the air, as `quadexp fit`.
+
+    model: an option of the group `model`, "gaussian_process" or one of your own. data: a data set, or its file. A
+    keyword that is no key of the configuration is one of the model: inducing=40. out: a folder.
+    Raises DataError where the data are of another vehicle than the configuration.
+    """
     scratch = Scratch()
-    path = _path(out) or scratch / kind
+    path = _path(out) or scratch / model
     with _shown("fit", progress) as shown:
-        file, texts = _file(data, scratch, "residuals"), overrides(settings, keywords, kind)
-        requests.fit(kind, file, texts, path, conf, force=force, figures=False, progress=shown)
+        file, texts = _file(data, scratch, "residuals"), overrides(settings, keywords, "model")
+        requests.fit(model, file, texts, path, conf, force=force, figures=False, progress=shown)
     return Checkpoint(path, scratch if out is None else None)
+
+
+def fit_gp(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+    """Fit Gaussian processes, and linear drag to the same rows: fit("gaussian_process", data, ...)."""
+    return fit("gp", data, *settings, **keywords)
+
+
+def fit_drag(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+    """Fit linear rotor drag: fit("linear_drag", data, ...)."""
+    return fit("drag", data, *settings, **keywords)
+
+
+def fit_nn(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+    """Fit a neural network: fit("neural", data, ...)."""
+    return fit("nn", data, *settings, **keywords)
 
 
 def sweep(
@@ -198,12 +199,14 @@ def _request(kind: type[S], keywords: dict[str, Any]) -> S:
     return kind(**given)
 
 
-def load(path: Place) -> Flight | Dataset | Results | Checkpoint | Frame:
+def load(path: Place, conf: Folders = None) -> Flight | Dataset | Results | Checkpoint | Frame:
     """Read what a command wrote: a flight, a data set, the folder of a checkpoint or of results.
 
+    conf: of the checkpoint of a model of one's own, which predicts by its class.
     Raises UsageError where there is nothing of that kind, DataError where it is damaged.
     """
     path = Path(path)
+    given_folders(conf)
     if path.is_dir():
         if (path / RESULTS).is_file():
             return _results(path)

@@ -241,11 +241,12 @@ class Results(Frame):
         return {name: self.record[name] for name in ("baseline", "confidence") if name in self.record}
 
     def _metric(self, name: str | None) -> str:
-        from quadexp.report.metrics import SHOWN
+        from quadexp.report.metrics import declare_record, tabled
 
         name = name or str(self.record.get("metric", "mean_error"))
-        if name not in SHOWN:
-            raise UsageError(f"metric {name!r}: there are {', '.join(SHOWN)}")
+        declare_record(self.record)
+        if name not in tabled():
+            raise UsageError(f"metric {name!r}: there are {', '.join(tabled())}")
         return name
 
     def _repr_html_(self) -> str:
@@ -342,13 +343,10 @@ class Checkpoint:
         return pd.DataFrame(columns, index=data.index)
 
     def plot(self, data: pd.DataFrame) -> Any:
-        """A matplotlib figure: the Gaussian processes over their features, with the rows of `data`."""
-        from quadexp.models.gaussian_process import GPModel
-        from quadexp.report.model_figures import fit_figure
+        """A matplotlib figure of the model with the rows of `data`: Gaussian processes over their features."""
+        from quadexp.models.base import figure_of
 
-        if not isinstance(self.model, GPModel):
-            raise UsageError(f"{self.path}: holds no Gaussian processes to draw")
-        return fit_figure(self.model, _rows(data))
+        return figure_of(self.model, _rows(data), str(self.path))
 
     def summary(self) -> list[str]:
         """Kind, vehicle, data, outputs and range of validity, in a few lines."""

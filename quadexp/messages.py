@@ -159,7 +159,7 @@ def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = 
 
 
 def ending_in(found: str, known: Sequence[str]) -> list[str]:
-    """The dotted names that end in the given one: trajectory.speed for speed, gp.features.a_x for features.a_x."""
+    """The dotted names that end in the given one: trajectory.speed for speed, model.features.a_x for features.a_x."""
     return [name for name in known if name.endswith(f".{found}")]
 
 

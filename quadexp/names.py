@@ -20,6 +20,9 @@ LONGEST = 500  # characters of a name
 NAMED = ("vehicle", "plant", "trajectory", "controller", "world")  # columns of a result row that hold names
 _FILE_BYTES = 120  # of a file name before a suffix; file systems take 255
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # devices on Windows
+# Of models, as they are called for one release more -> kind (parts/models.py). An option of such a group, but for
+# `default`, is GROUP_OPTION of the group `model`.
+SPELLINGS = {"gp": "gaussian_process", "drag": "linear_drag", "nn": "neural"}
 
 
 def distinct(values: Iterable[T]) -> list[T]:

@@ -52,7 +52,8 @@ def simulate(
     from quadexp.experiment.evaluate import fly_one
     from quadexp.experiment.identity import unused_model
     from quadexp.log.store import write_flight
-    from quadexp.parts.compose import compose
+    from quadexp.parts.compose import session
+    from quadexp.report.metrics import declare_parts, measured
     from quadexp.report.summary import world_note
 
     if out is not None and out.suffix in FOREIGN:
@@ -61,10 +62,13 @@ def simulate(
             f"--out {out}: a flight is written as Parquet; write {parquet}, then quadexp export {parquet}, which makes"
             " other formats of it"
         )
-    config = compose(overrides, conf, "simulate")
+    with session(conf) as composer:
+        config = composer.compose(overrides, "simulate")
+        declare_parts(composer.every("metric"))
     out = Path("runs") / f"{_flight_name(config)}.parquet" if keep and out is None else out
     path = None if out is None else check_output(out, force=force)
     flight = fly_one(config)
+    flight.metadata["row"] |= measured(flight)
     if path is not None:
         write_flight(path, flight, force=force)
     about = flight.metadata
@@ -112,6 +116,7 @@ def evaluate(
     with session(conf) as composer:
         composer.only("evaluate --sweep" if sweep else "evaluate", overrides)
         cells = composer.expand(overrides, check=False) if sweep else [Cell(composer.compose(overrides), (*overrides,))]
+        metrics = composer.every("metric")
     first = cells[0].config
     out = out or Path("results") / _results_name(overrides, first, sweep)
     from quadexp import papers
@@ -125,6 +130,7 @@ def evaluate(
 
     from quadexp.experiment.identity import unused_model
     from quadexp.parts.options import given_folders
+    from quadexp.report.metrics import declare_parts
     from quadexp.report.notes import invalid_text
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
@@ -132,6 +138,7 @@ def evaluate(
     from quadexp.sweeps.sweep import build_engine, run_sweep
     from quadexp.sweeps.watch import Watch
 
+    declare_parts(metrics)
     settings = first.evaluate
     if few := too_few_seeds(getattr(cells, "grids", ()), settings.baseline, settings.confidence):
         say(f"note: {few}")
@@ -246,7 +253,7 @@ def collect(
 
 
 def fit(
-    kind: str,
+    model: str,
     dataset: Path,
     overrides: Overrides,
     out: Path,
@@ -255,15 +262,15 @@ def fit(
     force: bool = False,
     **options: Any,
 ) -> dict[str, Any]:
-    """Fit a model of a kind (gp, drag, nn) to a data set and write the checkpoint; options of
+    """Fit a model, an option of the group `model`, to a data set and write the checkpoint; options of
     quadexp/experiment/fit.py."""
     from quadexp.experiment.fit import fit_checkpoint
-    from quadexp.parts.compose import compose
+    from quadexp.parts.compose import session
 
-    config = compose(overrides, conf, f"fit-{kind}")
-    return dict(
-        fit_checkpoint(kind, config, dataset, check_output(out, force=force, folder=True), force=force, **options)
-    )
+    with session(conf) as composer:
+        config, part = composer.fitted(model, overrides)
+    path = check_output(out, force=force, folder=True)
+    return dict(fit_checkpoint(part, config, dataset, path, force=force, **options))
 
 
 def identify(

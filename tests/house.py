@@ -19,7 +19,7 @@ PACKAGE = ROOT / "quadexp"
 # quadexp (a room) or a file beside the rooms; rooms on one floor do not import each other.
 FLOORS = (
     ("",),  # the version
-    ("errors", "messages", "progress", "provenance", "cache", "names", "writer"),
+    ("errors", "messages", "progress", "provenance", "cache", "names", "writer", "plugin"),
     ("compile", "parts"),
     ("physics",),
     ("log",),

@@ -61,7 +61,7 @@ def both_modules(module: str, target: str) -> bool:
 
 def test_few_files_stand_beside_the_rooms():
     """What is no room is used by all of them, or asks something of all of them; an idea of its own gets a room."""
-    assert len([path for path in PACKAGE.iterdir() if path.is_file() and path.suffix in (".py", ".pyi")]) <= 14
+    assert len([path for path in PACKAGE.iterdir() if path.is_file() and path.suffix in (".py", ".pyi")]) <= 15
 
 
 def test_every_room_says_in_a_sentence_what_its_idea_is():

@@ -17,7 +17,7 @@ from typing import Any, get_args, get_origin
 import yaml
 
 from quadexp.parts.options import OptionFiles
-from quadexp.parts.schema import PARTS, PRESETS, WORLD, Config, conf_folder
+from quadexp.parts.schema import CLASSES, PRESETS, WORLD, Config, conf_folder
 from quadexp.parts.settings import REQUIRED, Declared, declared, lists
 
 ASIDE = {"name", "sweep"}  # set by the option, not by its user
@@ -54,9 +54,9 @@ class Key:
 def reference() -> str:
     """The whole page, Markdown."""
     chosen = _chosen()
-    groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *PARTS, "world"))
+    groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *CLASSES, "world"))
     parts = [HEAD.replace("GROUPS", groups), "## Run\n", _table(_keys(Config, "", {}))]
-    for group in PARTS:
+    for group in CLASSES:
         options = OptionFiles().parts(group)
         parts.append(f"## {group}\n\n`{group}=` {', '.join(f'`{name}`' for name in options)}\n")
         several = len(set(options.values())) > 1

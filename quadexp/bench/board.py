@@ -16,7 +16,7 @@ from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
-from quadexp.report.metrics import SHOWN, from_columns, to_columns
+from quadexp.report.metrics import from_columns, metric_of, to_columns
 from quadexp.report.pairing import grouped
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
@@ -124,7 +124,8 @@ def _line(s: Standing) -> list[str]:
 
 def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
     """Geometric mean error of every entry, a line for each world (or task and world); lost flights beside it."""
-    factor, unit = SHOWN[metric]
+    about = metric_of(metric)
+    factor, unit = about.factor, about.unit
     entries = distinct(str(row["entry"]) for row in rows)
     texts = []
     for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():

@@ -12,13 +12,14 @@ from typing import Any
 
 import yaml
 
-from quadexp.bench.protocol import Family, Protocol
+from quadexp.bench.protocol import RULES, Family, Protocol
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.experiment.identity import MODEL_FILE, digest, find_model, identity_with
+from quadexp.experiment.identity import MODEL_FILE, digest, find_model, identity_with, part_identity
 from quadexp.log.store import read_text
+from quadexp.names import SPELLINGS
 from quadexp.parts.compose import Composer
 from quadexp.parts.options import Folders, OptionFiles
 from quadexp.parts.schema import REMEDIES, Config, remedies
@@ -32,7 +33,7 @@ SHIPPED = "as shipped"
 class Entry:
     """name: of its rows. overrides: what makes it. bound: whether it is told the plant's equations. settings:
     as shipped, tuned with so many flights, or set by hand, on which seeds. model: the protocol's rule for the
-    checkpoint that it may read, "fit" or "network"; "" where it reads none."""
+    checkpoint that it may read, "fit" or "network", or a user's own kind; "" where it reads none."""
 
     name: str
     overrides: tuple[str, ...]
@@ -65,8 +66,9 @@ def read_entries(texts: Sequence[str], composer: Composer, protocol: Protocol, e
 def _rule(config: Config) -> str:
     """Which checkpoint the controller, or what is around it, may read; see Entry."""
     residual = getattr(config.controller, "residual", "none")
-    if residual == "neural":
-        return "network"
+    if isinstance(residual, str) and config.controller.learned:
+        rules = {SPELLINGS[word]: rule for rule, words in RULES.items() for word in words}
+        return rules.get(residual, residual)
     return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
 
 
@@ -126,23 +128,25 @@ def why_not(config: Config) -> str:
 def make_model(
     family: Family, rule: str, composer: Composer, folder: Path, say: Callable[[str], None] = lambda text: None
 ) -> Path:
-    """The checkpoint that a rule of the family makes from flights in still air, in `folder`: "fit", Gaussian processes
-    and linear drag, or "network", which is fitted to the same rows.
+    """The checkpoint that a rule makes from flights in still air, in `folder`: "fit", Gaussian processes and linear
+    drag, "network", or a user's own kind, which are fitted to the same rows.
 
     One that is there is used again if what decides it is the same: the protocol's rules, the flights, the sources.
     """
-    name = f"{family.name}_network" if rule == "network" else family.name
+    name = family.name if rule == "fit" else f"{family.name}_{rule}"
     out, data = folder / name, folder / f"{family.name}.parquet"
-    rules = {part: family.models[part] for part in ("collect", rule)}
-    collect = composer.compose(rules["collect"])
+    given = family.models["collect"]
+    collect = composer.compose(given)
+    config, model = family.fitted(composer, rule, RULES[rule][0] if rule in RULES else rule)
+    rules = {"collect": given, rule: family.models.get(rule) or part_identity("model", model)}
     decided = identity_with(collect, find_model(collect), fitted=True).digest
 
     def fit() -> None:
-        say(f"{family.name}: {'a network' if rule == 'network' else 'models'} of the air, from flights in still air")
+        what = {"fit": "models", "network": "a network"}.get(rule, rule)
+        say(f"{family.name}: {what} of the air, from flights in still air")
         data.parent.mkdir(parents=True, exist_ok=True)
-        _once(data, digest([rules["collect"], family.name, decided]), lambda: collect_dataset(collect, data))
-        kind = "nn" if rule == "network" else "gp"
-        fit_checkpoint(kind, composer.compose(rules[rule]), data, out, force=True, figures=False)
+        _once(data, digest([given, family.name, decided]), lambda: collect_dataset(collect, data))
+        fit_checkpoint(model, config, data, out, force=True, figures=False)
 
     _once(out / MODEL_FILE, digest([rules, name, decided]), fit)
     return out

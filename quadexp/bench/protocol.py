@@ -9,6 +9,7 @@ words is refused, and two results of one protocol are of the same flights.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -20,9 +21,9 @@ import yaml
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.messages import suggestion
-from quadexp.names import sha256_of
+from quadexp.names import SPELLINGS, sha256_of
 from quadexp.parts.compose import Composer, session
-from quadexp.parts.schema import WORLD
+from quadexp.parts.schema import WORLD, Config
 from quadexp.parts.settings import plain
 from quadexp.report.text import count
 
@@ -33,8 +34,8 @@ FORMER = {"2c16fac43eb2": "v1", "b7bee243bba3": "v2"}
 
 @dataclass(frozen=True)
 class Family:
-    """Tasks of one vehicle. given: overrides of all its flights. models: {collect: overrides, fit: overrides} of the
-    checkpoint that controllers may use, with network: overrides of a network that is fitted to the same rows. tasks,
+    """Tasks of one vehicle. given: overrides of all its flights. models: {collect: overrides} of the data, and of each
+    of RULES the overrides of a checkpoint, fitted to them, that controllers may use. tasks,
     worlds: name -> overrides. sizes: name -> {seeds, tasks, worlds}."""
 
     name: str
@@ -57,13 +58,23 @@ class Family:
         asked = {
             **{f"task {name}": ([*self.given, *given], TASK) for name, given in self.tasks.items()},
             **{f"world {name}": ([*self.given, *first, *given], WORLD) for name, given in self.worlds.items()},
-            **{name: (given, MADE_BY[name]) for name, given in self.models.items()},
+            "collect": (self.models["collect"], COLLECTED),
         }
         values: dict[str, Any] = {}
         for name, (given, groups) in asked.items():
             config = composer.expand(given, check=False).sound()[0].config  # every option is composed once
             values[name] = {group: _stated(getattr(config, group)) for group in groups}
+        for rule, models in RULES.items():
+            values[rule] = {model: _stated(self.fitted(composer, rule, model)[1]) for model in models}
         return values
+
+    def fitted(self, composer: Composer, rule: str, model: str) -> tuple[Config, Any]:
+        """The configuration and the model of a fit by a rule of the protocol; a model that no rule names has the
+        vehicle of `fit` and its own settings."""
+        texts = self.models.get(rule, self.models["fit"])
+        others = SPELLINGS.keys() - {model}
+        own = [text for text in texts if re.split("[.=]", text)[0] not in others]
+        return composer.fitted(model, own, None)
 
 
 def _stated(part: Any) -> dict[str, Any]:
@@ -76,7 +87,8 @@ def _stated(part: Any) -> dict[str, Any]:
 
 FROZEN_AS = {"Sensors": "AccelerometerPart"}  # classes that had another name when the protocol was frozen
 TASK = ("vehicle", "plant", "sensor", "trajectory")
-MADE_BY = {"collect": ("vehicle", "plant", "controller", "collect"), "fit": ("gp", "drag"), "network": ("nn",)}
+COLLECTED = ("vehicle", "plant", "controller", "collect")
+RULES = {"fit": ("gp", "drag"), "network": ("nn",)}  # rule of the protocol -> models that its words are of
 
 
 @dataclass(frozen=True)

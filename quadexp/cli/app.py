@@ -1,7 +1,8 @@
 """The command line: every command parses, makes one request, and prints the answer.
 
-The commands stand in the modules fly, logs, learn, look and extend. At the top they import light modules, and the rest
-inside the command, so that --help takes no time.
+The commands stand in the modules fly, logs, learn, look and extend, and are found through quadexp/plugin.py, as those
+of packages from outside. At the top they import light modules, and the rest inside the command, so that --help takes no
+time.
 """
 
 from __future__ import annotations
@@ -16,21 +17,15 @@ import typer
 from typer.core import TyperGroup
 
 from quadexp import __version__
-from quadexp.cli import extend, fly, learn, logs, look
 from quadexp.cli.command import Command
 from quadexp.cli.early import NOTHING
 from quadexp.cli.terminal import end, fail, interrupted, is_interrupted, output_failed, prepare
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.plugin import BRINGS, brought, places
 
-GROUPS: dict[str, tuple[Command, ...]] = {
-    "Fly": (fly.simulate, fly.evaluate, fly.tune, fly.bench),
-    "Learn": (
-        logs.import_, logs.check, learn.collect, learn.fit_gp, learn.fit_drag, learn.fit_nn, learn.identify,
-        learn.validate,
-    ),
-    "Look": (look.show, look.compare, look.results, look.plot, look.report, look.animate, look.export),
-    "Extend": (extend.options, extend.new, extend.cache),
-}  # fmt: skip
-COMMANDS = {each.name: each for group in GROUPS.values() for each in group}
+# Heading of the help -> modules of its commands.
+HEADINGS = {"Fly": ("fly",), "Learn": ("logs", "learn"), "Look": ("look",), "Extend": ("extend",)}
+OUTSIDE = "Plug-ins"
 INTERRUPTED = 130  # what typer returns for Ctrl-C
 
 
@@ -39,10 +34,23 @@ class Grouped(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Called by typer."""
-        for heading, commands in GROUPS.items():
-            with formatter.section(heading):
-                names = [each.name for each in commands]
-                formatter.write_dl([(name, self.commands[name].get_short_help_str(200)) for name in names])
+        headings: dict[str, list[str]] = {heading: [] for heading in (*HEADINGS, OUTSIDE)}
+        for name in self.commands:
+            module = BRINGS["commands"].get(name, "").partition(":")[0].rpartition(".")[2]
+            heading = next((heading for heading, modules in HEADINGS.items() if module in modules), OUTSIDE)
+            headings[heading].append(name)
+        for heading, names in headings.items():
+            if names:
+                with formatter.section(heading):
+                    formatter.write_dl([(name, self.commands[name].get_short_help_str(200)) for name in names])
+
+
+def command_of(name: str) -> Command:
+    """The command of a name. Raises UsageError where a package from outside brings something else."""
+    found = brought("commands", name)
+    if not isinstance(found, Command):
+        raise UsageError(f"command {name}: {places('commands')[name]} is no command of quadexp.cli.command")
+    return found
 
 
 def _version(wanted: bool) -> None:
@@ -65,15 +73,15 @@ def root(
     """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation."""
 
 
-def application(commands: Iterable[Command] = COMMANDS.values()) -> typer.Typer:
-    """The program with these commands; all of them take 25 ms of processor time."""
+def application(names: Iterable[str] = ()) -> typer.Typer:
+    """The program with some commands, or with all."""
     program = typer.Typer(
         cls=Grouped, name="quadexp", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )  # fmt: skip
     program.callback()(root)
-    for each in commands:
-        program.command(each.name)(each.typed())
+    for name in names or places("commands"):
+        program.command(name)(command_of(name).typed())
     return program
 
 
@@ -93,12 +101,15 @@ def main() -> None:
 def _run() -> int:
     code: object
     try:
-        asked = [COMMANDS[word] for word in sys.argv[1:2] if word in COMMANDS]
-        code = application(asked or COMMANDS.values())(standalone_mode=False, prog_name="quadexp")
+        asked = [word for word in sys.argv[1:2] if word in BRINGS["commands"]]
+        code = application(asked)(standalone_mode=False, prog_name="quadexp")
         if code == INTERRUPTED and is_interrupted():  # before the command began
             raise KeyboardInterrupt
     except (typer.Abort, KeyboardInterrupt):
         code = interrupted(NOTHING).exit_code
+    except QuadexpError as error:  # of a package from outside; those of the commands themselves are guarded
+        fail(str(error), error.exit_code)
+        code = error.exit_code
     except OSError as error:
         code = output_failed(error).exit_code  # from help or version; the commands themselves are guarded
     except Exception as error:

@@ -7,7 +7,7 @@ import keyword
 import re
 import shlex
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
@@ -68,31 +68,36 @@ WORDS = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan", "conft
 
 
 class Template(NamedTuple):
-    """The example that a new part is copied from. example: its name. group: configuration group of its option. ending:
-    what the option's name has after NAME. module: whether there is a Python file. words: the example's class name."""
+    """The example that a new part is copied from. example: its name. option: configuration group and name of what is
+    flown, with NAME for the example's. module: whether there is a Python file. words: the example's class name. model:
+    whether it is fitted first, as an option of the group `model`."""
 
     example: str
-    group: str
-    ending: str = ""
+    option: str
     module: bool = True
     words: str = ""
+    model: bool = False
+
+    def named(self, name: str) -> tuple[str, str]:
+        """Group and option of what is flown."""
+        group, _, option = self.option.partition("/")
+        return group, option.replace("NAME", name)
 
 
 TEMPLATES = {
-    "vehicle": Template("quad_x", "vehicle", module=False),
-    "trajectory": Template("helix", "trajectory", words="Helix"),
-    "plant": Template("motor_lag", "plant", words="MotorLag"),
-    "residual": Template("cubic_drag", "controller", "_mpc", words="CubicDrag"),
-    "controller": Template("geometric", "controller", words="Geometric"),
-    "remedy": Template("height_integral", "adaptive", words="HeightIntegral"),
+    "vehicle": Template("quad_x", "vehicle/NAME", module=False),
+    "trajectory": Template("helix", "trajectory/NAME", words="Helix"),
+    "plant": Template("motor_lag", "plant/NAME", words="MotorLag"),
+    "model": Template("cubic_drag", "controller/NAME_mpc", words="CubicDrag", model=True),
+    "controller": Template("geometric", "controller/NAME", words="Geometric"),
+    "remedy": Template("height_integral", "adaptive/NAME", words="HeightIntegral"),
 }
+FORMER = {"residual": "model"}  # words of the release before
 
 
 @command
 def new(
-    part: Annotated[
-        Literal["vehicle", "trajectory", "plant", "residual", "controller", "remedy"], Ask("What to begin.", "PART")
-    ],
+    part: Annotated[str, Ask(f"What to begin: {', '.join(TEMPLATES)}.", "PART")],
     name: Annotated[str, Ask("Of module, option and test: a Python identifier.", "NAME")],
     to: Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")] = Path("my_parts"),
 ) -> Answer:
@@ -100,12 +105,16 @@ def new(
 
     \b
     quadexp new trajectory spiral --to my_parts
-    quadexp new residual flapping
+    quadexp new model flapping
     """
+    notes = [f"new {part}: is `new {FORMER[part]}` now"] if part in FORMER else []
+    part = FORMER.get(part, part)
+    if part not in TEMPLATES:
+        raise UsageError(f"new {part}: must be one of {', '.join(TEMPLATES)}")
     template = TEMPLATES[part]
     texts = _texts(template, name)
-    option = name + template.ending
-    _check_name(part, name, option, template, to)
+    group, option = template.named(name)
+    _check_name(part, name, template, to)
     for path in texts:
         if (to / path).exists():
             raise UsageError(f"new {part}: {to / path} exists already: choose another name, or another --to")
@@ -113,13 +122,14 @@ def new(
     for path, text in texts.items():
         write_text(to / path, text, force=False)
     files = [to / path for path in texts]
-    commands = [
-        f"python -m pytest {shlex.quote(str(files[-1]))}",
-        f"quadexp simulate --conf {shlex.quote(str(to))} {template.group}={option} --out runs/{option}.parquet",
-    ]
-    record = {"part": part, "name": name, "option": f"{template.group}={option}", "files": files, "commands": commands}
+    folder = shlex.quote(str(to))
+    commands = [f"python -m pytest {shlex.quote(str(files[-1]))}"]
+    if template.model:
+        commands.append(f"quadexp fit {name} data/residuals.parquet --conf {folder} --out models/{name}")
+    commands.append(f"quadexp simulate --conf {folder} {group}={option} --out runs/{option}.parquet")
+    record = {"part": part, "name": name, "option": f"{group}={option}", "files": files, "commands": commands}
     hints = ["", "test it, fly it, then make it yours:", *(f"    {words}" for words in commands)]
-    return Answer(record, [{"file": str(file)} for file in files], [*files, *hints])
+    return Answer(record, [{"file": str(file)} for file in files], [*files, *hints], notes)
 
 
 def examples_folder() -> Path:
@@ -135,7 +145,8 @@ def _texts(template: Template, name: str) -> dict[str, str]:
     """File -> text: the example's files with its names replaced; the test comes last."""
     old = template.example
     files = [f"{old}.py"] if template.module else []
-    files += [f"{template.group}/{old}{template.ending}.yaml", f"test_{old}.py"]
+    files += [f"model/{old}.yaml"] if template.model else []
+    files += ["/".join(template.named(old)) + ".yaml", f"test_{old}.py"]
     names = {old: name}
     if template.words:
         names[template.words] = "".join(word[:1].upper() + word[1:] for word in name.split("_"))
@@ -147,18 +158,23 @@ def _texts(template: Template, name: str) -> dict[str, str]:
     return {renamed(file): renamed((folder / file).read_text(encoding="utf-8")) for file in files}
 
 
-def _check_name(part: str, name: str, option: str, template: Template, to: Path) -> None:
+def _check_name(part: str, name: str, template: Template, to: Path) -> None:
     """Raise UsageError where the name cannot be one of a module, of an option and of a test, or is taken."""
     from importlib.util import find_spec
 
+    from quadexp.parts.models import is_shipped
     from quadexp.parts.options import groups
 
     if not NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
         raise UsageError(f"new {part}: {name!r} is no name for a module: a letter, then letters, digits or _")
     if name.lower() in WORDS:
         raise UsageError(f"new {part}: {name!r} means something else in YAML, on the command line or to pytest")
-    if option in groups().get(template.group, ()):
-        raise UsageError(f"new {part}: there is {template.group}={option} already: choose another name")
+    group, option = template.named(name)
+    for where, there in ((group, option), *([("model", name)] if template.model else [])):
+        if there in groups().get(where, ()):
+            raise UsageError(f"new {part}: there is {where}={there} already: choose another name")
+    if template.model and is_shipped(name):
+        raise UsageError(f"new {part}: quadexp/models has a module {name}: choose another name")
     if not template.module:
         return
     if find_spec(name) is not None and not (to / f"{name}.py").exists():

@@ -1,5 +1,5 @@
-"""Commands that learn from flights: `quadexp collect`, `fit-gp`, `fit-drag`, `fit-nn`, `identify`, `validate`. Only
-light modules are imported at the top."""
+"""Commands that learn from flights: `quadexp collect`, `fit`, `identify`, `validate`. Only light modules are imported
+at the top."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from quadexp.cli.command import Answer, Ask, Conf, Figures, Force, Out, Overrides, command, single_values
+from quadexp.cli.command import Answer, Ask, Command, Conf, Figures, Force, Out, Overrides, command, single_values
 from quadexp.cli.logs import Vehicle
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
-from quadexp.names import without
+from quadexp.names import SPELLINGS, without
 from quadexp.progress import Progress
 
 Flights = Annotated[tuple[Path, ...], Ask("Of `quadexp import` or `simulate`.", "FLIGHT")]
@@ -51,63 +51,75 @@ DataSet = Annotated[Path, Ask("Data set of `quadexp collect`.", "DATASET")]
 After = Annotated[Path | None, Ask("Checkpoint that explains a part; the rest is fitted, for a sum of the two.")]
 
 
+def _models(context: typer.Context, incomplete: str) -> list[str]:
+    from quadexp.parts.options import groups
+
+    options = groups(context.params.get("conf"))["model"]
+    return [option for option in options if option.startswith(incomplete)]
+
+
+FitFigures = Annotated[bool, Ask("Draw the fit.", flag="--figures/--no-figures")]
+FIT_OUT = Ask("Where to write; models/MODEL unless given.", "PATH", "--out -o")
+
+
 @command
-def fit_gp(
+def fit(
+    model: Annotated[str, Ask("An option of the group `model`.", "MODEL", complete=_models)],
     dataset: DataSet,
     overrides: Overrides = (),
-    out: Out = Path("models/gp"),
-    figures: Annotated[bool, Ask("Draw the fit.", flag="--figures/--no-figures")] = True,
+    out: Annotated[Path | None, FIT_OUT] = None,
+    figures: FitFigures = True,
     after: After = None,
     conf: Conf = (),
     force: Force = False,
 ) -> Answer:
-    """Fit Gaussian processes to a data set and write the checkpoint.
+    """Fit a model of the air to a data set and write the checkpoint.
 
     \b
-    quadexp fit-gp data/residuals.parquet --out models/gp
-    quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
+    quadexp fit gaussian_process data/residuals.parquet --out models/gp
+    quadexp fit gp_per_axis data/residuals.parquet model.inducing=40 --out models/gp40
+    quadexp fit neural data/residuals.parquet model.hidden=[24,24] model.spectral=8
     """
-    return _fit("gp", dataset, overrides, out, conf, force, figures=figures, after=after)
-
-
-@command
-def fit_drag(
-    dataset: DataSet, overrides: Overrides = (), out: Out = Path("models/drag"), conf: Conf = (), force: Force = False
-) -> Answer:
-    """Fit linear rotor drag to a data set and write the checkpoint.
-
-    \b
-    quadexp fit-drag data/residuals.parquet --out models/drag
-    """
-    return _fit("drag", dataset, overrides, out, conf, force)
-
-
-@command
-def fit_nn(
-    dataset: DataSet,
-    overrides: Overrides = (),
-    out: Out = Path("models/nn"),
-    after: After = None,
-    conf: Conf = (),
-    force: Force = False,
-) -> Answer:
-    """Fit a neural network to a data set and write the checkpoint.
-
-    \b
-    quadexp fit-nn data/residuals.parquet --out models/nn
-    quadexp fit-nn data/residuals.parquet nn.hidden=[24,24] nn.spectral=8 --out models/nn24
-    """
-    return _fit("nn", dataset, overrides, out, conf, force, after=after)
+    return _fit(model, dataset, overrides, out, figures, after, conf, force)
 
 
 def _fit(
-    kind: str, dataset: Path, overrides: Sequence[str], out: Path, conf: Sequence[Path], force: bool, **options: Any
-) -> Answer:
+    model: str, dataset: Path, overrides: Sequence[str], out: Path | None, figures: bool, after: Path | None,
+    conf: Sequence[Path], force: bool,
+) -> Answer:  # fmt: skip
     from quadexp import requests
 
+    place = out or Path("models") / model
     with Progress("fit") as progress:
-        report = requests.fit(kind, dataset, overrides, out, conf, force=force, progress=progress, **options)
-    return Answer(report, report["rows"], [*report["lines"], out])
+        report = requests.fit(
+            model, dataset, overrides, place, conf, force=force, progress=progress, figures=figures, after=after
+        )
+    return Answer(report, report["rows"], [*report["lines"], place])
+
+
+def _spelling(word: str) -> Command:
+    """`quadexp fit-WORD`, another spelling of `quadexp fit`."""
+
+    def fit_word(
+        dataset: DataSet,
+        overrides: Overrides = (),
+        out: Annotated[Path | None, FIT_OUT] = None,
+        figures: FitFigures = True,
+        after: After = None,
+        conf: Conf = (),
+        force: Force = False,
+    ) -> Answer:
+        return _fit(word, dataset, overrides, out, figures, after, conf, force)
+
+    fit_word.__name__ = f"fit_{word}"
+    fit_word.__doc__ = (
+        f"Fit {SPELLINGS[word]}: `quadexp fit {SPELLINGS[word]}`.\n\n"
+        f"\\b\nquadexp fit-{word} data/residuals.parquet --out models/{word}"
+    )
+    return command(fit_word)
+
+
+fit_gp, fit_drag, fit_nn = map(_spelling, SPELLINGS)
 
 
 # ------------------------------------------------------------------------------------------------------- identification
@@ -189,7 +201,7 @@ def _of_flight(record: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @command
 def validate(
-    words: Annotated[tuple[str, ...], Ask("Folders of `quadexp identify`, `fit-gp` or `fit-drag`.", "MODEL")],
+    words: Annotated[tuple[str, ...], Ask("Folders of `quadexp identify` or `fit`.", "MODEL")],
     flights: Annotated[tuple[Path, ...], Ask("Flights to predict; several may follow.", "FLIGHT", "--flights")] = (),
     horizons: Annotated[str, Ask("Horizons of the open-loop predictions (s).", "S,S,...")] = "0.1,0.5,1",
     leave_one_out: Annotated[bool, Ask("Predict each flight by models refitted to all the others.")] = False,

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 from quadexp.cli.command import Answer, Ask, Conf, Force, command
 from quadexp.cli.terminal import print_lines
 from quadexp.errors import UsageError
+from quadexp.plugin import BRINGS
 
-_READERS = (Path(__file__).parents[1] / "log" / "importers" / "readers").glob("[a-z]*.py")
-LOG_FORMATS = ("auto", *sorted(file.stem for file in _READERS), "nanobench", "blackbird")
+LOG_FORMATS = ("auto", *sorted(BRINGS["readers"]), "nanobench", "blackbird")
 BAD_ROWS = (
     "Repeated rows, outliers, stretches of a dead logger: refuse the log, drop them (bridged where short), or make each"
     " a gap."
@@ -25,7 +25,7 @@ Vehicle = Annotated[str | None, Ask("Of the configuration, not the flight's own.
 def import_(
     logs: Annotated[tuple[Path, ...], Ask("Log files (or folders of ROS 2).", "LOG")],
     form: str,
-    log_format: Annotated[str, Ask(f"Of the log: {', '.join(LOG_FORMATS)}.", "FORMAT")] = "auto",
+    log_format: Annotated[str, Ask(f"Of the log: {', '.join(LOG_FORMATS)}, or a plug-in's.", "FORMAT")] = "auto",
     vehicle: Annotated[str | None, Ask("Which vehicle of the configuration flew.", "NAME")] = None,
     out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("flights"),
     mapping: Annotated[Path | None, Ask("What the columns of a table are (YAML).")] = None,

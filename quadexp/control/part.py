@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from quadexp.models.residual import LEARNED
+from quadexp.parts.models import is_shipped
 from quadexp.parts.part import Given, Part
 from quadexp.parts.settings import Setting, key, keyed
+from quadexp.parts.user_modules import own_folders
 
-RESIDUAL = Setting("model that is added to the rigid body in the prediction", words=("none", *LEARNED, "plant"))
+WITHOUT_CHECKPOINT = ("none", "plant", "terms", "blade_element")  # models of the air that are not learned from flights
+RESIDUAL = Setting("model that is added to the rigid body in the prediction", options="model", also=("none", "plant"))
 
 
 @keyed
@@ -33,7 +35,12 @@ class ControllerPart(Part):
     @property
     def learned(self) -> tuple[str, ...]:
         """Those of them that come from a checkpoint."""
-        return tuple(kind for kind in self.kinds if kind in LEARNED)
+        return tuple(kind for kind in self.kinds if kind not in WITHOUT_CHECKPOINT)
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """See Part; also those of a user's own model of the air."""
+        return super().folders if all(map(is_shipped, self.learned)) else own_folders()
 
     @property
     def knows_plant(self) -> bool:

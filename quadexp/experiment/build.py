@@ -17,10 +17,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from quadexp.control.part import WITHOUT_CHECKPOINT
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import MODEL_FILE, ModelFile, part_identity
-from quadexp.models.base import model_class
-from quadexp.models.residual import LEARNED
+from quadexp.parts.models import maker
 from quadexp.parts.part import Given, Part
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
@@ -268,11 +268,10 @@ def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -
         checkpoint = load_checkpoint(vehicle, file)
         checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
         if checkpoint.kind != kind:
-            maker = model_class(kind).maker
-            raise UsageError(f"{file.path}: holds {checkpoint.kind}, not {kind}, which {maker} makes")
+            raise UsageError(f"{file.path}: holds {checkpoint.kind}, not {kind}, which {maker(kind)} makes")
         return replace(checkpoint.residual(vehicle, file.path), ranges=checkpoint.feature_range)
 
-    files = zip((kind for kind in kinds if kind in LEARNED), model.files if model else (), strict=False)
+    files = zip((kind for kind in kinds if kind not in WITHOUT_CHECKPOINT), model.files if model else (), strict=False)
     record = ["residual", vehicle.fingerprint]
     return [keep([*record, kind, file.sha256], partial(of_file, kind, file)) for kind, file in files]
 

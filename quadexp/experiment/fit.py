@@ -8,26 +8,22 @@ from typing import Any
 
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
-from quadexp.models.base import Model
+from quadexp.models.base import ModelPart, figure_of
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import read_dataset
-from quadexp.models.gaussian_process import GPModel
-from quadexp.models.linear_drag import LinearDrag
-from quadexp.models.neural import NeuralModel
 from quadexp.models.verdict import fit_with_report, verdict, verdict_lines, without
 from quadexp.names import distinct
 from quadexp.parts.schema import Config
 from quadexp.provenance import provenance, versions
 
-KINDS: dict[str, type[Model]] = {"gp": GPModel, "drag": LinearDrag, "nn": NeuralModel}
 WIDTH = 34  # of a column of the report
 
 
 def fit_checkpoint(
-    kind: str, config: Config, dataset: Path, out: Path, *, force: bool = False, figures: bool = True,
+    part: ModelPart, config: Config, dataset: Path, out: Path, *, force: bool = False, figures: bool = True,
     after: Path | None = None, progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Fit (kind "gp", "drag" or "nn"), write the checkpoint, return the report.
+    """Fit a model, write the checkpoint, return the report.
 
     after: checkpoint whose prediction is subtracted from the data first; the fit is then to be flown in a sum with it.
 
@@ -42,11 +38,9 @@ def fit_checkpoint(
         )
     if after is not None:
         data = without(data, load_model(after, vehicle=vehicle), str(after))
-    fit = fit_with_report(
-        data, KINDS[kind], getattr(config, kind), callback=lambda message, done: progress(round(done, 2), 1)
-    )
+    fit = fit_with_report(data, part, callback=lambda message, done: progress(round(done, 2), 1))
     report = {**fit.report, **fit.model.numbers, "summary": fit.model.summary}
-    if kind == "gp":
+    if part.judged:
         report |= {"target": data.metadata["target"]} if data.metadata.get("target") else {}
         report |= {"verdict": verdict(fit.held_out_model, fit.train, fit.test)} if fit.test else {}
     if after is not None:
@@ -54,11 +48,10 @@ def fit_checkpoint(
     report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
     save_model(out, fit.model, report=report, force=force)
     files = {}
-    if figures and kind == "gp":
-        from quadexp.report.model_figures import fit_figure
+    if figures and fit.model.figure:
         from quadexp.report.style import save
 
-        figure = fit_figure(fit.held_out_model, fit.test or fit.train)
+        figure = figure_of(fit.held_out_model, fit.test or fit.train, str(out))
         files = {"fit": str(save(figure, out / "figures" / "fit", inside=out))}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
     if after is not None:
@@ -66,9 +59,9 @@ def fit_checkpoint(
     lines += _held_out_lines(report)
     if "verdict" in report:
         lines += verdict_lines(report["verdict"])
-    elif kind == "gp":
-        lines.append("no comparison with linear drag: it needs held-out flights (gp.holdout above 0)")
-    return {"path": out, "kind": kind, "figures": files, "lines": lines, **report}
+    elif part.judged:
+        lines.append("no comparison with linear drag: it needs held-out flights (model.holdout above 0)")
+    return {"path": out, "kind": part.kind, "figures": files, "lines": lines, **report}
 
 
 def _held_out_lines(report: Mapping[str, Any]) -> list[str]:

@@ -12,6 +12,7 @@ same (`part_identity`).
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -23,9 +24,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from quadexp.errors import UsageError
-from quadexp.models.base import model_class
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
+from quadexp.parts.models import is_shipped, maker, model_part
 from quadexp.parts.part import Part
 from quadexp.parts.schema import Config, remedies, world_parts
 from quadexp.parts.settings import declared
@@ -124,11 +125,12 @@ def find_model(config: Config) -> ModelFile | None:
     for candidate in candidates:
         if (Path(candidate) / MODEL_FILE).is_file():
             return _file(candidate)
-    maker = model_class(residual).maker
+    advice = f"give model=PATH, or make one: {maker(residual)}"
     if config.model:
-        raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
+        needs = f"{controller.name} needs one; make it: {maker(residual)}"
+        raise UsageError(f"model={config.model}: no checkpoint there ({needs})")
     looked = " or ".join(candidates) or "nowhere"
-    raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
+    raise UsageError(f"{controller.name} needs a model and none is in {looked}: {advice}")
 
 
 def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
@@ -140,8 +142,7 @@ def _several(config: Config, kinds: tuple[str, ...]) -> ModelFile:
         raise UsageError(f"controller.models: {controller.name} needs one folder for each of {', '.join(kinds)}")
     for kind, folder in zip(kinds, controller.models, strict=True):
         if not (Path(folder) / MODEL_FILE).is_file():
-            maker = model_class(kind).maker
-            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {maker}")
+            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {maker(kind)}")
     files = tuple(_file(folder) for folder in controller.models)
     together = sha256_of("".join(file.sha256 for file in files))
     return ModelFile("+".join(file.path for file in files), together, files)
@@ -294,7 +295,7 @@ def identity_with(
     inputs = {"model": model.sha256} if model else {}
     files = {f"{file.path}/{MODEL_FILE}": file.sha256 for file in model.files} if model else {}
     modules, packages = {FLYING, *(FITTING if fitted else ())}, set[str]()
-    for group, part in parts.items():
+    for group, part in {**parts, **_own_models(config, model)}.items():
         if (group, id(part)) not in known:
             deciding = decides(group, part)
             known[group, id(part)] = part, deciding, deciding.inputs()
@@ -312,6 +313,24 @@ def identity_with(
         inputs[f"package {name}"] = known[name]
     places = {os.path.abspath(path): content for path, content in files.items()}
     return FlightIdentity(record, model, inputs, places, program)
+
+
+def _own_models(config: Config, model: ModelFile | None) -> dict[str, Part]:
+    """A user's own models of the air behind checkpoints of the controller and of the plant, whose code decides too."""
+    kinds = list(config.controller.learned) if model else []
+    stated = getattr(config.plant, "model", None)
+    if isinstance(stated, str):
+        with contextlib.suppress(QuadexpError, OSError):  # said where it is read to be flown
+            kinds.append(_kind_of(content_hash(Path(stated) / MODEL_FILE), stated))
+    return {f"model {kind}": model_part(kind) for kind in kinds if not is_shipped(kind)}
+
+
+@cache
+def _kind_of(content: str, folder: str) -> str:
+    """The kind of a checkpoint's model. content: its hash."""
+    from quadexp.models.checkpoint import load_model
+
+    return str(load_model(folder).kind)
 
 
 @cache

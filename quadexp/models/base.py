@@ -14,7 +14,7 @@ itself. Not detected are combinations that the rows do not contain (full thrust 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 from importlib import import_module
 from importlib.metadata import version
@@ -27,7 +27,9 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import Adapting
 from quadexp.models.residual import VELOCITY, Residual
-from quadexp.parts.settings import Setting, record
+from quadexp.parts.models import is_shipped, kind_of_class, model_part
+from quadexp.parts.part import Part
+from quadexp.parts.settings import SEEDS, Setting, key, keyed, record
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 
@@ -92,13 +94,42 @@ class Prediction(NamedTuple):
         return np.sqrt((0 * self.mean if self.variance is None else self.variance) + self.noise_variance)
 
 
+@keyed
+class ModelPart(Part):
+    """What is learned, as an option of the group `model`; its settings are those of its fit.
+
+    The module of the class has the name of the option: this is the kind of the model, controller.residual=KIND flies
+    its checkpoint. judged: whether the report of a fit has a verdict against linear drag.
+    """
+
+    prefix = "model."
+    judged: ClassVar[bool] = True
+
+    holdout: float = key(0.2, HOLDOUT)
+    seed: int = key(0, "draws the held-out flights", SEEDS, when="holdout")
+
+    @property
+    def kind(self) -> str:
+        return kind_of_class(type(self))
+
+    def fit(
+        self, rows: ResidualDataset, *, start: Any = None, intervals: bool = True, callback: Callback = quiet
+    ) -> Any:
+        """The Model that fits the rows.
+
+        start: the same fitted to part of the rows. intervals: False omits those of linear drag.
+        Raises DataError where the rows do not suffice.
+        """
+        raise NotImplementedError
+
+
 class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     """What was learned of a vehicle, the contents of a checkpoint.
 
     vehicle: {name, fingerprint}. dataset: record of the data: hash, rows, flights. settings: of the fit.
     feature_range: of its rows, see `feature_ranges`. versions: library -> version. linear_drag, of every kind:
-    the baseline, linear drag of the same rows. predictor: its name in tables. maker: the command that makes its
-    checkpoint. Settings: of its fit.
+    the baseline, linear drag of the same rows. predictor: its name in tables. figure: MODULE:FUNCTION that draws a
+    model and rows of data, "" for none.
     """
 
     vehicle: dict[str, Any] = {}
@@ -107,8 +138,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     feature_range: dict[str, Annotated[list[float], msgspec.Meta(min_length=2, max_length=2)]] = {}
     versions: dict[str, str] = {}
     predictor: ClassVar[str]
-    maker: ClassVar[str]
-    Settings: ClassVar[type]
+    figure: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -156,26 +186,26 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         raise UsageError(f"{residual.source}: {self.kind} states no variance to fall back by; a GP does")
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit."""
-        raise NotImplementedError
+        """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit.
 
-    @classmethod
-    def fit(
-        cls, rows: ResidualDataset, settings: Any, *, start: Any = None, intervals: bool = True,
-        callback: Callback = quiet,
-    ) -> Any:  # fmt: skip
-        """The model that fits the rows.
-
-        settings: of Settings. start: the same fitted to part of the rows. intervals: False omits those of linear drag.
-        Raises DataError where the rows do not suffice.
+        Raises UsageError where the model has none.
         """
-        raise NotImplementedError
+        raise UsageError(f"{residual.source}: {self.kind} has no weights that adapt in flight")
+
+    @property
+    def part(self) -> ModelPart:
+        """What it was fitted by, with the settings of its fit. Raises UsageError where its option is not there."""
+        part: Any = model_part(self.kind)
+        names = {f.name for f in fields(part)}
+        return replace(part, **{key: value for key, value in self.settings.items() if key in names})
 
     def refitted(self, rows: ResidualDataset) -> Any:
         """A model of the same kind and settings, fitted to other rows."""
-        names = {f.name for f in fields(self.Settings)}
-        settings = {key: value for key, value in self.settings.items() if key in names}
-        return self.fit(rows, self.Settings(**settings), intervals=False)
+        return self.part.fit(rows, intervals=False)
+
+    def described(self) -> tuple[dict[str, Any], list[str]]:
+        """What `quadexp show` says of it beside what all models have: JSON-able numbers, and lines."""
+        return {}, []
 
     @property
     def summary(self) -> str:
@@ -189,10 +219,22 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
 
 def model_class(kind: str) -> type[Model]:
-    """The models of a kind: the class with that tag, in the module of that name."""
-    module = import_module(f"quadexp.models.{kind}")
-    classes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, Model)]
-    return next(item for item in classes if item.__struct_config__.tag == kind)
+    """The records of a kind: the class with that tag, in the module of this package of that name, or beside the class
+    of a user's own option. Raises UsageError where there is none."""
+    shipped = is_shipped(kind)
+    module = import_module(f"quadexp.models.{kind}" if shipped else type(model_part(kind)).__module__)
+    for item in vars(module).values():
+        if isinstance(item, type) and issubclass(item, Model) and item.__struct_config__.tag == kind:
+            return item
+    raise UsageError(f"{module.__name__}: has no class of quadexp.models.base.Model with tag={kind!r}")
+
+
+def figure_of(model: Model, rows: ResidualDataset, said: str) -> Any:
+    """The figure of a fitted model with rows of data. Raises UsageError where its kind draws none; said: the model."""
+    if not model.figure:
+        raise UsageError(f"{said}: holds {model.kind}, which no figure shows; Gaussian processes have one")
+    module, _, function = model.figure.partition(":")
+    return getattr(import_module(module), function)(model, rows)
 
 
 def rms(error: np.ndarray) -> float:

@@ -16,7 +16,6 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Model, Record, model_class
-from quadexp.models.residual import LEARNED
 from quadexp.names import check_names, sha256_of
 from quadexp.physics.vehicle import Vehicle
 from quadexp.writer import check_output, write_folder
@@ -25,8 +24,7 @@ SCHEMA = 2
 LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 70 MB
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
-STORED = (*LEARNED, "vehicle_model")  # kinds of models that have a checkpoint
-COMMANDS = "`quadexp fit-gp`, `fit-drag` or `fit-nn DATASET --out {path}`, or `quadexp identify FLIGHT... --out {path}`"
+COMMANDS = "`quadexp fit MODEL DATASET --out {path}`, or `quadexp identify FLIGHT... --out {path}`"
 
 
 def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None = None, force: bool = False) -> Path:
@@ -63,12 +61,14 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: boo
         raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
     try:
         kind = payload["kind"]
-        if kind not in STORED:
-            raise ValueError(f"kind is {str(kind)[:60]!r}, none of {', '.join(STORED)}")
+        if not isinstance(kind, str):
+            raise ValueError(f"kind is {str(kind)[:60]}; a text is needed")
         model: Model = record_of(payload, model_class(kind))
         check_names({"vehicle": model.vehicle}, str(file))
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None
+    except UsageError as error:
+        raise UsageError(f"{file}: of another model: {error}") from None
     if vehicle is not None:
         fitted = model.vehicle.get("fingerprint")
         if fitted != vehicle.fingerprint and not (unknown and fitted is None):

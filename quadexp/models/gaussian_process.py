@@ -38,11 +38,12 @@ from msgspec.structs import replace
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import describe
 from quadexp.models.base import (
     AXIS,
-    HOLDOUT,
     Callback,
     Model,
+    ModelPart,
     Output,
     Positive,
     Prediction,
@@ -70,7 +71,6 @@ from quadexp.models.residual import (
     residual_function,
 )
 from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
-from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, Settings, key, keyed, lists, made
 from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
@@ -97,7 +97,7 @@ def _features(output: str, *features: str) -> Any:
 class GPFeatures(Settings):
     """For every output the features of its GP; an empty list leaves the output uncorrected."""
 
-    prefix = "gp.features."
+    prefix = "model.features."
 
     a_x: tuple[str, ...] = _features("a_x")
     a_y: tuple[str, ...] = _features("a_y")
@@ -109,11 +109,11 @@ class GPFeatures(Settings):
     def check_together(self) -> None:
         for output in OUTPUTS:
             features = getattr(self, output)
-            check_features(f"gp.features.{output}", features)
+            check_features(f"model.features.{output}", features)
             if len(set(features)) < len(features):
-                raise UsageError(f"gp.features.{output}: {', '.join(features)} names a feature twice")
+                raise UsageError(f"model.features.{output}: {', '.join(features)} names a feature twice")
         if not self.of_output:
-            raise UsageError("gp.features: no output has a feature; name some, e.g. gp.features.a_x=[v_x]")
+            raise UsageError("model.features: no output has a feature; name some, e.g. model.features.a_x=[v_x]")
 
     @property
     def of_output(self) -> dict[str, tuple[str, ...]]:
@@ -125,10 +125,9 @@ DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
 
 
 @keyed
-class GPConfig(Part):
+class GPConfig(ModelPart):
     """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
 
-    prefix = "gp."
     features: GPFeatures = key(DEFAULT_FEATURES, "features of every output")
     inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
     method: Literal["sgpr", "subset"] = key(
@@ -141,7 +140,6 @@ class GPConfig(Part):
     max_rows: int | None = key(
         None, "largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"
     )
-    holdout: float = key(0.2, HOLDOUT)
     refit: bool = key(True, "after the report, fit again to all flights", when="holdout")
     max_iterations: int = key(60, "largest number of L-BFGS iterations", "[1, 10000]")
     jitter: float = key(1e-8, "added to K_ZZ, relative to the signal variance", "(0, 1e-6]")
@@ -150,6 +148,10 @@ class GPConfig(Part):
         if isinstance(self.features, Mapping):
             object.__setattr__(self, "features", made(GPFeatures, self.features))
         super().__post_init__()
+
+    def fit(self, rows: ResidualDataset, **options: Any) -> GPModel:
+        """See ModelPart."""
+        return fit_gp(rows, self, **options)
 
 
 class OutputPosterior(Record, frozen=True):
@@ -208,8 +210,8 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
     outputs: Annotated[tuple[OutputPosterior, ...], msgspec.Meta(min_length=1)]
     mean: LinearDrag | TermMean | None
     linear_drag: LinearDrag
-    predictor, maker = "gp", "quadexp fit-gp DATASET --out models/gp"
-    Settings = GPConfig
+    predictor = "gp"
+    figure = "quadexp.report.model_figures:fit_figure"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -250,14 +252,24 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
         return adapting_process(residual, self.outputs, deviation)
 
-    @classmethod
-    def fit(cls, rows: ResidualDataset, settings: GPConfig, **options: Any) -> GPModel:
-        return fit_gp(rows, settings, **options)
-
     @property
     def summary(self) -> str:
         chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in self.outputs)
         return f"Gaussian processes {chosen} ({self.settings['inducing']} points, {self.settings['method']})"
+
+    def described(self) -> tuple[dict[str, Any], list[str]]:
+        outputs, lines = {}, []
+        for one in self.outputs:
+            scales = one.lengthscale.tolist()
+            signal, noise = float(np.sqrt(one.signal_variance)), float(np.sqrt(one.noise_variance))
+            outputs[one.output] = {
+                "features": list(one.features), "inducing": len(one.alpha), "lengthscale": scales,
+                "signal_std": signal, "noise_std": noise,
+            }  # fmt: skip
+            text = ", ".join(f"{name} {scale:.3g}" for name, scale in zip(one.features, scales, strict=True))
+            stds = f"signal {signal:.3g}, noise {noise:.3g} {describe(one.output, 'residuals').unit}"
+            lines.append(f"{one.output:<12}{len(one.alpha)} points, length scales {text}; {stds}")
+        return {"outputs": outputs}, lines
 
 
 def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], deviation: float | None) -> Adapting:
@@ -453,9 +465,9 @@ def fit_gp(
     if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
         dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
     for output, features in chosen.items():
-        require_variation(dataset, features, [output], f"gp.features.{output}")
+        require_variation(dataset, features, [output], f"model.features.{output}")
     if dataset.n_rows < settings.inducing:
-        few = f"gp.inducing: {settings.inducing} points from {dataset.n_rows} rows"
+        few = f"model.inducing: {settings.inducing} points from {dataset.n_rows} rows"
         raise DataError(f"{few}; collect more, or ask for fewer points")
     drag, scaled = baseline(dataset, intervals=intervals), with_common_scale(dataset)
     dataset = scaled.dataset

@@ -22,14 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
-from quadexp.models.base import AXIS, HOLDOUT, Model, Prediction, Shape, Three, origin
+from quadexp.models.base import AXIS, Model, ModelPart, Prediction, Shape, Three, origin
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
-from quadexp.parts.part import Part
-from quadexp.parts.settings import SEEDS, key, keyed
+from quadexp.parts.settings import key, keyed
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.rotation import along_z
@@ -41,18 +40,20 @@ LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % inte
 
 
 @keyed
-class DragConfig(Part):
+class DragConfig(ModelPart):
     """How linear drag is fitted; see quadexp/models/linear_drag.py."""
 
-    prefix = "drag."
+    judged = False  # it is what others are compared with
 
     intercept: bool = key(True, "fit a constant acceleration in addition to the drag")
     thrust: bool = key(True, "fit an error of the collective thrust, as a share, on the z axis")
     loss: Literal["huber", "squares"] = key(
         "huber", "Huber's, which the few fastest rows do not bend, or least squares as published"
     )
-    holdout: float = key(0.2, HOLDOUT)
-    seed: int = key(0, "draws the held-out flights", SEEDS, when="holdout")
+
+    def fit(self, rows: ResidualDataset, *, intervals: bool = True, **_: Any) -> LinearDrag:
+        """See ModelPart."""
+        return fit_linear_drag(rows, intercept=self.intercept, thrust=self.thrust, loss=self.loss, intervals=intervals)
 
 
 class LinearDrag(Model, frozen=True, tag="linear_drag"):
@@ -77,7 +78,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
     loss: str = "huber"
     freedom: Annotated[np.ndarray, Shape("7")] = msgspec.field(default_factory=lambda: np.zeros(7))
     flights: int = 0
-    predictor, maker = "linear_drag", "quadexp fit-drag DATASET --out models/drag"
+    predictor = "linear_drag"
 
     @property
     def parameters(self) -> np.ndarray:
@@ -106,11 +107,6 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
         assert deviation is not None
         return adapting_drag(vehicle, residual, deviation)
-
-    @classmethod
-    def fit(cls, rows: ResidualDataset, settings: DragConfig, *, intervals: bool = True, **_: Any) -> LinearDrag:
-        how = {name: getattr(settings, name) for name in ("intercept", "thrust", "loss")}
-        return fit_linear_drag(rows, **how, intervals=intervals)
 
     def refitted(self, rows: ResidualDataset) -> LinearDrag:
         """See Model.refitted."""

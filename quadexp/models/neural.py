@@ -13,9 +13,9 @@ In the fit features are scaled to mean 0 and standard deviation 1, every output 
 squared error, and a small penalty on the weights, is minimised over all rows at once by L-BFGS: residuals of simulated
 flights have so little noise that stochastic steps with batches stop at ten times the error.
 
-With nn.spectral = G, every one of the L + 1 weight matrices W is W' min(1, g / |W'|_2), g = G^(1 / (L + 1)), and W' is
-what is optimised (Miyato et al. 2018; Shi et al. 2019): the scaled network then has slopes of at most G, because those
-of the activation are at most 1. The scaling of the data goes into the first and the last layer in the end.
+With model.spectral = G, every one of the L + 1 weight matrices W is W' min(1, g / |W'|_2), g = G^(1 / (L + 1)), and W'
+is what is optimised (Miyato et al. 2018; Shi et al. 2019): the scaled network then has slopes of at most G, because
+those of the activation are at most 1. The scaling of the data goes into the first and the last layer in the end.
 
 The same seed gives the same weights on one machine: double precision, one thread, an own random generator.
 """
@@ -34,11 +34,12 @@ import numpy as np
 from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.log.schema import describe
 from quadexp.models.base import (
     AXIS,
-    HOLDOUT,
     Callback,
     Model,
+    ModelPart,
     Output,
     Prediction,
     Shape,
@@ -51,7 +52,6 @@ from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.online import Adapting, Block
 from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import OUTPUTS, Residual, check_features, feature_names, feature_places, residual_function
-from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
@@ -94,10 +94,8 @@ def activation(t: Expression) -> tuple[Expression, Expression]:
 
 
 @keyed
-class NNConfig(Part):
+class NNConfig(ModelPart):
     """How the neural network is made and trained; see quadexp/models/neural.py."""
-
-    prefix = "nn."
 
     features: tuple[str, ...] = key(("v_x", "v_y", "v_z", "thrust"), "features of all outputs")
     outputs: tuple[str, ...] = key(("a_x", "a_y", "a_z"), "outputs; the others are not corrected")
@@ -110,19 +108,22 @@ class NNConfig(Part):
         1e-6, "penalty on every layer's mean square weight, relative to the outputs' mean square", "[0, 1]"
     )
     seed: int = key(0, "seed of held-out flights, first weights", SEEDS)
-    holdout: float = key(0.2, HOLDOUT)
     refit: bool = key(True, "after the report, fit again to all flights", when="holdout")
 
     def check_together(self) -> None:
-        check_features("nn.features", self.features)
+        check_features("model.features", self.features)
         if unknown := set(self.outputs) - set(OUTPUTS):
-            raise UsageError(f"nn.outputs: {min(unknown)!r} is no output; allowed are {', '.join(OUTPUTS)}")
+            raise UsageError(f"model.outputs: {min(unknown)!r} is no output; allowed are {', '.join(OUTPUTS)}")
         for name in ("features", "outputs"):
             names = getattr(self, name)
             if not names or len(set(names)) < len(names):
-                raise UsageError(f"nn.{name}=[{','.join(names)}]: at least one is needed, and each only once")
+                raise UsageError(f"model.{name}=[{','.join(names)}]: at least one is needed, and each only once")
         if not self.hidden:
-            raise UsageError("nn.hidden=[]: at least one hidden layer is needed")
+            raise UsageError("model.hidden=[]: at least one hidden layer is needed")
+
+    def fit(self, rows: ResidualDataset, *, callback: Callback = quiet, **_: Any) -> NeuralModel:
+        """See ModelPart; always from the start that the seed gives."""
+        return fit_network(rows, self, callback)
 
 
 class NeuralModel(Model, frozen=True, tag="neural"):
@@ -140,8 +141,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     residual_std: Annotated[np.ndarray, Shape("outputs")]
     lipschitz: float
     linear_drag: LinearDrag
-    predictor, maker = "nn", "quadexp fit-nn DATASET --out models/nn"
-    Settings = NNConfig
+    predictor = "nn"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -172,26 +172,6 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         assert deviation is not None
         return adapting_network(residual, self.network, deviation)
 
-    @classmethod
-    def fit(cls, rows: ResidualDataset, settings: NNConfig, *, callback: Callback = quiet, **_: Any) -> NeuralModel:
-        """See Model.fit; always from the start that the seed gives."""
-        require_variation(rows, settings.features, (), "nn.features")
-        drag, rows = baseline(rows, intervals=False), with_common_scale(rows).dataset
-        x, y = rows.matrix(settings.features), rows.matrix(settings.outputs)
-        centre, spread = x.mean(axis=0), x.std(axis=0)
-        unit = np.sqrt(np.mean(y**2, axis=0))
-        unit[unit == 0] = 1.0
-        with one_thread():
-            weights, biases = _train((x - centre) / spread, y / unit, settings, callback)
-        lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
-        weights[0] = weights[0] / spread
-        biases[0] = biases[0] - weights[0] @ centre
-        weights[-1], biases[-1] = unit[:, None] * weights[-1], unit * biases[-1]
-        network = Network(settings.features, settings.outputs, tuple(weights), tuple(biases))
-        error = np.sqrt(np.mean((y - network(x)) ** 2, axis=0))
-        about = origin(rows, settings.features, settings, ("numpy", "scipy", "torch"))
-        return cls(*network, error, lipschitz, drag, **about)
-
     @property
     def summary(self) -> str:
         layers = "-".join(map(str, self.network.sizes))
@@ -203,6 +183,39 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     @property
     def numbers(self) -> dict[str, Any]:
         return {"lipschitz": self.lipschitz}
+
+    def described(self) -> tuple[dict[str, Any], list[str]]:
+        sizes = list(self.network.sizes)
+        layers = "-".join(map(str, sizes))
+        lines = [
+            f"network     {layers} units: {', '.join(self.outputs)} from {', '.join(self.features)}",
+            f"            largest slope of the scaled network at most {self.lipschitz:.3g}",
+        ]
+        for name, std in zip(self.outputs, self.residual_std, strict=True):
+            lines.append(f"{name:<12}error on the rows of the fit {std:.3g} {describe(name, 'residuals').unit}")
+        return {"sizes": sizes, "features": list(self.features), "lipschitz": self.lipschitz}, lines
+
+
+def fit_network(rows: ResidualDataset, settings: NNConfig, callback: Callback = quiet) -> NeuralModel:
+    """The network that fits the rows, always from the start that the seed gives.
+
+    Raises DataError where there are no rows, or a feature never changes."""
+    require_variation(rows, settings.features, (), "model.features")
+    drag, rows = baseline(rows, intervals=False), with_common_scale(rows).dataset
+    x, y = rows.matrix(settings.features), rows.matrix(settings.outputs)
+    centre, spread = x.mean(axis=0), x.std(axis=0)
+    unit = np.sqrt(np.mean(y**2, axis=0))
+    unit[unit == 0] = 1.0
+    with one_thread():
+        weights, biases = _train((x - centre) / spread, y / unit, settings, callback)
+    lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
+    weights[0] = weights[0] / spread
+    biases[0] = biases[0] - weights[0] @ centre
+    weights[-1], biases[-1] = unit[:, None] * weights[-1], unit * biases[-1]
+    network = Network(settings.features, settings.outputs, tuple(weights), tuple(biases))
+    error = np.sqrt(np.mean((y - network(x)) ** 2, axis=0))
+    about = origin(rows, settings.features, settings, ("numpy", "scipy", "torch"))
+    return NeuralModel(*network, error, lipschitz, drag, **about)
 
 
 def neural_residual(vehicle: Vehicle, network: Network, source: str = "") -> Residual:

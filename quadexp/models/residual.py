@@ -36,7 +36,6 @@ __all__ = ["FEATURES", "N_OUTPUTS", "OUTPUTS", "Residual", "feature_names", "no_
 AXES = "xyz"
 VELOCITY = ("v_x", "v_y", "v_z")
 THRUST = "thrust"  # feature: sum of the rotor thrusts (N)
-LEARNED = ("linear_drag", "gaussian_process", "neural")  # kinds that are fitted: modules here, see base.model_class
 _FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
 
 

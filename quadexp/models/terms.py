@@ -371,11 +371,11 @@ def fit_term_mean(dataset: ResidualDataset, kind: str) -> TermMean:
     """
     mass = (dataset.metadata.get("vehicle") or {}).get("mass")
     if not mass:
-        raise DataError(f"gp.mean={kind}: the data set does not contain the vehicle's mass; collect it again")
+        raise DataError(f"model.mean={kind}: the data set does not contain the vehicle's mass; collect it again")
     terms = QUADRATIC if kind == "quadratic" else WITHOUT_RADIUS
     flight = dataset.columns["flight"]
     model = fit_terms(
         kind, terms, dataset.matrix(VELOCITY), dataset.rotor_thrusts / mass, dataset.matrix(["a_x", "a_y", "a_z"]),
-        flight, flight, what=f"gp.mean={kind}",
+        flight, flight, what=f"model.mean={kind}",
     )  # fmt: skip
     return TermMean(model, float(mass))

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.models.base import AXIS, Callback, Model, Prediction, outside_shares, quiet, rms
+from quadexp.models.base import AXIS, Callback, Model, ModelPart, Prediction, outside_shares, quiet, rms
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.recorded import has_thrust_scale, with_common_scale
@@ -62,26 +62,26 @@ class Fit(NamedTuple):
     report: dict[str, Any]
 
 
-def fit_with_report(dataset: ResidualDataset, kind: type[Model], settings: Any, *, callback: Callback = quiet) -> Fit:
-    """Fit a model without the held-out flights, report on these, then refit to all rows from there (settings.refit).
+def fit_with_report(dataset: ResidualDataset, part: ModelPart, *, callback: Callback = quiet) -> Fit:
+    """Fit a model without the held-out flights, report on these, then refit to all rows from there.
 
-    settings: of `kind.fit`, with holdout, seed and, where there is a choice, refit.
-    Raises DataError as `kind.fit` does, and where a single flight cannot be split.
+    part: with holdout, seed and, where there is a choice, refit.
+    Raises DataError as `part.fit` does, and where a single flight cannot be split.
     """
-    if settings.holdout == 0:
-        model = kind.fit(dataset, settings, callback=callback)
+    if part.holdout == 0:
+        model = part.fit(dataset, callback=callback)
         return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
-    train, test = split_by_flight(dataset, settings.holdout, settings.seed)
-    refit = getattr(settings, "refit", True)
+    train, test = split_by_flight(dataset, part.holdout, part.seed)
+    refit = getattr(part, "refit", True)
     share = 0.8 if refit else 1.0
 
     def progress(begin: float, length: float) -> Callback:
         """The callback of a part of the work."""
         return lambda message, done: callback(message, begin + length * done)
 
-    first = model = kind.fit(train, settings, callback=progress(0.0, share), intervals=not refit)
+    first = model = part.fit(train, callback=progress(0.0, share), intervals=not refit)
     if refit:
-        model = kind.fit(dataset, settings, start=first, callback=progress(share, 1.0 - share))
+        model = part.fit(dataset, start=first, callback=progress(share, 1.0 - share))
     held_out = sorted(set(map(str, test.columns["flight_name"])))
     report = {"rows": evaluate(first, train, test), "held_out_flights": held_out, "refitted": refit}
     return Fit(model, first, train, test, report | {"out_of_range": outside_shares(first.feature_range, test)})
@@ -98,7 +98,7 @@ def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tu
     if len(flights) < 2:
         raise DataError(
             "the data set holds one flight, which cannot be split into flights to fit and to hold out: collect more"
-            " with collect.duration, or hold none out: gp.holdout=0 for fit-gp, drag.holdout=0 for fit-drag"
+            " with collect.duration, or hold none out: model.holdout=0"
         )
     count = int(np.clip(round(share * len(flights)), 1, len(flights) - 1))
     held_out = np.random.default_rng(seed).permutation(flights)[:count]
@@ -133,7 +133,7 @@ def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
     try:
         predictions = model.predict(data)
     except UsageError as error:
-        raise UsageError(f"{label}: {error}; --after needs a checkpoint of fit-drag, fit-gp or fit-nn") from None
+        raise UsageError(f"{label}: {error}; --after needs a checkpoint of `quadexp fit`") from None
     columns = {output: data.matrix([output])[:, 0] - part.mean for output, part in predictions.items()}
     return ResidualDataset(dict(data.columns) | columns, dict(data.metadata) | {"after": label})
 
@@ -196,7 +196,7 @@ def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> fl
 
 
 def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict[str, Any]:
-    """Comparison that `fit-gp` reports, JSON-able: flights (held out), of (how many), duration of these (s), outputs
+    """Comparison that `fit` reports, JSON-able: flights (held out), of (how many), duration of these (s), outputs
     {a_x: {...}} and, for recorded flights, identified [...]: the same for the terms of `quadexp identify`, fitted to
     the same rows. model: fitted to train."""
     flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
@@ -270,7 +270,7 @@ def _more_lines(report: Mapping[str, Any]) -> list[str]:
     said = f"{held_out} held-out flight{'s are' if held_out > 1 else ' is'} too few to tell, {LEAST_FLIGHTS} the least"
     share = math.ceil(100 * LEAST_FLIGHTS / every) / 100
     if every == report["of"]:
-        return [f"{said}: gp.holdout={share:g} holds out {LEAST_FLIGHTS} of these {every}"]
+        return [f"{said}: model.holdout={share:g} holds out {LEAST_FLIGHTS} of these {every}"]
     duration = math.ceil(report["duration"] * every / report["of"] / 10) * 10
     more = "add flights" if report.get("identified") else f"collect.duration={duration}"
-    return [f"{said}: collect {every} in all ({more}), and gp.holdout={share:g} holds out {LEAST_FLIGHTS} of them"]
+    return [f"{said}: collect {every} in all ({more}), and model.holdout={share:g} holds out {LEAST_FLIGHTS} of them"]

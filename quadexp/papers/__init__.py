@@ -1,17 +1,16 @@
-"""What single publications and experiments draw of a sweep: a module here for each `evaluate.figures=NAME`.
+"""What single publications and experiments draw of a sweep: a module for each `evaluate.figures=NAME`, here
+or in a package from outside (quadexp/plugin.py).
 
 draw(rows, out) -> tables, figures  name -> Markdown, name -> figure, beside the standard ones; out: where flights lie
 overview(rows) -> Table             printed too; only where the table of all controllers has no room
 """
 
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
-from types import ModuleType
 from typing import Any
 
 from quadexp.errors import UsageError
+from quadexp.plugin import BRINGS, brought, places
 from quadexp.writer import write_text
 
 STANDARD = "standard"  # no figures but the standard ones
@@ -19,17 +18,16 @@ STANDARD = "standard"  # no figures but the standard ones
 
 def check(name: str) -> None:
     """Raise UsageError where there is no module of this name; nothing is imported."""
-    names = [STANDARD, *(module.name for module in iter_modules(__path__))]
-    if name not in names:
-        raise UsageError(f"evaluate.figures={name}: there are {', '.join(names)}")
+    if name != STANDARD and name not in BRINGS["papers"] and name not in places("papers"):
+        raise UsageError(f"evaluate.figures={name}: there are {', '.join([STANDARD, *places('papers')])}")
 
 
-def paper(name: str) -> ModuleType | None:
+def paper(name: str) -> Any:
     """The module of a name that `check` lets pass; None for the standard figures."""
-    return None if name == STANDARD else import_module(f"{__name__}.{name}")
+    return None if name == STANDARD else brought("papers", name)
 
 
-def write(module: ModuleType, rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
+def write(module: Any, rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
     """Write what a module draws into the folder of the results; returns name -> path."""
     from quadexp.report.style import save
 

@@ -16,14 +16,15 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
-from quadexp.names import is_name
+from quadexp.names import SPELLINGS, is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, refuse_mistakes
+from quadexp.parts.models import GROUP, check_named, kind_of, spelled
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, alternatives, in_grammar
 from quadexp.parts.part import TARGET, part_class
-from quadexp.parts.reads import is_read, refuse_idle, refuse_unread
-from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, Config, world_name
+from quadexp.parts.reads import is_read, refuse_idle, refuse_unread, refuse_without_effect
+from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
 from quadexp.parts.user_modules import import_from, own_folders
 
@@ -31,6 +32,7 @@ KEPT = 50_000  # made nodes that are remembered at most
 EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 MOST_STEPS = 16  # from reference to reference
 MOST_LETTERS = 1000  # of what a reference stands for
+NAMING = ("controller", "evaluate")  # nodes with settings that name options
 _ROOT = plain(Config)
 
 
@@ -94,6 +96,40 @@ class Composer:
             return self._compose(self._overrides.read(overrides))
         except ValueError as error:  # of a user's own part
             raise UsageError(" ".join(str(error).split())) from error
+
+    def fitted(self, model: str, overrides: Sequence[str] = (), command: str | None = "fit") -> tuple[Config, Any]:
+        """The configuration of a fit, and what is fitted: an option of the group `model` with keys of it set.
+
+        command: see `compose`."""
+        option, texts = spelled(model, self._files, overrides)
+        of_model = [text for text in texts if text.startswith(f"{GROUP}.")]
+        config = self.compose([text for text in texts if text not in of_model], command)
+        layers = [Layer(f"{GROUP}={option}", f"{GROUP}={option}", self._files.option(GROUP, option).values)]
+        for text in texts:
+            if text.startswith("experiment="):
+                stated = self._files.option("experiment", text.partition("=")[2]).values
+                words = [GROUP, *(word for word, kind in SPELLINGS.items() if kind == kind_of(option, self._files))]
+                layers += [Layer(text, text, stated[w]) for w in words if isinstance(stated.get(w), Mapping)]
+        self._files.note_covered(GROUP, option)
+        node = self._node(GROUP, layers)
+        values = self._overrides.read(of_model)
+        for override in values:
+            check_key({GROUP: node.content}, override.key, self._files)
+        schema: Any = node.schema
+        part = made(schema, _set(node.content, GROUP, values), f"{GROUP}.")
+        for override in values:
+            refuse_without_effect(part, override.key, override.text)
+        return config, part
+
+    def every(self, group: str) -> list[Any]:
+        """The parts of all options of a group, as they are stated."""
+        parts = []
+        for option in self.options(group):
+            text = f"{group}={option}"
+            node = self._node(group, [Layer(text, text, self._files.option(group, option).values)])
+            schema: Any = node.schema
+            parts.append(made(schema, node.content, f"{group}."))
+        return parts
 
     def expand(self, overrides: Sequence[str] = (), *, check: bool = True) -> Cells:
         """Every combination of a sweep: the values on the command line, over those of the experiment's `sweep:`.
@@ -208,6 +244,8 @@ class Composer:
             self._files.note_covered(group, option)
             if group in GLOBAL:
                 for name, value in values.items():
+                    if name in SPELLINGS or (name == GROUP and isinstance(value, Mapping)):
+                        continue  # of what is fitted, see `fitted`
                     layers.setdefault(name, []).append(Layer(text, text, value))
             else:
                 layers.setdefault(PRESETS.get(group, group), []).append(Layer(text, chosen_by.get(group, text), values))
@@ -241,6 +279,8 @@ class Composer:
                 refers = "${" in str(whole)
                 whole = _resolved(whole, name, content, known) if refers else whole
                 nodes[name] = whole if node.schema is None else made(node.schema, whole, f"{name}.")
+                if name in NAMING:
+                    check_named(nodes[name])
                 if refers:  # what it is hangs on other nodes too
                     continue
                 self._made[key] = nodes[name]
@@ -255,7 +295,8 @@ def _joined(name: str, layers: Sequence[Layer], files: OptionFiles) -> tuple[Any
     something else sets a key that the class has not.
     """
     schema = declared(Config)[name].node if name in declared(Config) else None
-    if schema is None and name not in PARTS:
+    of_part = name in CLASSES and layers and isinstance(layers[0].values, Mapping)
+    if schema is None and not of_part:  # such as model=PATH
         return (layers[-1].values if layers else _ROOT[name]), None
     content: dict[str, Any] = {}
     for layer in layers:

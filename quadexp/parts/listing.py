@@ -10,8 +10,10 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+from quadexp.names import without
+from quadexp.parts.models import GROUP, named_by
 from quadexp.parts.options import Folders, OptionFiles, given_folders, groups
-from quadexp.parts.schema import CHOSEN, PARTS, Config
+from quadexp.parts.schema import CHOSEN, CLASSES, Config
 from quadexp.parts.settings import REQUIRED, Declared, declared, shown
 
 Record = dict[str, str]
@@ -83,9 +85,15 @@ def _all_keys(files: OptionFiles) -> list[Record]:
 
 
 def _key(name: str, key: Declared, value: Any) -> Record:
-    allowed = " ".join(key.words) if key.words else f"{key.setting.interval} {key.setting.unit}".strip()
+    words = _words(key)
+    allowed = " ".join(words) if words else f"{key.setting.interval} {key.setting.unit}".strip()
     default = "" if value == REQUIRED else "..." if key.node else shown(value)
     return {"key": name, "value": default, "allowed": allowed, "meaning": key.setting.meaning}
+
+
+def _words(key: Declared) -> tuple[str, ...]:
+    """The only values that a key may have; () where these are not a few words."""
+    return key.words or named_by(key)
 
 
 # -------------------------------------------------------------------------------------------------------- completion
@@ -93,12 +101,12 @@ def key_words(group: str | None = None, conf: Folders = None) -> dict[str, list[
     """Every key that can be set, of whatever option, with its values where those are a few words. group: of one group
     alone; only the classes of its parts are imported. conf: folders of the user's own."""
     files = OptionFiles(given_folders(conf))
-    of_groups = [name for name in PARTS if group in (None, name)]
+    of_groups = [name for name in CLASSES if group in (None, name)]
     found = [*_walk(Config)]
     found += [each for name in of_groups for part in files.parts(name).values() for each in _walk(part, f"{name}.")]
     keys: dict[str, dict[str, None]] = {}
     for name, key in found:
-        words = key.words or (("true", "false") if key.type is bool else ())
+        words = _words(key) or (("true", "false") if key.type is bool else ())
         keys.setdefault(name, {}).update(dict.fromkeys(words))
     return {key: list(words) for key, words in sorted(keys.items())}
 
@@ -117,7 +125,7 @@ def candidates(words: list[str], incomplete: str, conf: Folders = None) -> list[
 
     Shells that split words at "=" want the value alone back.
     """
-    options = groups(conf)
+    options = without(groups(conf), (GROUP,))  # model=PATH is a checkpoint
     line = " ".join([*words[-2:], incomplete])
     values = key_words(next((name for name in options if f"{name}." in line), ""), conf) | options
     bare = False

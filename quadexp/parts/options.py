@@ -44,7 +44,7 @@ from quadexp.messages import MOST_NAMED, ending_in, note
 from quadexp.names import without
 from quadexp.parts.crazyflies import CRAZYFLIE, crazyflie_numbers
 from quadexp.parts.part import TARGET, Part, part_class
-from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, WORLD, conf_folder
+from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import import_from, plugin_folders
 from quadexp.provenance import content_hash
@@ -104,7 +104,7 @@ def given_folders(extra: Folders) -> tuple[Path, ...]:
     for folder, given in folders.items():
         if not folder.is_dir():
             raise UsageError(f"--conf {given}: {'is a file, not a' if folder.is_file() else 'no such'} folder")
-        if {path.parent.name for path in folder.glob("*/*.yaml")}.isdisjoint({*CHOSEN, "experiment", SHEETS}):
+        if {path.parent.name for path in folder.glob("*/*.yaml")}.isdisjoint({*CHOSEN, *CLASSES, "experiment", SHEETS}):
             raise UsageError(f"--conf {given}: has no options, such as a file controller/NAME.yaml in it")
     if folders:
         import_from(*folders)
@@ -235,7 +235,7 @@ class OptionFiles:
     def part_of(self, group: str, option: str) -> type[Part] | None:
         """The class of an option's part; None where its file, and those that it extends, name none."""
         target = self.option(group, option).values.get(TARGET)
-        return part_class(group, str(target)) if target and group in PARTS else None
+        return part_class(group, str(target)) if target and group in CLASSES else None
 
     def parts(self, group: str) -> dict[str, type[Part]]:
         """The classes of a group's parts, by option; one whose file is wrong is left out: who takes it is told."""
@@ -249,7 +249,7 @@ class OptionFiles:
     def having(self, key: str) -> dict[str, list[str]]:
         """Dotted keys that are the given one or end in it -> the options, chosen or not, that have it."""
         having: dict[str, list[str]] = {}
-        for group in PARTS:
+        for group in CLASSES:
             named: dict[str, list[str]] = {}
             for option, part in self.parts(group).items():
                 for name in declared(part):
@@ -298,7 +298,7 @@ def entries(folder: Path) -> dict[str, Entry]:
 @functools.cache
 def _entries_of(sheet: Path, hashed: str) -> dict[str, Entry]:
     options: dict[str, Entry] = {}
-    groups = (*PARTS, *PRESETS, *BUNDLES)
+    groups = (*CLASSES, *PRESETS, *BUNDLES)
     for group, stated in read_mapping(sheet).items():
         if group not in groups or not isinstance(stated, Mapping):
             raise UsageError(f"{sheet}: {group}: must be a group that holds options; groups are {', '.join(groups)}")

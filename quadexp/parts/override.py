@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, get_args, get_origin
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.options import OptionFiles
-from quadexp.parts.schema import CHOSEN, PARTS, Config
+from quadexp.parts.schema import CHOSEN, CLASSES, Config
 from quadexp.parts.settings import find
 
 GROUPS = {*CHOSEN, "experiment"}  # keys that choose an option
@@ -142,8 +142,9 @@ class OverrideReader:
     def _is_text(self, key: str) -> bool:
         """Whether a key holds a text, or texts, in every part that has it."""
         group, _, name = key.partition(".")
-        parts = self._files.parts(group).values() if group in PARTS else [Config]
-        keys = [about for part in parts if (about := find(part, name if group in PARTS else key))]
+        of_part = group in CLASSES and bool(name)  # and not model=PATH
+        parts = self._files.parts(group).values() if of_part else [Config]
+        keys = [about for part in parts if (about := find(part, name if of_part else key))]
         return bool(keys) and all(about.type is str or _holds_texts(about.type) for about in keys)
 
     def get_group_options(self, group_name: str, *_: Any, **__: Any) -> list[str]:

@@ -86,8 +86,13 @@ class Part(Settings):
     def _attributes(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """Folders of a user's own that another process needs with it."""
+        return () if self.shipped else own_folders()
+
     def __reduce__(self) -> Any:
-        return _restored, (self._packed, () if self.shipped else own_folders())
+        return _restored, (self._packed, self.folders)
 
     @functools.cached_property
     def _packed(self) -> bytes:
@@ -101,7 +106,8 @@ def _restored(packed: bytes, folders: tuple[str, ...]) -> Any:
     if folders:
         import_from(*folders)
         module = pickle.loads(packed)[0]
-        if module != "__main__" and (outside := lies_outside(module)):
+        ours = module.partition(".")[0] in (OWN, "__main__")
+        if not ours and (outside := lies_outside(module)):
             raise ModuleError(outside)
         load(module)
     return _part_of(packed, generation())

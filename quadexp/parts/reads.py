@@ -1,15 +1,17 @@
 """What each command reads of the configuration. What is given besides is refused: it would be without effect.
 
-A word stands for a group with its keys, or for one key. `sweep`: what an experiment varies.
+A word stands for a group with its keys, or for one key. `sweep`: what an experiment varies; `fit`: the keys of a model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import reduce
+from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.names import distinct
+from quadexp.names import SPELLINGS, distinct
+from quadexp.parts.models import GROUP
 from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
 from quadexp.parts.settings import find, shown
 
@@ -27,9 +29,7 @@ READS = {
     "collect": f"{LOOP} collect",
     "collect --sweep": f"{LOOP} collect sweep",
     "collect --flight": "vehicle collect.frame collect.thrust collect.state collect.target collect.identified",
-    "fit-gp": "vehicle gp",
-    "fit-drag": "vehicle drag",
-    "fit-nn": "vehicle nn",
+    "fit": "vehicle fit",
     "validate": "vehicle",
     "show --margins": FLIGHT,
     "qx.controller": FLIGHT,
@@ -37,7 +37,10 @@ READS = {
 
 
 def is_read(key: str, command: str) -> bool:
-    """Whether a command reads a key, or the group of this name."""
+    """Whether a command reads a key, or the group of this name. `model` alone is the checkpoint that is flown."""
+    group, dot, _ = key.partition(".")
+    if group in SPELLINGS or (group == GROUP and dot):
+        key = "fit"
     return any(f"{key}.".startswith(f"{word}.") for word in READS[command].split())
 
 
@@ -52,12 +55,17 @@ def refuse_unread(command: str, given: str, keys: Iterable[str]) -> None:
 
 def refuse_idle(config: Config, key: str, given: str) -> None:
     """UsageError where a key has no effect with the other settings of its part (Setting.when). given: its override."""
-    group, _, name = key.partition(".")
-    about = find(type(getattr(config, group)), name) if name else None
+    refuse_without_effect(getattr(config, key.partition(".")[0]), key, given)
+
+
+def refuse_without_effect(part: Any, key: str, given: str) -> None:
+    """The same for a key of a part."""
+    _, _, name = key.partition(".")
+    about = find(type(part), name) if name else None
     if about is None or not about.setting.when:
         return
-    above = key.rpartition(".")[0]
+    above, _, _ = name.rpartition(".")
     other, _, wanted = about.setting.when.partition("=")
-    value = getattr(reduce(getattr, above.split("."), config), other)
+    value = getattr(reduce(getattr, above.split(".") if above else [], part), other)
     if shown(value) != wanted if wanted else not value:
-        raise UsageError(f"{given}: has no effect with {above}.{other}={shown(value)}")
+        raise UsageError(f"{given}: has no effect with {key.rpartition('.')[0]}.{other}={shown(value)}")

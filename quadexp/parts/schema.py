@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.parts.part import Part
@@ -18,8 +18,11 @@ class EvaluateConfig(Settings):
 
     prefix = "evaluate."
 
-    metric: Literal["mean_error", "rmse", "max_error"] = key(
-        "mean_error", "error in the table: mean, root mean square, or largest distance from the reference"
+    metric: str = key(
+        "mean_error",
+        "of the table: mean, root mean square, or largest distance from the reference, or an own metric",
+        options="metric",
+        also=("mean_error", "rmse", "max_error"),
     )
     figures: str = key("standard", "figures drawn in addition to the standard ones: a module of quadexp/papers")
     baseline: str = key("nominal_mpc", "controller with which the others are compared, seed by seed")
@@ -59,9 +62,6 @@ class Config(Settings):
     inner: Any
     delay: Any
     collect: Any
-    gp: Any
-    drag: Any
-    nn: Any
     engine: Any
     evaluate: EvaluateConfig = key(EvaluateConfig(), "how a comparison is run and shown")
     model: str | None = key(None, "checkpoint folder of a controller; null: the first of controller.models that exists")
@@ -93,6 +93,7 @@ BUNDLES = {"world": WORLD, "remedies": REMEDIES}
 # Groups of presets, and the group whose values their options set.
 PRESETS = {"horizon": "controller", "motor": "controller"}
 PARTS = tuple(group for group in CHOSEN if group not in {*BUNDLES, *PRESETS})  # groups whose options stand for a part
+CLASSES = (*PARTS, "model", "metric")  # and those of what is fitted and of what is measured, no parts of a flight
 
 
 def of_contestant(key: str) -> bool:

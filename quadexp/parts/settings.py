@@ -63,6 +63,7 @@ class Setting:
     """What a value means, the interval it must lie in (of a list: each number), its unit, whether it names a thing, as
     one printable line, and whether the noise of a flight is another with another value: a key of a vehicle, plant or
     trajectory that came after the first flights were stored says no. words: of a text, the only ones allowed.
+    options: of a text or a list, the group whose options it names, or one of the words `also` (parts/models.py).
 
     when: of its part, the key (KEY, which must not be 0, or KEY=VALUE) without which it has no effect.
     tuned: what `quadexp tune` varies of it unless told otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
@@ -74,6 +75,8 @@ class Setting:
     names: bool = False
     noise: bool = True
     words: tuple[str, ...] = ()
+    options: str = ""
+    also: tuple[str, ...] = ()
     tuned: str = ""
     when: str = ""
 

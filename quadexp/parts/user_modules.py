@@ -22,14 +22,11 @@ from collections.abc import Iterable, Sequence
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 from quadexp.errors import UsageError
 from quadexp.names import sha256_of
+from quadexp.plugin import entry_points
 from quadexp.provenance import content_hash, follow, named_files, place_hash
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoints
 
 OWN = "quadexp"  # the package whose classes any option may name
 ENTRY_POINTS = "quadexp.conf"  # group of the entry points of plugin packages
@@ -68,16 +65,16 @@ def plugin_folders() -> dict[str, Path]:
     Raises UsageError where an entry point names no package with a folder.
     """
     folders = {}
-    for point in sorted(_entry_points(), key=lambda point: point.name):
+    for name, value in sorted(entry_points(ENTRY_POINTS).items()):
         try:
-            spec = importlib.util.find_spec(point.value)
+            spec = importlib.util.find_spec(value)
         except ImportError:
             spec = None
         places = list(spec.submodule_search_locations or ()) if spec else []
         if not places:
-            said = f"entry point {point.name!r} of {ENTRY_POINTS}"
-            raise UsageError(f"{said}: no package {point.value!r} that holds a folder")
-        folders[point.name] = Path(places[0])
+            said = f"entry point {name!r} of {ENTRY_POINTS}"
+            raise UsageError(f"{said}: no package {value!r} that holds a folder")
+        folders[name] = Path(places[0])
     return folders
 
 
@@ -85,20 +82,13 @@ def plugin_folders() -> dict[str, Path]:
 def _plugin_places() -> dict[str, Path]:
     """Names of plugin packages, the outermost, and the folder that each lies in."""
     places = {}
-    for point in _entry_points():
-        top = point.value.partition(".")[0]
+    for value in entry_points(ENTRY_POINTS).values():
+        top = value.partition(".")[0]
         spec = importlib.util.find_spec(top)
         inside = list(spec.submodule_search_locations or ()) if spec else []
         if inside:
             places[top] = Path(inside[0]).parent
     return places
-
-
-@functools.cache
-def _entry_points() -> EntryPoints:
-    from importlib.metadata import entry_points  # which takes as long as all the rest of `quadexp --help`
-
-    return entry_points(group=ENTRY_POINTS)
 
 
 def locate(name: str) -> Path | None:
@@ -134,8 +124,8 @@ def _contents(name: str, path: Path) -> dict[str, str]:
 def lies_outside(module: str) -> str:
     """Why a module is none of a --conf folder or of an installed plugin package; "" where it is one. It is not
     imported."""
-    for point in _entry_points():
-        package = point.value.rpartition(".")[0] or point.value
+    for value in entry_points(ENTRY_POINTS).values():
+        package = value.rpartition(".")[0] or value
         if f"{module}.".startswith(f"{package}."):
             return ""
     first = module.partition(".")[0]

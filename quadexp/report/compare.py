@@ -30,7 +30,7 @@ from quadexp.parts.settings import flat
 from quadexp.physics.state import norms
 from quadexp.report.frame import read_results
 from quadexp.report.inference import holm
-from quadexp.report.metrics import METRICS, SHOWN
+from quadexp.report.metrics import METRICS, metric_of
 from quadexp.report.pairing import (
     Row,
     causes_text,
@@ -44,7 +44,6 @@ from quadexp.report.pairing import (
 from quadexp.report.statistics import Statistic, overall
 from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
-from quadexp.report.tables import TITLES
 from quadexp.report.text import count, number, p_value, plain, relative, shown, speed_text
 
 ABSENT = "-"
@@ -268,8 +267,8 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     for who, label in labels.items():
         kept = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
         means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
-        texts.append([label, *(number(SHOWN[metric][0] * mean) for mean in means[label]), str(len(kept))])
-    heads = [f"{TITLES[metric]} ({SHOWN[metric][1]})", *names_of(paths), "flights"]
+        texts.append([label, *(number(metric_of(metric).factor * mean) for mean in means[label]), str(len(kept))])
+    heads = [f"{metric_of(metric).title} ({metric_of(metric).unit})", *names_of(paths), "flights"]
     report = {"metric": metric, "metrics": means, "tables": [Table(heads, texts, notes=[NOTE])]}
     if len(paths) > 2:
         return report
@@ -361,8 +360,8 @@ def _contestants(
 
 
 def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
-    factor, unit = SHOWN[metric]
-    heading = [f"{TITLES[metric]} ({unit})", "flown a", "flown b", "pairs", "seeds", "a", "b", "b - a", "ratio"]
+    about = metric_of(metric)
+    heading = [f"{about.title} ({about.unit})", "flown a", "flown b", "pairs", "seeds", "a", "b", "b - a", "ratio"]
     rows, left_out = [], []
     for record in metrics:
         ratio, low, high = (record[name] for name in ("ratio", "ratio_low", "ratio_high"))
@@ -371,7 +370,7 @@ def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str
         verdict = ("smaller" if ratio < 0 else "larger") if record["distinguishable"] else verdict
         verdict = {"-": "-", "same": "the same"}.get(text, verdict)
         flown = [f"{k} of {n}" for k, n in record["flown"].values()]
-        numbers = [number(factor * record[name]) for name in ("a", "b", "difference")]
+        numbers = [number(about.factor * record[name]) for name in ("a", "b", "difference")]
         p = p_value(record["p_holm"] if record["testable"] else math.nan)
         rows.append([record["label"], *flown, str(record["pairs"]), str(record["seeds"]), *numbers, text, p, verdict])
         if record["left_out"]:

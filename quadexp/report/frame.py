@@ -33,7 +33,7 @@ from quadexp.parts.cells import OPTION
 from quadexp.parts.options import units
 from quadexp.parts.schema import PARTS, REMEDIES, WORLD
 from quadexp.parts.settings import canonical_text, flat, read_value
-from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, from_columns
+from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, declare_record, from_columns, is_own
 from quadexp.report.pairing import setting_pairs
 from quadexp.report.text import shown
 
@@ -75,6 +75,7 @@ class SweepFrame:
         configs: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         self.rows, self.root, self.record = list(rows), Path(root), record or {}
+        declare_record(self.record)
         self._read = configs or {}
         self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._gone: Counter[tuple[Any, ...]] = Counter()  # files of a group that could not be read
@@ -123,7 +124,7 @@ class SweepFrame:
     @cached_property
     def names(self) -> list[str]:
         """The columns of the results, and every key of a flight."""
-        names = dict.fromkeys((*ROW_COLUMNS, *GROUPS))
+        names = dict.fromkeys((*ROW_COLUMNS, *filter(is_own, self.rows[0] if self.rows else ()), *GROUPS))
         for row in self.rows[:: max(1, len(self.rows) // 20)]:
             names |= dict.fromkeys((*self._config(row), *(f"model.{key}" for key in self._of_checkpoint(row["model"]))))
         return list(names)
@@ -157,7 +158,7 @@ class SweepFrame:
             return _plain(row["speed"])
         if name == "world":
             return str(row["plant"]).partition("/")[2] or "clean"
-        if name in (*ROW_COLUMNS, "wanted") and name not in PARTS:
+        if (name in (*ROW_COLUMNS, "wanted") and name not in PARTS) or is_own(name):
             return _plain(row.get(name))
         if name in ("vehicle", "plant", "trajectory", "controller"):
             return row[name]
@@ -220,6 +221,7 @@ def read_results(path: str | Path) -> tuple[Path, list[dict[str, Any]], dict[str
     if file.name == RESULTS and not file.is_file():
         raise UsageError(f"{path}: holds no results (made by `quadexp evaluate`)")
     columns, record = read_table(file, "results", required=("key", "outcome"))
+    declare_record(record)
     return file.parent, [dict.fromkeys(ROW_COLUMNS) | row for row in from_columns(columns)], record
 
 
@@ -305,7 +307,7 @@ def is_number(value: Any) -> bool:
 
 def is_metric(name: str) -> bool:
     """Whether a column is a number of the flight itself, not a setting."""
-    return name in ROW_COLUMNS and name not in (*TEXT_COLUMNS, "speed", "seed")
+    return is_own(name) or (name in ROW_COLUMNS and name not in (*TEXT_COLUMNS, "speed", "seed"))
 
 
 def unit_of(key: str) -> str:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from quadexp.report.document import Block, Section, document
+from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import is_invalid
 from quadexp.report.table import Table
-from quadexp.report.tables import TITLES, error_table
+from quadexp.report.tables import error_table
 from quadexp.report.text import shown
 
 
@@ -44,7 +45,7 @@ class Live:
 
     def table(self) -> Table:
         """The error table of the flights that are there."""
-        title = f"{TITLES.get(self.metric, self.metric)} so far ({shown(self.metric)[1]}): {self.progress_text()}"
+        title = f"{metric_of(self.metric).title} so far ({shown(self.metric)[1]}): {self.progress_text()}"
         rows = [row for row in self.rows if not is_invalid(row)]  # settings that contradict each other are no flight
         if not rows:
             return Table(["trajectory", "m/s"], [], title)

@@ -14,24 +14,109 @@ that was not flown to its end has no error (log/outcome.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, UsageError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.names import named, without
+from quadexp.parts.part import Part
+from quadexp.parts.settings import keyed
 from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, VELOCITY, norms, root_mean_square
 from quadexp.report.table import csv_text
 
 SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor counts as at its limit
-ERRORS = ("rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse")
-METRICS = (
-    *ERRORS, "saturated_share", "peak_speed", "duration", "unconverged_count", "solve_time_median", "solve_time_p99",
-    "solve_time_max", "command_change", "charge_used",
+
+
+class Flown:
+    """A flight with what several numbers of it are made from, computed once.
+
+    thrust_min, thrust_max: of a rotor (N). period: between two steps of the controller (s), None for that of the
+    samples. Between its steps an inner loop has instants of its own, which are no steps of the controller.
+    """
+
+    def __init__(self, flight: Flight, thrust_min: float, thrust_max: float, period: float | None = None) -> None:
+        self.flight, self.thrust_min, self.thrust_max = flight, thrust_min, thrust_max
+        t = flight.t
+        self.every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 and t[1] > t[0] else 1
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        return position_error(self.flight)
+
+    @cached_property
+    def solve_times(self) -> list[float]:
+        """Median, 99 % quantile and largest, s."""
+        solve_time = self.flight["solve_time"][:: self.every]
+        last, ordered = len(solve_time) - 1, np.sort(solve_time)  # a third of the time of np.quantile
+        return list(np.interp([0.5 * last, 0.99 * last, last], np.arange(last + 1), ordered).tolist())
+
+    @property
+    def heading_rmse(self) -> float | None:
+        return None if _free(self.flight) else root_mean_square(heading_error(self.flight))
+
+    @property
+    def unconverged(self) -> int:
+        return int(np.sum(self.flight.columns.get("unconverged", np.zeros(0))[:: self.every]))
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number of a flight. function: of Flown; None of one that is only read from a table. title: in tables and
+    figures. factor: from SI to their unit. error: of the path, so that a flight that was not flown to its end has none.
+    tabled: whether it has a table, which evaluate.metric chooses. more_is_better: then no controller is called best."""
+
+    name: str
+    function: Callable[[Flown], Any] | None
+    title: str = ""
+    factor: float = 1.0
+    unit: str = ""
+    error: bool = False
+    tabled: bool = False
+    more_is_better: bool = False
+
+
+_DEGREES = 180 / math.pi
+_METRICS = (
+    Metric("rmse", lambda f: root_mean_square(f.error), "RMSE", 1e3, "mm", error=True, tabled=True),
+    Metric("mean_error", lambda f: float(np.mean(f.error)), "mean error", 1e3, "mm", error=True, tabled=True),
+    Metric("max_error", lambda f: float(np.max(f.error)), "largest error", 1e3, "mm", error=True, tabled=True),
+    Metric(
+        "attitude_rmse", lambda f: root_mean_square(attitude_error(f.flight)), "attitude error (RMS)", _DEGREES, "°",
+        error=True,
+    ),
+    Metric("heading_rmse", lambda f: f.heading_rmse, "heading error (RMS)", _DEGREES, "°", error=True),
+    Metric(
+        "saturated_share", lambda f: saturated_share(f.flight, f.thrust_min, f.thrust_max), "samples at a thrust limit",
+        100.0, "%",
+    ),
+    Metric("peak_speed", lambda f: float(norms(both(f.flight, VELOCITY)[0]).max()), "peak speed", 1.0, "m/s"),
+    Metric("duration", lambda f: float(f.flight.t[-1] - f.flight.t[0]), "duration", 1.0, "s"),
+    Metric("unconverged_count", lambda f: f.unconverged, "unconverged count"),
+    Metric("solve_time_median", lambda f: f.solve_times[0], "solve time median", 1e6, "us"),
+    Metric("solve_time_p99", lambda f: f.solve_times[1], "solve time p99", 1e6, "us"),
+    Metric("solve_time_max", lambda f: f.solve_times[2], "solve time max", 1e6, "us"),
+    Metric(
+        "command_change", lambda f: command_change(f.flight, f.thrust_min, f.thrust_max, f.every),
+        "change of a command in a step (RMS)", 100.0, "% of the thrust range",
+    ),
+    Metric("charge_used", lambda f: charge_used(f.flight), "charge used", 100.0, "% of the battery"),
 )  # fmt: skip
+METRICS = tuple(metric.name for metric in _METRICS)
+ERRORS = tuple(metric.name for metric in _METRICS if metric.error)
+# What else is printed as a number of flights.
+_BESIDE = (
+    Metric("outside_data", None, "outside data", 100.0, "%"),
+    Metric("success", None, "completed flights", 100.0, "%"),  # of several flights
+)
+_KNOWN = {metric.name: metric for metric in (*_METRICS, *_BESIDE)}
+_own: dict[str, Metric] = {}  # of the user's, see `declare`
+
 # Columns of a row of results, in the order they are written.
 SETTING_COLUMNS = ("plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed")
 ROW_COLUMNS = (
@@ -45,33 +130,88 @@ TEXT_COLUMNS = tuple(name for name in ROW_COLUMNS if name not in _NUMBERS)
 INTEGER_COLUMNS = ("seed", "unconverged_count")
 
 
-class Shown(NamedTuple):
-    """How a number of a flight is printed and drawn. factor: from SI to `unit`."""
+@keyed
+class FlightMetric(Part):
+    """A user's metric, as an option of the group `metric`: title, factor, unit and the others are those of Metric.
 
-    title: str
-    factor: float
-    unit: str
+    It is a function of a flight as it is stored: of all samples unless evaluate.log_period thins them."""
+
+    prefix = "metric."
+    title: ClassVar[str] = ""
+    factor: ClassVar[float] = 1.0
+    unit: ClassVar[str] = ""
+    error: ClassVar[bool] = True
+    tabled: ClassVar[bool] = True
+    more_is_better: ClassVar[bool] = False
+
+    def of(self, flight: Flight) -> float:
+        """Its value, in SI units: flight["p_z"] is a column, (k,)."""
+        raise NotImplementedError
+
+    @property
+    def metric(self) -> Metric:
+        about = (self.title or self.name.replace("_", " "), self.factor, self.unit, self.error, self.tabled)
+        return Metric(self.name, lambda flown: self.of(flown.flight), *about, self.more_is_better)
 
 
-NUMBERS = {
-    "rmse": Shown("RMSE", 1e3, "mm"),
-    "mean_error": Shown("mean error", 1e3, "mm"),
-    "max_error": Shown("largest error", 1e3, "mm"),
-    "attitude_rmse": Shown("attitude error (RMS)", 180 / math.pi, "°"),
-    "heading_rmse": Shown("heading error (RMS)", 180 / math.pi, "°"),
-    "saturated_share": Shown("samples at a thrust limit", 100.0, "%"),
-    "command_change": Shown("change of a command in a step (RMS)", 100.0, "% of the thrust range"),
-    "charge_used": Shown("charge used", 100.0, "% of the battery"),
-    "outside_data": Shown("outside data", 100.0, "%"),
-    "peak_speed": Shown("peak speed", 1.0, "m/s"),
-    "duration": Shown("duration", 1.0, "s"),
-    "solve_time_median": Shown("solve time median", 1e6, "us"),
-    "solve_time_p99": Shown("solve time p99", 1e6, "us"),
-    "solve_time_max": Shown("solve time max", 1e6, "us"),
-    "success": Shown("completed flights", 100.0, "%"),  # of several flights
-}
-# Errors that have a table of results.
-SHOWN = {name: (NUMBERS[name].factor, NUMBERS[name].unit) for name in ("rmse", "mean_error", "max_error")}
+def declare(metrics: Iterable[Metric]) -> None:
+    """Have tables, figures and conditions know a user's metrics. Raises UsageError where a name is taken."""
+    for metric in metrics:
+        if metric.name in (*ROW_COLUMNS, *_KNOWN):
+            raise UsageError(f"metric={metric.name}: results have a column of that name: choose another one")
+        _own[metric.name] = metric
+
+
+def declare_parts(parts: Iterable[FlightMetric]) -> None:
+    """Those of options, and no others."""
+    _own.clear()
+    declare(part.metric for part in parts)
+
+
+def own_record() -> dict[str, Any]:
+    """The user's metrics, for the record of the results; empty without any."""
+    about = {name: without(vars(metric), ("name", "function")) for name, metric in _own.items()}
+    return {"metrics": about} if about else {}
+
+
+def declare_record(record: Mapping[str, Any]) -> None:
+    """Those of a table of results, which it says itself."""
+    declare(Metric(name, None, **about) for name, about in record.get("metrics", {}).items() if name not in _own)
+
+
+def metric_of(name: str) -> Metric:
+    """What is known of a metric; an unknown one has no unit."""
+    return _KNOWN.get(name) or _own.get(name) or Metric(name, None, name.replace("_", " "))
+
+
+def tabled() -> tuple[str, ...]:
+    """Names of the metrics that have a table."""
+    return tuple(metric.name for metric in (*_METRICS, *_own.values()) if metric.tabled)
+
+
+def is_own(name: str) -> bool:
+    """Whether a metric is a user's."""
+    return name in _own
+
+
+def is_measured() -> bool:
+    """Whether flights are to be measured by metrics of the user's."""
+    return any(metric.function for metric in _own.values())
+
+
+def measured(flight: Flight) -> dict[str, float]:
+    """The user's metrics of a flight. Raises UsageError where one fails, or gives no number."""
+    values = {}
+    for metric in _own.values():
+        values[metric.name] = math.nan
+        if metric.function is None or not len(flight) or (metric.error and flight.outcome not in COMPLETED):
+            continue
+        try:
+            values[metric.name] = float(metric.function(Flown(flight, math.nan, math.nan)))
+        except Exception as error:
+            said = " ".join(str(error).split())[:200]
+            raise UsageError(f"metric={metric.name}: of(flight) raised {type(error).__name__}: {said}") from error
+    return values
 
 
 def position_error(flight: Flight) -> np.ndarray:
@@ -148,32 +288,12 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period:
     """The numbers of a result row that come from the flight itself; NaN for a flight without samples, and the errors
     of one that was not flown to its end.
 
-    period: between two steps of the controller (s), None for that of the samples. Between its steps an inner loop has
-    instants of its own, which are no steps of the controller.
+    period: see Flown.
     """
     if len(flight) == 0:
         return dict.fromkeys(METRICS, float("nan")) | {"unconverged_count": 0, "duration": 0.0}
-    error, angle, t = position_error(flight), attitude_error(flight), flight.t
-    every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 and t[1] > t[0] else 1
-    solve_time, unconverged = flight["solve_time"][::every], flight.columns.get("unconverged", np.zeros(0))[::every]
-    last, ordered = len(solve_time) - 1, np.sort(solve_time)  # a third of the time of np.quantile
-    median, p99, longest = np.interp([0.5 * last, 0.99 * last, last], np.arange(last + 1), ordered).tolist()
-    metrics = {
-        "rmse": root_mean_square(error),
-        "mean_error": float(np.mean(error)),
-        "max_error": float(np.max(error)),
-        "attitude_rmse": root_mean_square(angle),
-        "heading_rmse": None if _free(flight) else root_mean_square(heading_error(flight)),
-        "saturated_share": saturated_share(flight, thrust_min, thrust_max),
-        "peak_speed": float(norms(both(flight, VELOCITY)[0]).max()),
-        "duration": float(t[-1] - t[0]),
-        "unconverged_count": int(np.sum(unconverged)),
-        "solve_time_median": median,
-        "solve_time_p99": p99,
-        "solve_time_max": longest,
-        "command_change": command_change(flight, thrust_min, thrust_max, every),
-        "charge_used": charge_used(flight),
-    }
+    flown = Flown(flight, thrust_min, thrust_max, period)
+    metrics = {metric.name: metric.function(flown) for metric in _METRICS if metric.function}
     return metrics | errors_none(flight.outcome)
 
 
@@ -195,16 +315,22 @@ def errors_none(outcome: Any) -> dict[str, float]:
     return {} if outcome in COMPLETED else dict.fromkeys(ERRORS, math.nan)
 
 
+def row_columns(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Columns of rows of results with those metrics of the user's that they have."""
+    return (*ROW_COLUMNS, *(name for name in _own if rows and name in rows[0]))
+
+
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows of results as CSV, numbers in full precision."""
-    return csv_text(ROW_COLUMNS, ([row.get(name) for name in ROW_COLUMNS] for row in rows))
+    names = row_columns(rows)
+    return csv_text(names, ([row.get(name) for name in names] for row in rows))
 
 
 def to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """Rows of results as columns of fixed types, for Parquet."""
-    kinds = dict.fromkeys(ROW_COLUMNS, float) | dict.fromkeys(TEXT_COLUMNS, object)
+    kinds = dict.fromkeys(row_columns(rows), float) | dict.fromkeys(TEXT_COLUMNS, object)
     kinds |= dict.fromkeys(INTEGER_COLUMNS, np.int64)
-    return {name: np.array([typed(name, row.get(name)) for row in rows], kinds[name]) for name in ROW_COLUMNS}
+    return {name: np.array([typed(name, row.get(name)) for row in rows], kinds[name]) for name in kinds}
 
 
 def typed(name: str, value: Any) -> Any:

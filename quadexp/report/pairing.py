@@ -243,6 +243,7 @@ class Groups:
         def flown(row: Row) -> Flown:
             return Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
 
+        self.metrics = tuple(metrics)
         valid = (row for row in rows if not is_invalid(row))
         self.cells = grouped(((condition_of(row), contestant_of(row)), flown(row)) for row in valid)
         self.conditions: dict[Condition, dict[Contestant, dict[int, list[Flown]]]] = {}

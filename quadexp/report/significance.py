@@ -79,6 +79,7 @@ class Tests:
 
     def __init__(self, groups: Groups, place: int = 0, confidence: float = 0.95) -> None:
         self.groups, self.confidence, self._place = groups, confidence, place
+        self.metric = groups.metrics[place]
         kinds: tuple[Sequence[Statement], ...] = (
             [(condition,) for condition in groups.conditions],
             [tuple(conditions) for conditions in groups.worlds.values()],

@@ -26,17 +26,24 @@ from quadexp.log.outcome import FAILURES
 from quadexp.log.schema import describe
 from quadexp.names import sha256_of
 from quadexp.report import inference
-from quadexp.report.metrics import SHOWN
+from quadexp.report.metrics import is_own, tabled
 from quadexp.report.pairing import BASELINE, Condition, Contestant, Flights, Flown, Groups, Row, causes_text
 from quadexp.report.significance import Difference, Tests, place_texts
 from quadexp.report.table import csv_text
 from quadexp.report.text import count, probability
 from quadexp.report.winner import best_of_lines
 
-COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
 # No comparison: they are not paired by noise.
 DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share", "command_change")
 CONFIDENCE = 0.95
+
+
+def compared(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The metrics of some rows that are compared with the baseline."""
+    known = dict.fromkeys((*tabled(), "attitude_rmse"))
+    return tuple(name for name in known if not is_own(name) or (rows and name in rows[0]))
+
+
 NAN = math.nan
 
 
@@ -168,13 +175,10 @@ def change_text(reduction: float, low: float = NAN, high: float = NAN, than: str
 
 
 def compute_statistics(
-    rows: Sequence[Row],
-    *,
-    metrics: Sequence[str] = (*COMPARED, *DESCRIBED),
-    baseline: str = BASELINE,
-    confidence: float = CONFIDENCE,
+    rows: Sequence[Row], *, metrics: Sequence[str] = (), baseline: str = BASELINE, confidence: float = CONFIDENCE
 ) -> list[Statistic]:
-    """The statistics of result rows, metric by metric. baseline: name of a controller."""
+    """The statistics of result rows, metric by metric. metrics: () for all. baseline: name of a controller."""
+    metrics = metrics or (*compared(rows), *DESCRIBED)
     groups = Groups(rows, baseline, metrics)
     return of_lines([Tests(groups, place, confidence) for place in range(len(metrics))], metrics)
 
@@ -197,7 +201,7 @@ def of_lines(tests_of: Sequence[Tests], metrics: Sequence[str]) -> list[Statisti
     statistics: list[Statistic] = []
     for place, (tests, metric) in enumerate(zip(tests_of, metrics, strict=True)):
         unit = describe(metric, "results").unit
-        best = best_of_lines(tests, place) if metric in COMPARED else {}
+        best = best_of_lines(tests, place) if metric not in DESCRIBED else {}
         for at, flights in groups.cells.items():
             (condition, contestant), among = at, groups.lines[at[0]]
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
@@ -208,7 +212,7 @@ def of_lines(tests_of: Sequence[Tests], metrics: Sequence[str]) -> list[Statisti
             common = every if len(shared) == len(values) else _mean_fields(shared, confidence)
             fields = about[at] | every
             fields |= {"common" if name == "n" else f"common_{name}": value for name, value in common.items()}
-            if metric not in COMPARED:
+            if metric in DESCRIBED:
                 fields |= {"baseline": "", "left_out": ""}
             elif pairs.get(at) and (rival := groups.baseline(contestant)) is not None:
                 fields |= _comparison(pairs[at], place, confidence)
@@ -345,11 +349,12 @@ class Statistics:
 
 def results_statistics(rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE) -> Statistics:
     """The statistics of result rows: of each metric, line by line and over all conditions."""
-    metrics = (*COMPARED, *DESCRIBED)
+    chosen = compared(rows)
+    metrics = (*chosen, *DESCRIBED)
     groups = Groups(rows, baseline, metrics)
     tests = [Tests(groups, place, confidence) for place in range(len(metrics))]
     over_all = [
-        s for test, metric in zip(tests, COMPARED, strict=False) for s in pooled(test, [*groups.conditions], metric)
+        s for test, metric in zip(tests, chosen, strict=False) for s in pooled(test, [*groups.conditions], metric)
     ]
     return Statistics([*of_lines(tests, metrics), *over_all], rows, baseline, confidence)
 

@@ -20,7 +20,7 @@ from quadexp.names import distinct
 from quadexp.parts.schema import WORLD
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
-from quadexp.report.metrics import METRICS, errors_none, from_columns
+from quadexp.report.metrics import METRICS, declare_record, errors_none, from_columns
 from quadexp.report.notes import LARGE_HEADING_ERROR, outside_line, range_lines
 from quadexp.report.pairing import causes_text, grouped
 from quadexp.report.table import Table, records_table
@@ -208,6 +208,7 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
 def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
     from quadexp.report.tables import error_table
 
+    declare_record(record)
     rows = from_columns(columns)
     summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
     outcomes = Counter(row["outcome"] for row in rows)
@@ -248,7 +249,6 @@ def held_out_table(rows: Sequence[Mapping[str, Any]]) -> Table | None:
 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.models.checkpoint import load_model, load_report
-    from quadexp.models.neural import NeuralModel
     from quadexp.models.vehicle_model import VehicleModel
 
     model, file = load_model(path), path / MODEL_FILE
@@ -256,12 +256,13 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         record = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
-    data, outputs = dict(model.dataset), () if isinstance(model, NeuralModel) else getattr(model, "outputs", ())
+    data = dict(model.dataset)
+    about, described = model.described()
     summary = {
         "path": str(path), "kind": model.kind, "schema": record.get("schema"), "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle), "dataset": data, "settings": dict(getattr(model, "settings", {})),
         "versions": dict(getattr(model, "versions", {}) or record.get("versions", {})),
-        "drag": list(map(float, model.linear_drag.drag)), "outputs": {o.output: _output_record(o) for o in outputs},
+        "drag": list(map(float, model.linear_drag.drag)), "outputs": {}, **about,
         "feature_range": dict(model.feature_range), "held_out": held_out_rows(path),
     }  # fmt: skip
     lines = [
@@ -269,17 +270,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         f"vehicle     {model.vehicle.get('name')} ({model.vehicle.get('fingerprint')})",
         f"data        {data.get('rows')} rows of {data.get('flights')} flights, sha256 {str(data.get('sha256'))[:12]}",
     ]
-    for name, output in summary["outputs"].items():
-        scales = ", ".join(f"{f} {s:.3g}" for f, s in zip(output["features"], output["lengthscale"], strict=True))
-        stds = f"signal {output['signal_std']:.3g}, noise {output['noise_std']:.3g} {_unit(name)}"
-        lines.append(f"{name:<12}{output['inducing']} points, length scales {scales}; {stds}")
-    if isinstance(model, NeuralModel):
-        summary |= {"sizes": list(model.network.sizes), "features": list(model.features), "lipschitz": model.lipschitz}
-        layers = "-".join(map(str, model.network.sizes))
-        lines.append(f"network     {layers} units: {', '.join(model.outputs)} from {', '.join(model.features)}")
-        lines.append(f"            largest slope of the scaled network at most {model.lipschitz:.3g}")
-        for name, std in zip(model.outputs, model.residual_std, strict=True):
-            lines.append(f"{name:<12}error on the rows of the fit {std:.3g} {_unit(name)}")
+    lines += described
     if isinstance(model, VehicleModel):
         from quadexp.report.model_lines import model_lines, selection_lines
 
@@ -304,13 +295,6 @@ def _checkpoint(path: Path) -> dict[str, Any]:
 
 def _unit(output: str) -> str:
     return describe(output, "residuals").unit
-
-
-def _output_record(output: Any) -> dict[str, Any]:
-    """Of one output of a GP."""
-    stds = {f"{name}_std": float(np.sqrt(getattr(output, f"{name}_variance"))) for name in ("signal", "noise")}
-    scales = list(map(float, np.atleast_1d(output.lengthscale)))
-    return {"features": list(output.features), "inducing": len(output.alpha), "lengthscale": scales, **stds}
 
 
 def _config_lines(config: Mapping[str, Any] | None) -> list[str]:

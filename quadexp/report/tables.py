@@ -28,7 +28,7 @@ from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
 from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
-from quadexp.report.metrics import NUMBERS, SHOWN
+from quadexp.report.metrics import metric_of
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
 from quadexp.report.pairing import (
@@ -57,7 +57,6 @@ NAMES = {
     "comparison.tex": "comparison",
     "statistics.csv": "statistics_csv",
 }
-TITLES = {name: NUMBERS[name].title for name in SHOWN}
 
 
 def cell_text(s: Statistic) -> str:
@@ -65,7 +64,7 @@ def cell_text(s: Statistic) -> str:
 
     The mean over the common flights with its interval; beside it that over all own completed flights, if these are
     more, and how the others ended."""
-    factor = SHOWN[s.metric][0]
+    factor, _ = shown(s.metric)
     beside = [f"{count} {outcome}" for outcome, count in s.failures.items()]
     beside = [", ".join(beside)] if beside else []
     if s.n > s.common:
@@ -141,7 +140,7 @@ def error_table(
         flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
         if s is not None or (line, label) not in cells:
             cells[line, label] = cell_text(s) if s else "invalid"
-    title, beside = f"{TITLES[metric]} ({SHOWN[metric][1]})", 2 + len(shown_as)
+    title, beside = f"{metric_of(metric).title} ({shown(metric)[1]})", 2 + len(shown_as)
     counts = ["flown", *[""] * (beside - 1), *(count.text() if count.trials else "-" for count in flown.values())]
     lines = [
         [*line, *(cells.get((line, label), "-") for label in flown)]
@@ -155,7 +154,7 @@ def error_table(
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     """Every contestant against the baseline, condition by condition; None if nobody is compared."""
     metric = statistics[0].metric
-    factor, unit = SHOWN[metric]
+    factor, unit = shown(metric)
     heading = ["trajectory", "speed (m/s)", "controller", "seeds", f"difference ({unit})"]
     heading += ["reduction (%)", "effect", "p", "p (corrected)", "left out"]
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
@@ -177,7 +176,7 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
         "over the seeds that both completed; difference: contestant less baseline; reduction: positive where better;"
         " effect: matched-pairs rank-biserial in [-1, 1]; p: of the line alone, and corrected as below the error table"
     )
-    title = f"{TITLES[metric]} against {', '.join(baselines)}"
+    title = f"{metric_of(metric).title} against {', '.join(baselines)}"
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
 
 

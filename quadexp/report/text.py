@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from quadexp.report.metrics import NUMBERS
+from quadexp.report.metrics import metric_of
 
 MOST_DECIMALS = 3  # of a percentage
 SPACE, NOBREAK, MINUS, DASH = "\u202f", "\u00a0", "\u2212", "\u2013"  # SPACE: narrow, does not break
@@ -21,8 +21,8 @@ _BRACKETS = re.compile(r"\[[^\[\]]*\d\]|\bp [<=] ")
 
 def shown(metric: str) -> tuple[float, str]:
     """Factor from SI and unit in which a metric is printed."""
-    known = NUMBERS.get(metric)
-    return (known.factor, known.unit) if known else (1.0, "")
+    known = metric_of(metric)
+    return known.factor, known.unit
 
 
 def significant(value: float, least: int = 1) -> str:

@@ -35,7 +35,7 @@ from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
 from quadexp.report.inference import mean_interval, success_interval
-from quadexp.report.metrics import NUMBERS
+from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
 from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
@@ -225,7 +225,7 @@ class View:
     def y_label(self) -> str:
         if self.y in self.names:
             return self.names[self.y]
-        title = NUMBERS[self.y].title if self.y in NUMBERS else self.y.replace("_", " ")
+        title = metric_of(self.y).title
         return f"{title} ({self.unit})" if self.unit else title
 
     @property

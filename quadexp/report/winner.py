@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import Condition, Contestant, Flights, Groups, flew_least, is_bound
 from quadexp.report.significance import Difference, Tests, place_texts
 from quadexp.report.text import count, listed, probability
@@ -28,7 +29,7 @@ def rank(
     any; all others against it, the nearest first; and how many flights each of all completed."""
     flights = tests.groups.flights(conditions)
     ranked = [who for who, flown in flights.items() if flown.ended and not is_bound(who.controller)]
-    if not ranked:
+    if not ranked or metric_of(tests.metric).more_is_better:
         return None, {}, flights
     least, *others = sorted(ranked, key=lambda who: -flights[who].share)
     for other in others:

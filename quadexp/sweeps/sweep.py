@@ -24,13 +24,15 @@ from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_ro
 from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
-from quadexp.log.store import read_metadata
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, read_metadata
 from quadexp.names import named, without
 from quadexp.parts.cells import Cell, Cells
 from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.checked import differing_libraries, flown_by, program_name, programs_text
 from quadexp.report.frame import RESULTS
+from quadexp.report.metrics import is_measured, measured, own_record
 from quadexp.report.pairing import BASELINE
 from quadexp.report.statistics import CONFIDENCE, Statistics
 from quadexp.report.table import Table
@@ -132,7 +134,7 @@ def run_sweep(
             _refuse_another_sweep(store, jobs)
         rows, notes = _recall(store, jobs, old)
         for job in (job for job in jobs.values() if job.invalid):
-            rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID))
+            rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID), store)
         todo = len(jobs) - len(rows)
         for row in rows.values():
             landed(row)
@@ -143,7 +145,7 @@ def run_sweep(
             raise UsageError(in_order[0]["cause"])
         unflown = [row["key"] for row in in_order if row["outcome"] in ("failed", INVALID)]
         record = {
-            "metric": metric, "baseline": baseline, "confidence": confidence,
+            "metric": metric, **own_record(), "baseline": baseline, "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
             "files": {path: text for job in jobs.values() for path, text in job.files.items()},
             "conditions": sorted({job.condition for job in jobs.values()}),
@@ -224,7 +226,7 @@ def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[s
         read_rows = named(there, readers.map(read, there))
     changed = [str(row) for row in read_rows.values() if isinstance(row, QuadexpError)]
     stored = {key: row for key, row in read_rows.items() if not isinstance(row, QuadexpError)}
-    rows = {key: _row_of(jobs[key], row) for key, row in stored.items()}
+    rows = {key: _row_of(jobs[key], row, store) for key, row in stored.items()}
     what = "cells have changed since they were flown, or lack samples, and are flown again"
     notes = [f"{len(changed)} {what}: {changed[0]}"] if changed else []
     others = {key: rows[key] for key, row in stored.items() if not _same_program(row, jobs[key])}
@@ -253,8 +255,17 @@ def _same_program(row: Mapping[str, Any], job: Job) -> bool:
     return code == digest([row.get("sources"), job.program]) if code else row.get("sources") == sources()
 
 
-def _row_of(job: Job, row: Mapping[str, Any]) -> Row:
-    return table_row({**row, "key": job.key, "variant": job.variant})
+def _row_of(job: Job, row: Mapping[str, Any], store: CellStore) -> Row:
+    """The row of a cell with the user's metrics of its stored flight, by their code as it is now."""
+    own = measured(flight_of(store.path(job.key), row)) if is_measured() else {}
+    return table_row({**row, **own, "key": job.key, "variant": job.variant})
+
+
+def flight_of(path: Path, row: Mapping[str, Any]) -> Flight:
+    """The flight of a row; one without samples where it was not flown."""
+    if row.get("outcome") in UNFLOWN or not path.is_file():
+        return Flight({}, {"outcome": row.get("outcome")})
+    return read_flight(path, check=False)
 
 
 def _fly_missing(
@@ -293,7 +304,7 @@ def _fly_missing(
                 store.remove([key])
                 cell = jobs[key].cell.config, jobs[key].model
                 row = failed_row(*cell, row.cause, INVALID if row.contradiction else "failed")
-            rows[key] = _row_of(jobs[key], row)
+            rows[key] = _row_of(jobs[key], row, store)
             yield rows[key]
             progress(len(rows), len(jobs))
     flush(store.folder)  # all at once: flushing each would take as long as flying it

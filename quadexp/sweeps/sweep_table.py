@@ -17,7 +17,16 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_table, write_table
 from quadexp.names import NAMED, check_names, sha256_of
 from quadexp.report.frame import RESULTS
-from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, errors_none, from_columns, to_columns, to_csv, typed
+from quadexp.report.metrics import (
+    TEXT_COLUMNS,
+    declare_record,
+    errors_none,
+    from_columns,
+    row_columns,
+    to_columns,
+    to_csv,
+    typed,
+)
 from quadexp.report.statistics import Statistics, results_statistics
 from quadexp.report.table import Table
 from quadexp.report.tables import comparison_texts, write_comparison
@@ -44,7 +53,7 @@ def open_results(out: str | Path) -> CellStore:
 def table_row(row: Mapping[str, Any]) -> Row:
     """A result row with every column of the table, each of its type: a missing text is empty, a missing number NaN."""
     row = {**row, **errors_none(row.get("outcome"))}
-    values = {name: typed(name, row.get(name)) for name in ROW_COLUMNS}
+    values = {name: typed(name, row.get(name)) for name in row_columns([row])}
     values |= {name: sys.intern(values[name]) for name in TEXT_COLUMNS}  # most are shared by many rows
     return values | {name: None for name in OPTIONAL if math.isnan(values[name])}
 
@@ -55,6 +64,7 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
     for name in NAMED:
         for value in {*columns.get(name, ())}:
             check_names({name: value}, str(path))
+    declare_record(record)
     return [table_row(row) for row in from_columns(columns)], record
 
 

@@ -20,9 +20,8 @@ from quadexp.parts.options import Folders
 from quadexp.parts.override import quoted
 from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
-from quadexp.report.metrics import SHOWN
-from quadexp.report.tables import TITLES
-from quadexp.report.text import number
+from quadexp.report.metrics import declare_parts, metric_of
+from quadexp.report.text import number, shown
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.sweep import opened
 from quadexp.tune import Tune
@@ -79,6 +78,7 @@ def tune(
     """
     with session(conf) as composer:
         composer.only("tune", given)
+        declare_parts(composer.every("metric"))
         given = with_seeds(given, asked.seeds)
         cells = cells_of(composer, given)
         first = cells[0].config
@@ -125,7 +125,7 @@ def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -
 
     from quadexp.report.style import STYLE, Figure, plain_log, save
 
-    factor, unit = SHOWN[request.metric]
+    factor, unit = shown(request.metric)
     spent = flights * np.arange(1, len(trials) + 1)
     error = factor * np.array([trial.worth.error for trial in trials])
     best = [best_of(trials[: k + 1]) for k in range(len(trials))]
@@ -141,7 +141,7 @@ def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -
         panel.plot(spent, np.where(completed, np.nan, error), "x", color="#b3261e", label="trial with a lost flight")
         panel.step(spent, error[best], where="post", color="#17191d", label="best so far")
         panel.axhline(error[0], color="#8a9099", linewidth=1.0, linestyle="--", label="before")
-        panel.set(yscale="log", xlabel="flights", ylabel=f"{TITLES[request.metric]} ({unit}), geometric mean")
+        panel.set(yscale="log", xlabel="flights", ylabel=f"{metric_of(request.metric).title} ({unit}), geometric mean")
         plain_log(panel.yaxis)
         panel.legend()
         save(figure, path)
@@ -152,7 +152,7 @@ def _short(value: Any) -> str:
 
 
 def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
-    spent, (factor, unit) = len(trials) * search.flights, SHOWN[search.request.metric]
+    spent, (factor, unit) = len(trials) * search.flights, shown(search.request.metric)
     lines = [f"{controller_name(search.config)}: {len(trials)} trials of {search.flights} flights, {spent} in all"]
     for what, worth in (("before", trials[0].worth), ("tuned ", trials[best].worth)):
         margin = f", delay margin {1e3 * worth.margin:.0f} ms" if np.isfinite(worth.margin) else ""

@@ -11,8 +11,6 @@ density, held for 0.5 ms whatever the integration step (see Held in streams.py).
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 from quadexp.compile.symbolic import ca
@@ -34,9 +32,7 @@ class FromModel(PlantPart):
 
     former_kind = "from_model"
     model: str = key(REQUIRED, "checkpoint folder of the model that is taken as the truth")
-    residual: Literal["best", "linear", "quadratic", "blade_element", "gaussian_process"] = key(
-        "best", "which model of an identified vehicle; best: the one that identification chose"
-    )
+    residual: str = key("best", "which model of an identified vehicle; best: the one that identification chose")
     force_noise_density: float = key(0.0, FORCE_DENSITY)
     torque_noise_density: float = key(0.0, TORQUE_DENSITY)
 

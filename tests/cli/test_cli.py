@@ -196,7 +196,10 @@ class TestLearning:
     def test_a_drag_checkpoint_is_no_gaussian_process(self, chain, monkeypatch):
         monkeypatch.chdir(chain[0])
         code, _, err = run("simulate", *QUICK, "controller=gp_mpc", "model=models/drag", "--out", "no.parquet")
-        assert code == 2 and "models/drag: holds linear_drag, not gaussian_process, which quadexp fit-gp" in err
+        assert (
+            code == 2
+            and "models/drag: holds linear_drag, not gaussian_process, which quadexp fit gaussian_process" in err
+        )
 
     def test_one_flight_cannot_be_split(self, chain, monkeypatch):
         monkeypatch.chdir(chain[0])

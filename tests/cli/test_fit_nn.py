@@ -5,10 +5,10 @@ import json
 import pytest
 
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.fit import fit_checkpoint
 from quadexp.models.checkpoint import load_model, load_report
 from quadexp.parts.compose import compose
 from quadexp.report.summary import summarise
+from quadexp.requests import fit
 from tests.cli.command import run
 
 SHORT = ["collect.duration=24", "collect.flight_duration=6", "controller.backend=interpreted"]
@@ -27,9 +27,9 @@ def folder(tmp_path_factory):
 def test_a_network_and_a_sum_are_fitted_shown_and_flown(folder, monkeypatch):
     monkeypatch.chdir(folder)
     data = folder / "data.parquet"
-    fit_checkpoint("drag", compose([]), data, folder / "drag")
-    alone = fit_checkpoint("nn", compose(QUICK), data, folder / "nn")
-    rest = fit_checkpoint("nn", compose(QUICK), data, folder / "rest", after=folder / "drag")
+    fit("drag", data, [], folder / "drag")
+    alone = fit("nn", data, QUICK, folder / "nn")
+    rest = fit("nn", data, QUICK, folder / "rest", after=folder / "drag")
     assert any("of what" in line for line in rest["lines"])
     assert load_report(folder / "rest")["after"] == str(folder / "drag")
     assert {row["predictor"] for row in alone["rows"]} == {"nn", "linear_drag", "zero"}
@@ -52,7 +52,7 @@ def test_a_network_and_a_sum_are_fitted_shown_and_flown(folder, monkeypatch):
 def test_the_command_writes_a_checkpoint_and_says_what_is_wrong(folder):
     code, out, error = run("fit-nn", folder / "data.parquet", *QUICK, "--out", folder / "cli", "--json")
     assert code == 0, error
-    assert json.loads(out)["kind"] == "nn"
+    assert json.loads(out)["kind"] == "neural"
     code, _, error = run("fit-nn", folder / "data.parquet", "nn.features=[speed]", "--out", folder / "no")
-    assert code == 2 and "nn.features: unknown feature 'speed'" in error
+    assert code == 2 and "model.features: unknown feature 'speed'" in error
     assert not (folder / "no").exists()

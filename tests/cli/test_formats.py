@@ -21,6 +21,7 @@ SHORT = ("trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2
 CALLS = {  # of each command: a call that answers with a table
     "simulate": ("simulate", *SHORT, "--out", "s.parquet", "--force"),
     "collect": ("collect", "--flight", "a.parquet", "--out", "c.parquet", "--force"),
+    "fit": ("fit", "gp", "data.parquet", "model.inducing=5", "--no-figures", "--out", "gp", "--force"),
     "fit-gp": ("fit-gp", "data.parquet", "gp.inducing=5", "--no-figures", "--out", "gp", "--force"),
     "fit-drag": ("fit-drag", "data.parquet", "--out", "drag", "--force"),
     "fit-nn": ("fit-nn", "data.parquet", "nn.hidden=[4]", "nn.max_iterations=5", "--out", "nn", "--force"),

@@ -13,7 +13,7 @@ NAMES = {
     "vehicle": "racer",
     "trajectory": "loop_up",
     "plant": "soft_arms",
-    "residual": "flapping",
+    "model": "flapping",
     "controller": "Pid2",
     "remedy": "level",
 }
@@ -22,7 +22,7 @@ NAMES = {
 def test_their_tests_pass_and_they_fly(here):
     """Each in a folder of its own; the tests of all in one run of pytest."""
     assert set(NAMES) == set(TEMPLATES)
-    tests, flights = [], {}
+    tests, fits, flights = [], [], {}
     for part, name in NAMES.items():
         code, out, errors = run("new", part, name, "--to", part)
         assert code == 0, errors
@@ -30,13 +30,17 @@ def test_their_tests_pass_and_they_fly(here):
         assert sorted(files.splitlines()) == sorted(str(path) for path in Path(part).rglob("*.*"))
         for path in Path(part).rglob("*.*"):
             assert TEMPLATES[part].example not in path.read_text() and name in path.read_text()
-        _, tested, flights[part] = (line.split() for line in rest.splitlines())
+        _, tested, *fitted, flights[part] = (line.split() for line in rest.splitlines())
+        fits += fitted
         assert tested[:3] == ["python", "-m", "pytest"] and flights[part][0] == "quadexp"
         tests += tested[3:]
     interpreted = {**os.environ, "CC": "none"}  # compiling takes longer than all of their flights
     command = [sys.executable, "-m", "pytest", *tests, "-q"]
     done = subprocess.run(command, capture_output=True, text=True, env=interpreted)
     assert done.returncode == 0, done.stdout + done.stderr
+    assert run("collect", "collect.duration=20", "--out", "data/residuals.parquet")[0] == 0
+    for words in fits:
+        assert run(*words[1:])[0] == 0
     for part, flown in flights.items():
         quick = ["trajectory=hover", "trajectory.duration=0.5"] if part != "trajectory" else ["trajectory.turns=0.5"]
         quick += [f"{group}.backend=interpreted" for group in ("controller", "plant") if group != part]
@@ -44,7 +48,7 @@ def test_their_tests_pass_and_they_fly(here):
         assert code == 0, errors
         record = read_metadata(flown[-1], "flight")
         option = flown[4].partition("=")[2]
-        assert record["outcome"] == "ok" and record["config"][TEMPLATES[part].group]["name"] == option
+        assert record["outcome"] == "ok" and record["config"][flown[4].partition("=")[0]]["name"] == option
 
 
 def test_nothing_is_overwritten_and_nothing_written_half(here):
@@ -68,6 +72,11 @@ def test_two_parts_share_a_folder(here):
     for part, name in names.items():
         assert run("new", part, name, "--to", "my parts")[0] == 0
     assert "class HelixUpTrajectory(TrajectoryPart):" in Path("my parts/HelixUp.py").read_text()
+    assert "note: new residual: is `new model` now" in run("new", "residual", "more_air", "--to", "my parts")[2]
+    flown = ("collect.duration=20", "collect.speed_max=8", "vehicle=hexacopter2")
+    assert run("collect", *flown, "--conf", "my parts", "--out", "d.parquet")[0] == 0
+    fitted = run("fit", "xcubic_drag", "d.parquet", "vehicle=hexacopter2", "--conf", "my parts")
+    assert fitted[0] == 0, fitted[2]
     code, _, errors = run(
         "simulate", "--conf", "my parts", "vehicle=hexacopter2", "plant=my_motor_lag", "controller=xcubic_drag_mpc",
         "trajectory=HelixUp", "trajectory.turns=1", "--out", "a.parquet",

@@ -10,7 +10,7 @@ from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.neural import NeuralModel, NNConfig
+from quadexp.models.neural import NNConfig
 from quadexp.models.recorded import recorded_dataset
 from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import crazyflie, recorded_flight
@@ -77,7 +77,7 @@ def test_leave_one_out_refits_every_kind_of_model(folder):
     flights = [read_flight(path) for path in paths]
     rows = recorded_dataset(flights, VEHICLE, load_model(folder / "vehicle").thrust, names=["a", "b", "c"])
     small = NNConfig(hidden=(4,), max_iterations=20, features=("v_x", "v_y", "v_z"))
-    save_model(folder / "nn", NeuralModel.fit(rows, small))
+    save_model(folder / "nn", small.fit(rows))
     save_model(folder / "gp", fit_gp(rows, GPConfig(inducing=5, max_iterations=10, features={"a_x": ("v_x",)})))
     save_model(folder / "drag", fit_linear_drag(rows))
     models = [folder / name for name in ("vehicle", "nn", "gp", "drag")]

@@ -40,7 +40,10 @@ def read_as_it_stands(words: list[str]) -> None:
         return  # a folder that an earlier command of the page makes
     with session(folders) as composer:
         sweeps = context.params.get("sweep") or words[0] == "tune"  # whose trials are sweeps
-        if sweeps and any("," in text or "range(" in text for text in overrides):
+        if words[0].startswith("fit"):
+            model = context.params.get("model") or words[0].removeprefix("fit-")
+            composer.fitted(model, overrides)
+        elif sweeps and any("," in text or "range(" in text for text in overrides):
             assert len(composer.expand(overrides)) >= 1
         elif overrides:
             composer.compose(overrides)

@@ -9,5 +9,5 @@ def test_ranges_and_values_are_on_the_page():
     page = runpy.run_path(str(module))["reference"]()
     rows = {line.split("|")[1].strip(): line for line in page.splitlines() if "|" in line}
     assert "(0, 60] m/s" in rows["`trajectory.speed`"]
-    assert "`sgpr`, `subset`" in rows["`gp.method`"]
+    assert "`sgpr`, `subset`" in rows["`model.method`"]
     assert "3 numbers in [0, 100] N s/m" in rows["`plant.linear_drag`"]

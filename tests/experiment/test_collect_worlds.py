@@ -5,11 +5,11 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset, collect_flights
-from quadexp.experiment.fit import fit_checkpoint
 from quadexp.log.store import read_flight
 from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import read_dataset
 from quadexp.parts.compose import compose, session
+from quadexp.requests import fit
 
 SHORT = ["controller.backend=interpreted", "plant.backend=interpreted", "collect.duration=10"]
 LAG = ["actuator=first_order", "actuator.time_constant_up=0.03", "actuator.time_constant_down=0.03"]
@@ -61,7 +61,7 @@ def remaining(data):
 def test_a_checkpoint_says_what_its_data_were(lagging, tmp_path):
     """Timing and known noise are in the model."""
     (data, report), _ = lagging
-    fit_checkpoint("drag", compose(["drag.holdout=0.4"]), report["path"], tmp_path / "drag", figures=False)
+    fit("drag", report["path"], ["drag.holdout=0.4"], tmp_path / "drag", figures=False)
     known = data.metadata["known_noise"]
     assert known["a_x"] == pytest.approx(1.118033988749895e-4 / np.sqrt(0.02), rel=1e-3)
     stored = load_model(tmp_path / "drag").dataset

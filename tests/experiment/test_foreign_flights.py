@@ -6,8 +6,8 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.fit import fit_checkpoint
 from quadexp.parts.compose import compose
+from quadexp.requests import fit
 from tests.experiment.test_compiled_flight import both, compiled
 
 HUMMINGBIRD = ["vehicle=hummingbird", "plant=rotorpy"]
@@ -104,7 +104,7 @@ def test_learned_models_fly_what_they_learned_from(world, told, largest, tmp_pat
     """With gp=blade_element the GP is the better one on RotorPy's air; a Crazyflie's drag is linear."""
     data = tmp_path / "data.parquet"
     collect_dataset(compose([*world, *told, "collect.duration=120", "collect.speed_max=5"]), data)
-    fit_checkpoint("gp", compose([*world, "gp=blade_element"]), data, tmp_path / "gp", figures=False)
+    fit("gp", data, [world[0], "gp=blade_element"], tmp_path / "gp", figures=False)
     flown = {
         name: mean_error(*world, *told, "trajectory.speed=4", f"controller={name}", f"model={tmp_path / 'gp'}")
         for name in ("linear_drag_mpc", "gp_mpc")

@@ -66,12 +66,11 @@ class TestFlownByAll:
     def model(self, tmp_path_factory):
         """A Gaussian process of the default features, learned from half a minute of flights."""
         from quadexp.experiment.collect import collect_dataset
-        from quadexp.experiment.fit import fit_checkpoint
+        from quadexp.requests import fit
 
         folder = tmp_path_factory.mktemp("model")
-        config = compose(["collect.duration=30", "gp.inducing=10"])
-        collect_dataset(config, folder / "residuals.parquet")
-        fit_checkpoint("gp", config, folder / "residuals.parquet", folder / "gp", figures=False)
+        collect_dataset(compose(["collect.duration=30"]), folder / "residuals.parquet")
+        fit("gp", folder / "residuals.parquet", ["gp.inducing=10"], folder / "gp", figures=False)
         return folder / "gp"
 
     SLOW = [pytest.param(extent, range(20), marks=pytest.mark.slow) for extent in (20, 40)]

@@ -82,7 +82,7 @@ def test_other_vehicle_is_refused(tmp_path, model):
 
 
 def test_missing_model_names_the_command(tmp_path):
-    with pytest.raises(UsageError, match="no model there; make one with `quadexp fit-gp"):
+    with pytest.raises(UsageError, match="no model there; make one with `quadexp fit MODEL"):
         load_model(tmp_path / "gp")
 
 

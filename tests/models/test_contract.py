@@ -27,7 +27,7 @@ def rows():
 
 @pytest.fixture(scope="module")
 def fits(rows):
-    return {kind: kind.fit(rows, settings) for kind, settings in SETTINGS.items()}
+    return {kind: settings.fit(rows) for kind, settings in SETTINGS.items()}
 
 
 @pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)

@@ -83,10 +83,10 @@ def test_threads_are_left_as_they_were(dataset):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"features": {}}, "gp.features: no output"),
-        ({"features": {"a_q": ["v_x"]}}, "gp.features.a_q: no such key"),
+        ({"features": {}}, "model.features: no output"),
+        ({"features": {"a_q": ["v_x"]}}, "model.features.a_q: no such key"),
         ({"features": {"a_x": ["v_x", "v_x"]}}, "names a feature twice"),
-        ({"inducing": 1}, r"gp.inducing=1: must be in \[2, 1000\] points"),
+        ({"inducing": 1}, r"model.inducing=1: must be in \[2, 1000\] points"),
     ],
 )
 def test_settings_out_of_range(settings, message):
@@ -102,5 +102,5 @@ def test_datasets_that_cannot_be_fitted(dataset):
     with pytest.raises(DataError, match="50 points from 40 rows"):
         fit_gp(dataset.rows(np.arange(40)), GPConfig(inducing=50))
     still = ResidualDataset(dict(dataset.columns) | {"w_x": np.zeros(dataset.n_rows)}, {})
-    with pytest.raises(DataError, match="gp.features.a_x: 'w_x' never changes"):
+    with pytest.raises(DataError, match="model.features.a_x: 'w_x' never changes"):
         fit_gp(still, GPConfig(features={"a_x": ["v_x", "w_x"]}))

@@ -25,13 +25,13 @@ def data():
 
 @pytest.fixture(scope="module")
 def network(data) -> NeuralModel:
-    return NeuralModel.fit(data, QUICK)
+    return QUICK.fit(data)
 
 
 def test_it_learns_what_linear_drag_cannot():
     """On held-out flights with noise of .05 m/s^2: quadratic drag, and the loss of the motors on z."""
     train, test = split_by_flight(synthetic_dataset(rows=6000), 0.3, 0)
-    rows = evaluate(NeuralModel.fit(train, replace(QUICK, max_iterations=250)), train, test)
+    rows = evaluate(replace(QUICK, max_iterations=250).fit(train), train, test)
     error = {(row["output"], row["predictor"]): row["rmse"] for row in rows}
     for output in ("a_x", "a_y", "a_z"):
         assert error[output, "nn"] < 0.5 * error[output, "linear_drag"]
@@ -40,15 +40,15 @@ def test_it_learns_what_linear_drag_cannot():
 
 
 def test_a_seed_gives_the_same_weights_and_another_one_others(data, network):
-    assert_same_bits(NeuralModel.fit(data, QUICK).weights, network.weights)
-    other = NeuralModel.fit(data, replace(QUICK, seed=1, max_iterations=3))
+    assert_same_bits(QUICK.fit(data).weights, network.weights)
+    other = replace(QUICK, seed=1, max_iterations=3).fit(data)
     assert not np.array_equal(other.weights[0], network.weights[0])
 
 
 @pytest.mark.parametrize("limit", [1.5, 5.0])
 def test_spectral_normalisation_bounds_every_slope(data, limit):
     """The largest singular value of the scaled network's Jacobian, anywhere; it is of use: the bound is nearly met."""
-    model = NeuralModel.fit(data, replace(QUICK, spectral=limit, max_iterations=60))
+    model = replace(QUICK, spectral=limit, max_iterations=60).fit(data)
     assert model.lipschitz <= limit * (1 + 1e-9)
     spread = data.matrix(model.features).std(axis=0)
     unit = np.sqrt(np.mean(data.matrix(model.outputs) ** 2, axis=0))
@@ -88,16 +88,16 @@ def test_a_file_whose_parts_do_not_fit_is_refused(tmp_path, network, key, value)
     [{"hidden": ()}, {"outputs": ("a_q",)}, {"features": ("v_x", "v_x")}, {"features": ("speed",)}, {"spectral": -1.0}],
 )
 def test_impossible_settings_are_refused(change):
-    with pytest.raises(UsageError, match=r"nn\."):
+    with pytest.raises(UsageError, match=r"model\."):
         NNConfig(**change)
 
 
 def test_constant_features_and_empty_data_are_refused(data):
     still = data._replace(columns=dict(data.columns) | {"v_x": np.zeros(data.n_rows)})
     with pytest.raises(DataError, match="'v_x' never changes"):
-        NeuralModel.fit(still, QUICK)
+        QUICK.fit(still)
     with pytest.raises(DataError, match="no rows"):
-        NeuralModel.fit(data.rows(np.zeros(data.n_rows, bool)), QUICK)
+        QUICK.fit(data.rows(np.zeros(data.n_rows, bool)))
 
 
 def test_the_rest_is_what_another_model_leaves(data, network):

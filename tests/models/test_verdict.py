@@ -8,7 +8,7 @@ from quadexp.errors import DataError
 from quadexp.models.base import feature_ranges, outside_shares
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import GPConfig, GPModel, fit_gp
+from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.verdict import (
     evaluate,
@@ -51,10 +51,10 @@ def test_one_flight_shows_nothing():
 @pytest.mark.parametrize(
     ("flights", "of", "identified", "said"),
     [
-        (2, 10, False, "2 held-out flights are too few to tell, 3 the least: gp.holdout=0.3 holds out 3 of these 10"),
-        (1, 7, True, "1 held-out flight is too few to tell, 3 the least: gp.holdout=0.43 holds out 3 of these 7"),
-        (1, 2, False, "collect 7 in all (collect.duration=70), and gp.holdout=0.43 holds out 3 of them"),
-        (1, 2, True, "collect 7 in all (add flights), and gp.holdout=0.43 holds out 3 of them"),
+        (2, 10, False, "2 held-out flights are too few to tell, 3 the least: model.holdout=0.3 holds out 3 of these"),
+        (1, 7, True, "1 held-out flight is too few to tell, 3 the least: model.holdout=0.43 holds out 3 of these 7"),
+        (1, 2, False, "collect 7 in all (collect.duration=70), and model.holdout=0.43 holds out 3 of them"),
+        (1, 2, True, "collect 7 in all (add flights), and model.holdout=0.43 holds out 3 of them"),
         (3, 10, False, ""),
     ],
 )
@@ -69,7 +69,7 @@ def test_too_few_held_out_flights_are_called_that_and_what_would_do(flights, of,
     assert (said in lines[0]) == bool(said) or not said
     assert any("TOO FEW FLIGHTS TO TELL: 0.01 (no interval)" in line for line in lines) == bool(said)
     assert not any("NOT SHOWN" in line for line in lines)
-    if said and (share := float(lines[0].partition("gp.holdout=")[2].split()[0])):
+    if said and (share := float(lines[0].partition("model.holdout=")[2].split()[0])):
         every = max(of, 7)
         data = ResidualDataset({"flight": np.arange(every)}, {})
         assert len(split_by_flight(data, share)[1].flights) == 3
@@ -90,7 +90,7 @@ def test_noise_is_found_below_a_slow_effect(memory):
 def test_a_fit_that_sees_the_truth_is_better_and_down_to_the_noise():
     data = synthetic_dataset(rows=4800, flights=16, noise=0.05)
     settings = GPConfig(inducing=15, max_iterations=40, holdout=0.4, refit=False)
-    fit = fit_with_report(data, GPModel, settings)
+    fit = fit_with_report(data, settings)
     found = verdict(fit.held_out_model, fit.train, fit.test)
     for output in ("a_x", "a_y"):
         one = found["outputs"][output]
@@ -123,7 +123,7 @@ def test_split_keeps_flights_whole(dataset):
 
 
 def test_report_is_about_flights_the_model_has_not_seen(dataset):
-    fit = fit_with_report(dataset, GPModel, QUICK)
+    fit = fit_with_report(dataset, QUICK)
     rows = {(row["output"], row["predictor"]): row for row in fit.report["rows"]}
     for output in ("a_x", "a_y", "a_z"):
         gp, drag, zero = (rows[output, name] for name in ("gp", "linear_drag", "zero"))
@@ -136,9 +136,9 @@ def test_report_is_about_flights_the_model_has_not_seen(dataset):
 
 def test_one_flight_is_fitted_without_a_report_only():
     one = synthetic_dataset(rows=500, flights=1)
-    with pytest.raises(DataError, match="one flight, .*collect more.*gp.holdout=0 for fit-gp"):
-        fit_with_report(one, GPModel, QUICK)
-    fit = fit_with_report(one, GPModel, GPConfig(inducing=5, max_iterations=5, holdout=0))
+    with pytest.raises(DataError, match="one flight, .*collect more.*model.holdout=0"):
+        fit_with_report(one, QUICK)
+    fit = fit_with_report(one, GPConfig(inducing=5, max_iterations=5, holdout=0))
     assert fit.test is None and fit.report["rows"] == []
 
 

@@ -10,7 +10,7 @@ from quadexp.parts import crazyflies
 from quadexp.parts.compose import compose
 from quadexp.parts.listing import candidates, key_words, listed
 from quadexp.parts.options import OptionFiles, groups
-from quadexp.parts.schema import PARTS, PRESETS
+from quadexp.parts.schema import CLASSES, PARTS, PRESETS
 from quadexp.parts.settings import plain
 
 
@@ -20,7 +20,7 @@ def keys(option):
 
 def test_every_group_and_option_is_listed():
     groups = {one["group"]: one["options"].split() for one in listed()}
-    assert {*PARTS, *PRESETS, "experiment", "world", "remedies"} <= groups.keys()
+    assert {*PARTS, "model", *PRESETS, "experiment", "world", "remedies"} <= groups.keys()
     for group, options in groups.items():
         found = listed(group)
         assert [one["option"] for one in found if "option" in one] == [f"{group}={option}" for option in options]
@@ -123,9 +123,9 @@ def test_a_folder_of_ones_own(tmp_path):
 
 def test_every_key_offered_can_be_set_with_some_option():
     files, root = OptionFiles(), key_words("")
-    keys = {f"{group}.{name}" for group in PARTS for part in files.parts(group).values() for name in plain(part)}
+    keys = {f"{group}.{name}" for group in CLASSES for part in files.parts(group).values() for name in plain(part)}
     assert {key if key in root else ".".join(key.split(".")[:2]) for key in key_words()} <= keys | set(root)
-    assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "gp", "drag", "experiment"}
+    assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "model", "experiment"}
 
 
 def test_controllers_of_the_leaderboard_are_completed():

@@ -19,8 +19,7 @@ TEXTS = [*(f"{group}={option}" for group, option in CHOSEN.items()), *SINGLE.val
 WORDS = {
     "simulate": ["simulate"], "evaluate": ["evaluate"], "evaluate --sweep": ["evaluate", "--sweep"], "tune": ["tune"],
     "bench": ["bench"], "collect": ["collect"], "collect --sweep": ["collect", "--sweep"],
-    "collect --flight": ["collect", "--flight", "{flight}"], "fit-gp": ["fit-gp", "no_data"],
-    "fit-drag": ["fit-drag", "no_data"], "fit-nn": ["fit-nn", "no_data"],
+    "collect --flight": ["collect", "--flight", "{flight}"], "fit": ["fit", "neural", "no_data"],
     "validate": ["validate", "m", "--flights", "{flight}"], "show --margins": ["show", "--margins", "{flight}"],
 }  # fmt: skip
 
@@ -65,11 +64,11 @@ def test_what_a_command_does_not_use_is_refused(command, flight, tmp_path, monke
         (["evaluate", "experiment=quick"], "add --sweep"),
         (["collect", "experiment=quick"], "is not used by collect; add --sweep"),
         (["bench", "experiment=sun"], "is not used by bench"),
-        (["fit-gp", "x", "experiment=torrente_table1"], "is not used by fit-gp"),
+        (["fit-gp", "x", "experiment=torrente_table1"], "is not used by fit"),
         (["collect", "--flight", "x", "collect.duration=5"], "collect.duration=5: is not used by collect --flight"),
-        (["fit-gp", "x", "drag.loss=huber"], "drag.loss=huber: is not used by fit-gp; it is for fit-drag"),
-        (["fit-gp", "x", "seed=3"], "seed=3: is not used by fit-gp"),
-        (["simulate", "gp.inducing=4,5"], "gp.inducing=4,5: is not used by simulate; it is for fit-gp"),
+        (["fit-gp", "x", "drag.loss=huber"], "drag.loss=huber: is not used by fit gp; it is for fit linear_drag"),
+        (["fit-gp", "x", "seed=3"], "seed=3: is not used by fit"),
+        (["simulate", "gp.inducing=4,5"], "gp.inducing=4,5: is not used by simulate; it is for fit"),
         (["simulate", "gp.inducng=4"], "is not used by simulate"),
         (["simulate", "nothing.at=4"], "nothing.at: no such key"),
         (["simulate", "speed=4"], "speed: no such key; did you mean trajectory.speed?"),
@@ -88,12 +87,12 @@ def test_an_experiment_is_taken_where_some_of_it_is_used(tmp_path):
     (folder / "calm.yaml").write_text("trajectory: {speed: 3.0}\nevaluate: {log_period: 0.1}\ngp: {inducing: 7}\n")
     (folder / "grid.yaml").write_text("sweep: {seed: '0,1', gp.inducing: '7,8'}\n")
     with session(tmp_path / "mine") as composer:
-        for command in ("simulate", "evaluate", "evaluate --sweep", "tune", "fit-gp", "show --margins"):
+        for command in ("simulate", "evaluate", "evaluate --sweep", "tune", "fit", "show --margins"):
             composer.only(command, ["experiment=calm"])
-        for command in ("fit-drag", "collect", "validate"):
+        for command in ("collect", "validate"):
             with pytest.raises(UsageError, match=f"experiment=calm: is not used by {command}"):
                 composer.only(command, ["experiment=calm"])
-        with pytest.raises(UsageError, match="gp.inducing=7,8: is not used by evaluate --sweep; it is for fit-gp"):
+        with pytest.raises(UsageError, match="gp.inducing=7,8: is not used by evaluate --sweep; it is for fit"):
             composer.only("evaluate --sweep", ["experiment=grid"])
         composer.only("collect", ["experiment=torrente_table1"])  # as `make reproduce` does
         for name in composer.options("experiment"):
@@ -111,7 +110,7 @@ def test_an_experiment_is_taken_where_some_of_it_is_used(tmp_path):
         (qx.sweep, {"collect": {"duration": 3}}, "collect.duration=3: is not used by evaluate --sweep"),
         (qx.tune, {"controller": "pid", "nn": "default"}, "nn=default: is not used by tune"),
         (qx.bench, {"metric": "rmse"}, "evaluate.metric=rmse: is not used by bench"),
-        (lambda **keys: qx.fit_drag("x", **keys), {"trajectory": "hover"}, "trajectory=hover: is not used by fit-drag"),
+        (lambda **keys: qx.fit_drag("x", **keys), {"trajectory": "hover"}, "trajectory=hover: is not used by fit"),
     ],
 )
 def test_python_refuses_the_same(call, keywords, message):

@@ -96,6 +96,6 @@ def grids(settings: MPCSettings) -> list[MPCSettings]:
         first = max(grid.first_node, settings.control_period)
         horizon = max(grid.horizon, settings.nodes * first)
         x, y, z = (max(grid.position_weight * max(factor, 1.0), asked) for asked in settings.position_weight)
-        weights = {"position_weight": (x, y, z), "input_weight": grid.inputs * settings.input_weight}
-        of_grids.append(replace(settings, first_node=first, horizon=horizon, **weights))
+        timed = replace(settings, first_node=first, horizon=horizon)
+        of_grids.append(replace(timed, position_weight=(x, y, z), input_weight=grid.inputs * settings.input_weight))
     return of_grids

@@ -25,13 +25,13 @@ from quadexp.control.inputs import Circumstances, Inputs, places_of
 from quadexp.control.instant import Instant, Told, call, copy, python
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.part import PredictivePart, check_models
+from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.online import Adapting, Law, prior_belief, update_function
-from quadexp.models.residual import LEARNED, Residual, sum_residual
+from quadexp.models.residual import Residual, sum_residual
 from quadexp.models.rls import Identification
 from quadexp.names import named
 from quadexp.parts.part import Given
@@ -41,8 +41,6 @@ from quadexp.physics.rotation import air_velocity
 from quadexp.physics.rotor import THETA, BladeCoefficients
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-
-FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters
 
 
 @dataclass(frozen=True)
@@ -187,13 +185,14 @@ class OnlineMPC(PredictivePart):
     """
 
     former_kind = "online_mpc"
-    residual: tuple[str, ...] = key(REQUIRED, "summed models; the weights of the last one adapt")
+    residual: tuple[str, ...] = key(
+        REQUIRED, "summed models; the weights of the last one adapt", options="model", also=("terms",)
+    )
     reference_period: float = key(1.0, "time between new references from the adapted model; 0: never", "[0, 3600]", "s")
     adapt: AdaptKeys = key(REQUIRED, "how the weights adapt", tuned=".memory=0.1..100:log .noise=0.03..3:log")
 
     def check_together(self) -> None:
         super().check_together()
-        check_models("controller.residual", self.residual, FEATURES)
         if "terms" in self.residual[:-1]:
             raise UsageError(
                 "controller.residual: terms have no fitted values, so they can only be the last, adapting one"
@@ -209,7 +208,7 @@ class OnlineMPC(PredictivePart):
             if getattr(self.adapt, name) and last != "gaussian_process":
                 has = "fitted signal variance" if name == "fit_prior" else "inducing points"
                 raise UsageError(f"controller.adapt.{name}: {last} has no {has}, a Gaussian process has")
-        if last in LEARNED:
+        if last != "terms":
             residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
             deviation = None if self.adapt.fit_prior else self.adapt.deviation
             adapting = checkpoint.adapting(given.vehicle, residual, deviation)

@@ -7,11 +7,10 @@ from typing import Any, ClassVar
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import UsageError
-from quadexp.models.residual import LEARNED
 from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Backend, Setting, key, keyed, part
 
-PARTS = Setting("models that are added to the rigid body in the prediction, and summed")
+PARTS = Setting("models that are added to the rigid body in the prediction, and summed", options="model")
 
 
 @keyed
@@ -69,15 +68,3 @@ class SumMPC(PredictivePart):
 
     former_kind = "sum_mpc"
     residual: tuple[str, ...] = key(REQUIRED, PARTS)
-
-    def check_together(self) -> None:
-        super().check_together()
-        check_models("controller.residual", self.residual, LEARNED)
-
-
-def check_models(key: str, parts: tuple[str, ...], allowed: tuple[str, ...]) -> None:
-    for one in parts:
-        if one not in allowed:
-            raise UsageError(f"{key}: unknown model {one!r}; allowed are {', '.join(allowed)}")
-    if not parts:
-        raise UsageError(f"{key}=[]: at least one of {', '.join(allowed)}")

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from quadexp import __version__
+from quadexp.errors import UsageError
 from quadexp.names import file_name
+from quadexp.plugin import brought, places
 from quadexp.report.document import Section, document
 from quadexp.report.draw import figure_of
 from quadexp.report.page.answer import answer
 from quadexp.report.page.panels import swept_section
-from quadexp.report.page.sections import LOOKED_AT, numbers, origin, records, scoreboard, worst, worst_rows
+from quadexp.report.page.sections import LOOKED_AT, Page, numbers, scoreboard
 from quadexp.report.page.source import Comparison, read_comparison
 from quadexp.report.style import save_figure
 from quadexp.writer import check_output, write_text
@@ -62,18 +64,18 @@ def make_report(
 
 def render(comparison: Comparison, swept: Section, command: str, left_out: Sequence[str]) -> tuple[str, list[str]]:
     """The page, and what is not on it for its size. command: that makes it again. left_out: of what was swept."""
-    bad, flights, whole = worst_rows(comparison), records(comparison), numbers(comparison)
+    whole = numbers(comparison)
     short = [
         replace(block, tables={name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()})
         for block in whole.blocks
     ]
     left_out = [*_left_out(comparison, whole), *left_out]
-    sections = [
-        replace(whole, blocks=short),
-        swept,
-        worst(comparison, bad),
-        origin(comparison, flights, command, left_out),
-    ]
+    parts = Page(comparison, replace(whole, blocks=short), swept, command, tuple(left_out))
+    sections = [brought("sections", name)(parts) for name in places("sections")]
+    for name, section in zip(places("sections"), sections, strict=True):
+        if not isinstance(section, Section):
+            what = type(section).__name__
+            raise UsageError(f"section {name}: {places('sections')[name]} returns a {what}, not a Section")
     page = document(
         f"{comparison.root.resolve().name} – quadexp report",
         [section for section in sections if section.blocks],

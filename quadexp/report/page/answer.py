@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 from quadexp.names import distinct
+from quadexp.report.metrics import metric_of
 from quadexp.report.page.source import Comparison
 from quadexp.report.pairing import World, grouped
-from quadexp.report.tables import TITLES
 from quadexp.report.text import count, duration, listed, number, percent, shown, typeset
 
 QUESTION = (
@@ -66,7 +66,7 @@ def _flown(comparison: Comparison) -> str:
 
 def _gain(comparison: Comparison) -> str:
     """Who has the least error, against the baseline and against a bound."""
-    verdict, metric = comparison.verdict, TITLES.get(comparison.metric, comparison.metric)
+    verdict, metric = comparison.verdict, metric_of(comparison.metric).title
     factor, unit = shown(comparison.metric)
     errors = {label: factor * comparison.geometric_mean(label) for label in comparison.order}
     errors = {label: error for label, error in errors.items() if math.isfinite(error)}

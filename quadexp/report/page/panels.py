@@ -6,7 +6,8 @@ from quadexp.errors import UsageError
 from quadexp.report.document import Block, Section
 from quadexp.report.draw import figure_of
 from quadexp.report.frame import SweepFrame
-from quadexp.report.page.source import TABLED, Comparison
+from quadexp.report.metrics import tabled
+from quadexp.report.page.source import Comparison
 from quadexp.report.style import figure_html
 from quadexp.report.view import SUCCESS, View, automatic
 
@@ -23,7 +24,7 @@ def swept_section(comparison: Comparison) -> tuple[Section, list[str], list[View
     out; and the views of the main quantity."""
     frame, room = SweepFrame.read(comparison.root), BUDGET
     blocks, left_out, main = list[Block](), list[str](), list[View]()
-    for metric in dict.fromkeys((comparison.metric, *TABLED, SUCCESS)):
+    for metric in dict.fromkeys((comparison.metric, *tabled(), SUCCESS)):
         try:
             views = automatic(frame, metric, comparison.confidence)
         except UsageError:  # no flight has it

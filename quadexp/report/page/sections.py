@@ -7,7 +7,7 @@ import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,15 +18,15 @@ from quadexp.parts.override import quoted
 from quadexp.parts.settings import flat
 from quadexp.report.checked import versions_of
 from quadexp.report.document import Block, Cell, Section
-from quadexp.report.metrics import position_error
+from quadexp.report.metrics import metric_of, position_error, tabled
 from quadexp.report.notes import table_notes
-from quadexp.report.page.source import TABLED, Comparison, Record
+from quadexp.report.page.source import Comparison, Record
 from quadexp.report.pairing import Condition, Groups, condition_of, grouped
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
-from quadexp.report.tables import TITLES, comparison_table, error_table
+from quadexp.report.tables import comparison_table, error_table
 from quadexp.report.text import duration, number, percent, probability, shown, speed_text
 
 WORST = 9
@@ -42,6 +42,33 @@ METHODS = (
     " line and sentence: {} Ratios over several conditions are geometric means, every condition with the same weight;"
     " their interval is for new seeds, not for new trajectories. Lost flights are counted."
 )
+
+
+class Page(NamedTuple):
+    """What the sections of a page are made from. numbers, swept: their sections, as long as there is room for. command:
+    that makes the page again. left_out: what is not on it for its size."""
+
+    comparison: Comparison
+    numbers: Section
+    swept: Section
+    command: str
+    left_out: tuple[str, ...]
+
+
+def numbers_section(page: Page) -> Section:
+    return page.numbers
+
+
+def swept_section(page: Page) -> Section:
+    return page.swept
+
+
+def worst_section(page: Page) -> Section:
+    return worst(page.comparison, worst_rows(page.comparison))
+
+
+def origin_section(page: Page) -> Section:
+    return origin(page.comparison, records(page.comparison), page.command, page.left_out)
 
 
 def scoreboard(comparison: Comparison) -> Table:
@@ -66,7 +93,7 @@ def scoreboard(comparison: Comparison) -> Table:
             cells += [Cell(change or "-", (f"{limits} {p}".strip(),))]
         times = (duration(comparison.time(label, which)) for which in ("median", "p99"))
         lines.append([*cells, *map(Cell, times)])
-    heads = ["controller", "completed", TITLES.get(comparison.metric, comparison.metric)]
+    heads = ["controller", "completed", metric_of(comparison.metric).title]
     heads += [f"against {base}"] if base else []
     return Table([*heads, "step, median", "step, 99 %"], lines)
 
@@ -81,7 +108,7 @@ def _change(pooled: Statistic | None) -> tuple[str, str]:
 
 def numbers(comparison: Comparison) -> Section:
     """A tab a metric: means and paired differences over common flights; the main metric first."""
-    metrics = [comparison.metric, *(m for m in TABLED if m != comparison.metric)]
+    metrics = [comparison.metric, *(m for m in tabled() if m != comparison.metric)]
     blocks = [_number_block(comparison, metric) for metric in metrics if comparison.statistics.of(metric)]
     lead = (
         f"Means over the flights of a line that all compared controllers completed, with {comparison.confidence:.0%}"
@@ -104,7 +131,7 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     if (differences := comparison_table(statistics)) is not None:
         tables[f"{metric}-differences"] = differences
     tests = Tests(Groups(comparison.rows, comparison.baseline, (metric,)), 0, comparison.confidence)
-    return Block(TITLES[metric], metric, tables=tables, notes=table_notes(statistics, tests))
+    return Block(metric_of(metric).title, metric, tables=tables, notes=table_notes(statistics, tests))
 
 
 def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, Any]]:

@@ -45,7 +45,6 @@ from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdict
 
-TABLED = ("mean_error", "rmse", "max_error")
 Record = Mapping[str, Any]  # metadata of a flight
 
 AIR = {  # baseline -> controllers that are the same but for what they know of the air

@@ -147,11 +147,11 @@ def test_only_the_last_part_adapts(vehicle):
 @pytest.mark.parametrize(
     ("change", "found"),
     [
-        ("controller.residual=[]", "at least one"),
-        ("controller.residual=[gp]", "unknown model 'gp'"),
+        ("controller.residual=[]", "must be one of terms"),
+        ("controller.residual=[gp]", "controller.residual=gp: must be one of terms, gaussian_process"),
         ("controller.residual=[terms,neural]", "terms have no fitted values"),
         ("controller.residual=[linear_drag,neural]", "one folder for each of linear_drag, neural"),
-        ("controller.residual=[neural]", "fit-nn DATASET"),
+        ("controller.residual=[neural]", "fit neural DATASET"),
         ("controller.adapt.memory=0", r"must be in \(0, 1e9\] s"),
         ("controller.adapt.law=newton", "must be one of bayes, rls, composite"),
     ],

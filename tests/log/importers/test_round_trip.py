@@ -12,6 +12,7 @@ from quadexp.log.exporters import export_flight
 from quadexp.log.importers import Options, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.plugin import BRINGS
 from tests.log.imitated import imitated
 from tests.log.importers import logs
 from tests.log.importers.logs import quad_x
@@ -50,8 +51,8 @@ def test_export_and_import_again(flown, tmp_path):
         import_log(path, None, Options())
 
 
-def test_a_module_in_readers_is_a_format(tmp_path, monkeypatch):
-    """Nothing else has to be written for a new format of logs."""
+def test_a_module_that_is_brought_is_a_format(tmp_path, monkeypatch):
+    """Nothing else has to be written for a new format of logs than its name in BRINGS."""
     (tmp_path / "blackbox.py").write_text(
         "import numpy as np\nfrom quadexp.log.importers.raw import RawLog\nfrom quadexp.log.signal import Stream\n"
         "ABOUT = 'made up'\n"
@@ -63,14 +64,15 @@ def test_a_module_in_readers_is_a_format(tmp_path, monkeypatch):
     with pytest.raises(DataError, match="not a table"):
         import_log(tmp_path / "a.bin", None, Options())
     readers = sys.modules["quadexp.log.importers.readers"]  # the package's function has the same name
-    monkeypatch.setattr(readers, "__path__", [*readers.__path__, str(tmp_path)])
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(BRINGS["readers"], "blackbox", "blackbox")
     readers.readers.cache_clear()
     try:
         flight, _ = import_log(tmp_path / "a.bin", None, Options())
         assert flight.metadata["source"]["format"] == "blackbox" and (flight["w_z"] == 1).all()
     finally:
         readers.readers.cache_clear()
-        sys.modules.pop("quadexp.log.importers.readers.blackbox", None)
+        sys.modules.pop("blackbox", None)
 
 
 @pytest.mark.parametrize("version", ["new", "old"])

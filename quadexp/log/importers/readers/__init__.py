@@ -1,22 +1,21 @@
-"""One module a format, of its name. It declares
+"""One module a format. It declares
 
     ABOUT                        for the list of formats
     recognises(path, head)       whether the file is its own, by its first bytes (None: a folder)
     read(path, named)            its RawLog; named: the --log-format that was asked for
 
-and nothing else lists it: a module that is here is a format.
+and stands under its name in BRINGS, of quadexp/plugin.py or of a package from outside.
 """
 
 from __future__ import annotations
 
 from functools import cache
-from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
 from typing import Protocol
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.raw import RawLog
+from quadexp.plugin import brought, places
 
 HEAD = 4096  # bytes
 # What files of other kinds begin with, or are named, and the way from there to one that is read.
@@ -58,8 +57,13 @@ class Reader(Protocol):
 @cache
 def readers() -> dict[str, Reader]:
     """Every format, the most general last: to it any text is a table."""
-    names = sorted((module.name for module in iter_modules(__path__)), key=lambda name: name == "csv")
-    return {name: import_module(f"{__name__}.{name}") for name in names}
+    names = sorted(places("readers"), key=lambda name: name == "csv")
+    found = {name: brought("readers", name) for name in names}
+    for name, reader in found.items():
+        lacking = [asked for asked in ("ABOUT", "recognises", "read") if not hasattr(reader, asked)]
+        if lacking:
+            raise UsageError(f"reader {name}: {places('readers')[name]} has no {', '.join(lacking)}")
+    return found
 
 
 def reader_of(path: Path) -> str:
