@@ -158,12 +158,14 @@ class SentCommands:
         self._period = period
         self.values = np.zeros((math.ceil(reach / period - 1e-9) + 1, rotors))
         self._weigh: dict[int, BufferedFunction] = {}  # by the number of spans; their buffers are this object's alone
+        self.memory = Memory("SentCommands", worked={"commands": self.values})
         flat = self.values.reshape(-1)
         self._older, self._newer, self._newest = flat[:-rotors], flat[rotors:], flat[-rotors:]
 
     def reset(self, thrust: np.ndarray) -> None:
         """Begin a flight: this command, (n,) (N), has been sent for a long time."""
         self.values[...] = thrust
+        self.memory.commit()
 
     def after(self, command: np.ndarray) -> list[Operation]:
         """Adds the command that is found there, (n,) (N), and goes on by one control period."""

@@ -11,7 +11,6 @@ MPC's last solution, on which its next one does not depend to first order.
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Callable, Iterable
 from fractions import Fraction
@@ -40,7 +39,7 @@ COPIED, FEW = 1e-6, 4  # relative difference of a copied change; columns that ar
 REPEATS = 1e-7  # by how much an instant may differ when it is repeated
 MOST_NUMBERS = 2000  # inner states of a plant, over all instants that differ
 MOST_PHASES = 100  # instants after which the loop must be the same again
-N_TANGENT, NUMBER = N_STATE - 1, 8  # NUMBER: bytes
+N_TANGENT = N_STATE - 1
 
 
 class UnknownLoopError(QuadexpError):
@@ -139,11 +138,11 @@ class _Flown:
         if read * len(self._plant.inner) > MOST_NUMBERS:
             numbers, over = len(self._plant.inner), f" at each of {read} instants that differ" if read > 1 else ""
             raise UnknownLoopError(f"the world has {numbers} inner states{over}; at most {MOST_NUMBERS} are linearised")
-        memory, known, phases = _Memory(running, operations, count), dict[Any, Phase](), []
+        memory, known, phases = _Remembered(running.instant, operations), dict[Any, Phase](), []
         if (numbers := len(memory.values) + len(self._plant.inner)) > MOST_NUMBERS:
             raise UnknownLoopError(f"it has {numbers} inner states; at most {MOST_NUMBERS} are linearised")
         for _ in range(count):
-            k, begun, guess = running.k, memory.values, [one.copy() for one in memory.planned]
+            k, begun, guess = running.k, memory.values, [one.now.copy() for one in memory.planned]
             u = self._step()
             ended = memory.values
             self._enter(u)
@@ -182,7 +181,7 @@ class _Flown:
         self._told = Measurement(plant.time, told, results["specific_force"].copy(), speed)
 
     def _phase(
-        self, operations: list[Operation], memory: _Memory, k: int, begun: np.ndarray, guess: list[np.ndarray]
+        self, operations: list[Operation], memory: _Remembered, k: int, begun: np.ndarray, guess: list[np.ndarray]
     ) -> Phase:
         """Of the instant k, before which the memory was `begun` and the MPC's last solution `guess`, and of the period
         that `_enter` prepared."""
@@ -197,8 +196,8 @@ class _Flown:
             """What is told and remembered -> what is sent and remembered."""
             _scatter(read, values[: len(values) - m])
             memory.values = values[len(values) - m :]
-            for array, value in zip(memory.planned, guess, strict=True):
-                array[...] = value
+            for one, value in zip(memory.planned, guess, strict=True):
+                one.restore(value)
             run(operations, k, window)
             return np.concatenate([command, memory.values])
 
@@ -245,6 +244,8 @@ def _touched(o: Operation, targets: list[np.ndarray]) -> tuple[list[np.ndarray],
         return [*o.function.arguments.values()], [*o.function.results.values()]
     if o.kind in ("plan", "python"):
         return (targets if o.kind == "python" else []), []
+    if o.kind == "commit":  # of a memory that is worked on in place what is read is its source
+        return [one for one in (o.source,) if one is not None], [one for one in (o.to, o.source) if one is not None]
     sources, to = ([], [o.to, o.other]) if o.kind == "window" else ([o.source, o.other], [o.to])
     return [one for one in sources if one is not None], [one for one in to if one is not None]
 
@@ -268,35 +269,19 @@ def _on_the_way(operations: list[Operation], instant: Instant) -> list[Operation
     return [o for i, o in enumerate(operations) if i in kept]
 
 
-class _Memory:
-    """The numbers that operations read before they write them, and write later. values: all of them, (m,). planned: the
+class _Remembered:
+    """What is remembered from instant to instant, by what gets to the command. values: all of it, (m,). planned: the
     MPC's solution."""
 
-    def __init__(self, running: Any, operations: list[Operation], count: int) -> None:
-        plan = running.instant.plan
-        self.planned = [] if plan is None else [plan.mpc.memory.now, *plan.mpc.memory.of_next.values()]
-        targets = _targets(operations)
-        self._read, early, late, seen = set[int](), set[int](), set[int](), dict[int, None]()
-        for k in range(running.k, running.k + count):
-            written = set[int]()
-            for o in operations:
-                if k % o.every or (o.when is not None and not o.when[0]):
-                    continue
-                reads, writes = _touched(o, targets)
-                if o.kind == "plan":
-                    writes = self.planned
-                seen |= dict.fromkeys(_in_order(reads))
-                places = _places(reads)
-                self._read |= places
-                early |= places - written
-                written |= _places(writes)
-            late |= written
-        changing = early & late - _places(self.planned)
-        order = [place for place in seen if place in changing]  # not of addresses, which are others
-        memory = np.array(order, np.int64)
-        runs = np.split(memory, np.flatnonzero(np.diff(memory) != NUMBER) + 1) if len(memory) else []
-        pieces = [(ctypes.c_double * len(one)).from_address(int(one[0])) for one in runs]
-        self._pieces = [np.ctypeslib.as_array(one) for one in pieces]
+    def __init__(self, instant: Instant, operations: list[Operation]) -> None:
+        used = _places(array for o in operations for array in _touched(o, [])[0])
+        self._read, plan = used, instant.plan
+        self.planned = [] if plan is None else [plan.mpc.memory]
+        self._kept = [
+            one
+            for one in instant.memory
+            if one not in self.planned and _places([one.now, *one.of_next.values()]) & used
+        ]
 
     def reads(self, array: np.ndarray) -> bool:
         """Whether an operation reads the array."""
@@ -304,26 +289,25 @@ class _Memory:
 
     @property
     def values(self) -> np.ndarray:
-        return np.concatenate([np.zeros(0), *self._pieces])
+        return np.concatenate([np.zeros(0), *(one.now for one in self._kept)])
 
     @values.setter
     def values(self, values: np.ndarray) -> None:
-        _scatter(self._pieces, values)
+        first = 0
+        for one in self._kept:
+            one.restore(values[first : first + one.now.size])
+            first += one.now.size
 
 
-def _in_order(arrays: Iterable[np.ndarray]) -> list[int]:
-    """Addresses of all numbers of some arrays, one array after another."""
-    addresses = list[int]()
+def _places(arrays: Iterable[np.ndarray]) -> set[int]:
+    """Addresses of all numbers of some arrays."""
+    addresses = set[int]()
     for array in arrays:
         places = np.array([array.ctypes.data])
         for count, stride in zip(array.shape, array.strides, strict=True):
             places = np.add.outer(places, stride * np.arange(count)).ravel()
-        addresses += places.tolist()
+        addresses.update(places.tolist())
     return addresses
-
-
-def _places(arrays: Iterable[np.ndarray]) -> set[int]:
-    return set(_in_order(arrays))
 
 
 def _scatter(arrays: Iterable[np.ndarray], values: np.ndarray) -> None:

@@ -114,6 +114,7 @@ class CommandsAhead:
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self._sent = sent_commands(mpc.vehicle, mpc.settings.control_period)
+        self.memory = self._sent.memory
         shared = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"push": mpc.disturbance})
         self._ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self._sent, shared, DECISION.largest_wait)
         self._delivered = Delivered(self._sent, mpc.backend)
@@ -124,6 +125,7 @@ class CommandsAhead:
         """Dead time and lag (s) from now on, and what was delivered of the commands before, (k, n) (N), the oldest
         first."""
         self._sent.values[...] = commands[-len(self._sent.values) :]
+        self.memory.commit()
         self._ahead.tune(0.0, dead_time, dead_time, lag)
         self._delivered.tune(dead_time, dead_time, dead_time, lag)
 

@@ -87,7 +87,7 @@ class Sooner(WrappedController):
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
         self._rows = np.zeros(3)  # of the reference
         self._later = built(core.backend, later, core.vehicle, core.control_period)
-        self.memory = Memory("Sooner", sizes_of([self._later]))
+        self.memory, self._believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
         self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
         self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
 
@@ -95,6 +95,7 @@ class Sooner(WrappedController):
         """See Controller.reset."""
         super().reset(x, window)
         self.memory.begin({})
+        self._believed.commit()
 
     @property
     def believed_numbers(self) -> np.ndarray:
@@ -129,7 +130,7 @@ class Sooner(WrappedController):
             world, found = self._world.arguments, self._world.results
             believed = [copy(world["belief"], self.believed_numbers), copy(world["path"], left["path_then"])]
             operations = [*operations, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
-        memory = (*inner.memory, self.memory)
+        memory = (*inner.memory, self.memory, self._believed)
         return inner._replace(operations=[*predicted, *operations, *inner.operations], memory=memory)
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from quadexp.compile.memory import Memory
 from quadexp.control.auto.ahead import CommandedThrust, CommandsAhead, sent_commands
 from quadexp.control.auto.auto import Auto
 from quadexp.control.auto.decide import Decision, grids
@@ -30,6 +31,7 @@ class AutoMPC(Auto):
         numbers, mpc = core.believed_numbers, core.mpc
         assert core.believed is not None and mpc.disturbance is not None
         self._last = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # believed in the last step
+        self._believed = Memory("Believed", worked=self._last)
         self._now = {"push": mpc.disturbance, "wind": numbers[6:9], "scale": numbers[9:10]}
         commands = sent_commands(core.vehicle, core.control_period)
         super().__init__(core, core, sheet, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
@@ -50,12 +52,13 @@ class AutoMPC(Auto):
         self._earlier.reset(np.concatenate([x, np.zeros(4)]))
         for name, value in (("push", 0.0), ("wind", 0.0), ("scale", 1.0)):
             self._last[name][...] = value
+        self._believed.commit()
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         made = super().instant(told, state)
         operations = [*made.operations, *(copy(self._last[k], v) for k, v in self._now.items())]
-        return made._replace(operations=operations, memory=(*made.memory, self._earlier.memory))
+        return made._replace(operations=operations, memory=(*made.memory, self._earlier.memory, self._believed))
 
     def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
         """See Auto. Rotor speeds are compared with the state and reading of their time."""

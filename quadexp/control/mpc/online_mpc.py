@@ -244,6 +244,7 @@ class IdentifyingController(PredictiveController):
         self._believed = mpc.residual
         self._identify = built(mpc.backend, in_flight, rls, mpc.vehicle)
         self.memory = Memory("Identification", sizes_of([self._identify]) | {"sent": mpc.vehicle.n_rotors})
+        self._model = Memory("Model", worked={"theta": mpc.parameters})  # which a prediction around it reads too
         self.forget()
 
     @property
@@ -268,6 +269,8 @@ class IdentifyingController(PredictiveController):
         super().reset(x, window)
         self.forget()
         self.memory.begin(self.rls.remembered | {"sent": thrust_at_start(window, self.vehicle)})
+        self.mpc.set_parameters(self.theta)
+        self._model.commit()
 
     def prepare(self, window: Window) -> None:
         """Does nothing: the coefficients of the next step depend on its measurement."""
@@ -280,7 +283,7 @@ class IdentifyingController(PredictiveController):
         operations = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]
         operations += [*inner.operations, copy(kept["sent"], inner.command)]
         logged = (*inner.logged, kept["used"], clips, kept["reopened"])
-        return inner._replace(operations=operations, logged=logged, memory=(*inner.memory, self.memory))
+        return inner._replace(operations=operations, logged=logged, memory=(*inner.memory, self.memory, self._model))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the coefficients in use."""
