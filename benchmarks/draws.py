@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
@@ -219,7 +220,10 @@ def main() -> None:
             try:
                 records.append(flown(arguments.seed, number, arguments.wider))
             except QuadexpError as error:
-                raise SystemExit(f"draw {number}: {error}") from None
+                if not (isinstance(error, UsageError) and str(error).startswith("vehicle.")):
+                    raise SystemExit(f"draw {number}: {error}") from None
+                print(f"draw {number} is left out: {error}", file=sys.stderr)  # no vehicle of this program's range
+                continue
             file.write(json.dumps(records[-1]) + "\n")
             file.flush()
     print(summary([record for record in records if record["sources"] == sources()]))
