@@ -2,7 +2,7 @@
 
     a_body = -c v |v|^2                                                             m/s^2
 
-    quadexp fit cubic_drag data/residuals.parquet --conf examples
+    quadexp fit cubic_drag data/residuals.parquet --conf FOLDER
 
 From the equation follow its predictions, its residual in the MPC and in the reference's feed-forward, its checkpoint
 and its verdict against linear drag.

@@ -90,26 +90,35 @@ class ControlLoop:
 
     @property
     def memory(self) -> dict[str, np.ndarray]:
-        """What the controller remembers since the last step, OWNER.NAME -> numbers, such as L1.disturbance (copies).
+        """What the controller remembers, OWNER.NAME -> numbers, such as L1.disturbance (copies).
 
-        Raises UsageError before the first step, and for a controller that remembers what it does not declare."""
-        return {name: values.copy() for name, values in self._memory().items()}
+        Raises UsageError for a controller that remembers what it does not declare."""
+        return {name: values.copy() for name, values in self._declared().memory.items()}
 
     def restore(self, memory: Mapping[str, np.ndarray]) -> None:
-        """Go on from what `memory` once was: the same measurements then give the same thrusts."""
-        kept = self._memory()
-        if kept.keys() != memory.keys():
-            raise UsageError(f"restore: it remembers {', '.join(kept)}; {', '.join(memory)} is given")
-        for one in self.controller.running.instant.memory:  # type: ignore[attr-defined]  # `_memory` saw to it
-            one.restore(np.concatenate([memory[f"{one.owner}.{name}"] for name in one.sizes]))
+        """Go on from what `memory` once was: the same measurements then give the same thrusts, also in another process.
 
-    def _memory(self) -> dict[str, np.ndarray]:
-        running = getattr(self.controller, "_running", None)
-        kept: dict[str, np.ndarray] = {} if running is None else running.memory
-        if not kept:
-            why = "before the first step" if running is None else "it remembers what it does not declare"
-            raise UsageError(f"memory of {type(self.controller).__name__}: {why}")
-        return kept
+        Raises UsageError, with nothing changed, for other names, sizes or what is not finite."""
+        running = self._declared()
+        kept, given = running.memory, {name: np.ravel(values) for name, values in dict(memory).items()}
+        if kept.keys() != given.keys():
+            raise UsageError(f"restore: it remembers {', '.join(kept) or 'nothing'}; {', '.join(given)} is given")
+        for name, values in given.items():
+            if values.dtype.kind not in "fiu" or values.size != kept[name].size or not np.isfinite(values).all():
+                raise UsageError(f"restore: {name} must have {kept[name].size} finite numbers, it has {values.size}")
+        for one in running.instant.memory:
+            one.restore(np.concatenate([np.zeros(0), *(given[f"{one.owner}.{name}"] for name in one.sizes)]))
+        if running.instant.plan is not None:
+            running.instant.plan.mpc.go_on()
+
+    def _declared(self) -> Any:
+        """The operations of the controller, in a flight that has begun."""
+        if not self._begun:
+            self.reset()
+        running = getattr(self.controller, "running", None)
+        if running is None or not running.declared:
+            raise UsageError(f"memory of {type(self.controller).__name__}: it remembers what it does not declare")
+        return running
 
     @property
     def record(self) -> StepRecord | None:

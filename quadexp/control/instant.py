@@ -123,12 +123,12 @@ class Instant(NamedTuple):
     memory: tuple[Memory, ...] = ()
 
 
-def law_record(thrust: np.ndarray, held: np.ndarray) -> Callable[[float], StepRecord]:
-    """The record of a law in closed form, of its command, (n,), and how many rotors are at a limit, (1,); FAILED where
-    the command is not finite."""
+def law_record(thrust: np.ndarray, held: np.ndarray, kept: np.ndarray) -> Callable[[float], StepRecord]:
+    """The record of a law in closed form, of its command, (n,), how many rotors are at a limit, (1,), and what it
+    remembers, (m,); FAILED where these are not finite."""
 
     def record(took: float) -> StepRecord:
-        status = Status.RICCATI if math.isfinite(sum(thrust.tolist())) else Status.FAILED
+        status = Status.RICCATI if math.isfinite(thrust.sum() + kept.sum()) else Status.FAILED
         return StepRecord(took, status, 0, int(held.item(0)), 0.0)
 
     return record
@@ -175,10 +175,13 @@ class Running:
         self._operations = [o for o in self.instant.operations if o.kind not in ("finite", "near")]  # which are C's
 
     @property
+    def declared(self) -> bool:
+        """Whether all that is remembered is declared."""
+        return not any(o.kind in ("python", "gather") for o in self.instant.operations)
+
+    @property
     def memory(self) -> dict[str, np.ndarray]:
-        """What is remembered now, OWNER.NAME -> the array; empty where a part remembers what it does not declare."""
-        if any(o.kind in ("python", "gather") for o in self.instant.operations):
-            return {}
+        """What is remembered now, OWNER.NAME -> the array."""
         kept = self.instant.memory
         return {f"{one.owner}.{name}": values for one in kept for name, values in one.of_now.items()}
 

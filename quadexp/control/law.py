@@ -20,7 +20,7 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -35,6 +35,7 @@ from quadexp.control.inputs import AIR, Circumstances, Inputs, remembered
 from quadexp.control.laws.explicit import BelievingController, ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
+from quadexp.messages import suggestion
 from quadexp.models.residual import Residual
 from quadexp.names import named
 from quadexp.parts.part import Given
@@ -113,9 +114,12 @@ def law_function(law: Law, vehicle: Vehicle, about: Circumstances, residual: Res
 
 def _outputs(law: Law, vehicle: Vehicle, inputs: Inputs) -> dict[str, Any]:
     """The outputs of `law_function`, which reads inputs."""
-    kept = law.remembers(inputs)
+    kept = sizes_given(law, law.remembers(inputs))
+    if not isinstance(law.logged, tuple) or not all(isinstance(name, str) for name in law.logged):
+        raise UsageError(f'{type(law).__name__}.logged: must be a tuple of names, such as ("error",)')
     sizes = {**dict.fromkeys(law.logged), "command": vehicle.n_rotors, **kept}
     found = given_by(law, inputs, lambda: law.equations(vehicle, inputs, remembered(inputs, kept)), sizes)
+    refuse_unread(law, found, ("command", "held", *kept, *law.logged))
     outputs = {"command": found["command"], "held": found.get("held", held(vehicle, found["command"]))}
     outputs |= {NEXT + name: found[name] for name in kept} | inputs.left
     return outputs | {f"log_{name}": found[name] for name in law.logged}
@@ -131,16 +135,46 @@ def given_by(
     """What equations of a part give, dense. sizes: of what they may give; None: any. needed: what they must; None: all.
 
     Raises UsageError where they fail or give something else."""
+    what = f"equations of {type(part).__name__}"
     try:
-        found = {name: ca.densify(inputs.kind(value)) for name, value in equations().items()}
+        given = equations()
+        if not isinstance(given, Mapping):
+            raise UsageError(f"{what}: must return a dict of names and expressions, not {type(given).__name__}")
+        found = {name: ca.densify(inputs.kind(value)) for name, value in given.items()}
+        found = {name: value.T if value.size1() == 1 else value for name, value in found.items()}
     except UsageError:
         raise
+    except NotImplementedError:
+        raise UsageError(f"{what}: there are none") from None
     except Exception as error:
-        raise UsageError(f"equations of {type(part).__name__}: {type(error).__name__}: {error}") from error
+        raise UsageError(f"{what}: {type(error).__name__}: {' '.join(str(error).split())[:200]}") from error
     for name, size in sizes.items():
         lacks = name not in found and (needed is None or name in needed)
         differs = name in found and size not in (None, found[name].numel())
         if lacks or differs:
             numbers = "" if size is None else f", {size} numbers"
-            raise UsageError(f"equations of {type(part).__name__}: must give {name!r}{numbers}")
+            has = f"; it has {found[name].numel()}" if differs else ""
+            raise UsageError(f"{what}: must give {name!r}{numbers}{has}")
     return found
+
+
+def sizes_given(part: Any, sizes: Any) -> Mapping[str, int]:
+    """What a part remembers, checked: names, and how many numbers there are of each."""
+    fine = isinstance(sizes, Mapping) and all(
+        isinstance(name, str) and name.isidentifier() and type(size) is int and size > 0 for name, size in sizes.items()
+    )
+    if not fine:
+        raise UsageError(
+            f'memory of {type(part).__name__}: {sizes!r} must be a dict of names and numbers, {{"integral": 3}}'
+        )
+    known: Mapping[str, int] = sizes
+    return known
+
+
+def refuse_unread(part: Any, given: Iterable[str], known: Iterable[str]) -> None:
+    """UsageError where equations give what nobody reads."""
+    allowed = [*known]
+    for name in given:
+        if name not in allowed:
+            near = suggestion(name, allowed)
+            raise UsageError(f"equations of {type(part).__name__}: nobody reads {name!r}, which they give{near}")

@@ -16,6 +16,7 @@ As with a law (control.law), the step in C, margins, and columns follow from the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -29,7 +30,9 @@ from quadexp.control.base import N_BELIEF, Controller, Window, belief_of, no_bel
 from quadexp.control.built import built
 from quadexp.control.inputs import Circumstances, Inputs, Symbols, at_start, places_of, remembered
 from quadexp.control.instant import Instant, Operation, Told, call, copy, in_operations, instant_of, python
-from quadexp.control.law import given_by
+from quadexp.control.law import given_by, refuse_unread, sizes_given
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
@@ -106,6 +109,10 @@ class Layer(WrappedController):
             if name.startswith(FOUND)
         }
         remembers = part.remembers(Inputs(self.vehicle, about, ca.SX, residual))
+        if not isinstance(part.logged, Mapping):
+            raise UsageError(
+                f'{type(part).__name__}.logged: must be a dict of results and their columns, {{"x": ("x",)}}'
+            )
         for name in (*remembers, *part.logged):
             if name not in self.memory.sizes.keys() | self.results.keys():
                 raise UsageError(f"equations of {type(part).__name__}: neither `before` nor `after` gives {name!r}")
@@ -138,9 +145,18 @@ class Layer(WrappedController):
         command = results.get("command", inner.command)
         if self._remembers_sent:
             operations.append(copy(self.memory.of_next["sent"], command))
+        checked = [after for _, after in self.memory.pairs if after.size]
+        checked += [command] if "command" in results else []
+        operations += [Operation("finite", source=numbers) for numbers in checked]
+
+        def record(took: float) -> StepRecord:
+            made = inner.record(took)
+            finite = all(math.isfinite(numbers.sum()) for numbers in checked)
+            return made if finite else made._replace(status=Status.FAILED)
+
         logged = (*inner.logged, *self._logged.values())
         memory = (*inner.memory, self.memory)
-        return inner._replace(operations=operations, command=command, logged=logged, memory=memory)
+        return inner._replace(operations=operations, command=command, record=record, logged=logged, memory=memory)
 
     def calls(self, which: str, told: Told, state: np.ndarray, command: np.ndarray | None = None) -> list[Operation]:
         """Its function `before`, or `after` the controller inside, whose command is found there. state: (13,)."""
@@ -167,7 +183,13 @@ class Layer(WrappedController):
         """See Controller.log."""
         columns = self.inner.log()
         for name, labels in self.part.logged.items():
-            columns |= named(labels, self._logged[name].tolist())
+            values = self._logged[name].tolist()
+            if len(values) != len(labels) or not columns.keys().isdisjoint(labels):
+                raise UsageError(
+                    f"{type(self.part).__name__}.logged: {name} has {len(values)} numbers, for the columns"
+                    f" {', '.join(labels)}, which no part inside may have"
+                )
+            columns |= named(labels, values)
         return columns
 
     @property
@@ -181,10 +203,11 @@ def layer_functions(
     part: LayerPart, vehicle: Vehicle, about: Circumstances, residual: Residual | None
 ) -> list[ca.Function]:
     """`before` and `after` of a layer, as functions whose names end so; one that gives nothing is left out."""
-    functions, sizes = list[ca.Function](), dict[str, int]()
+    functions, sizes, made = list[ca.Function](), dict[str, int](), list[str]()
+    known = {"state", "belief", "command", *part.logged}
     for which in ("before", "after"):
         given = Inputs(vehicle, about, ca.MX, residual)
-        kept = part.remembers(given)
+        kept = sizes_given(part, part.remembers(given))
         memory, found = remembered(given, kept), Symbols(given, FOUND, sizes, "what `before` gave")
         more = [found] if which == "after" else []
         equations = partial(getattr(part, which), vehicle, given, memory, *more)
@@ -192,6 +215,9 @@ def layer_functions(
         left = given_by(part, given, equations, wanted, needed=())
         results = {(NEXT if name in kept else FOUND) + name: value for name, value in left.items()} | given.left
         sizes = {name: value.numel() for name, value in left.items()}
+        made += left
+        known |= {*kept, *(name.removeprefix(FOUND) for name in given.read)}
         if results:
             functions.append(named_function(f"{type(part).__name__}_{which}", given.read, results))
+    refuse_unread(part, made, sorted(known))
     return functions

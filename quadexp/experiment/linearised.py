@@ -157,6 +157,8 @@ class _Flown:
 
     def _step(self) -> np.ndarray:
         u, _ = self._controller.step(self._told, self._window(self._k))
+        if not np.isfinite(u).all():
+            raise UnknownLoopError("its commands are not finite")
         return u
 
     def _enter(self, u: np.ndarray) -> None:

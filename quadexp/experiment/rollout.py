@@ -372,5 +372,7 @@ class _Log:
         columns |= named(inner_names, self.inner[flown].T)
         if len(self.estimate):
             columns |= {f"est_{n}": v for n, v in zip(STATE_COLUMNS, self.estimate[flown].T, strict=True)}
+        if taken := [name for name in self.extra_names if name in columns]:
+            raise UsageError(f"logged: {taken[0]} is a column of every flight: name what the controller logs otherwise")
         columns |= named(self.extra_names, self.extra[flown].T)
         return {name: np.ascontiguousarray(values) for name, values in columns.items()}

@@ -54,19 +54,23 @@ class Override(NamedTuple):
 def alternatives(overrides: Sequence[str]) -> list[list[str]]:
     """Overrides for each of several options, some of which bring settings of their own.
 
-    `controller=pid,dfbc inner=indi` stands for controller=pid, and for controller=dfbc with inner=indi. These settings
-    count over what is given beside them."""
+    `controller=pid,dfbc inner=indi` stands for controller=pid, and for controller=dfbc with inner=indi. What they bring
+    cannot be given beside them too."""
     for i, text in enumerate(overrides):
         key, _, value = text.partition("=")
         if key not in GROUPS or not _BROUGHT.search(value):
             continue
         rest = [*overrides[:i], *overrides[i + 1 :]]
+        given = {other.partition("=")[0] for other in rest}
         found = list[list[str]]()
         for item in ITEMS.findall(value):
             try:
                 option, *brought = shlex.split(item)
             except ValueError as error:
                 raise UsageError(f"{text!r}: {item!r} cannot be read: {str(error).lower()}") from None
+            twice = [word for word in brought if word.partition("=")[0] in given]
+            if twice:
+                raise UsageError(f"{text!r}: {twice[0].partition('=')[0]} is given beside it too: give it in one place")
             found += alternatives([*rest, f"{key}={option}", *brought])
         return found
     return [list(overrides)]

@@ -199,7 +199,9 @@ class FileTrajectory(LimitedTrajectory):
     )
     speed: float | None = key(None, SPEED)
     margin: float = key(0.25, MARGIN)
-    smooth: float | None = key(None, "of a track: time between the knots of a smoothing spline (s); null: every row")
+    smooth: float | None = key(
+        None, "of a track: time between the knots of a smoothing spline; null: every row", "(0, 60]", "s"
+    )
 
     @property
     def note(self) -> str:

@@ -276,10 +276,10 @@ def command_change(flight: Flight, thrust_min: float, thrust_max: float, every: 
     return float(np.sqrt(np.mean(changes**2))) if changes.size else math.nan
 
 
-def charge_used(flight: Flight) -> float:
-    """Share of the full battery that a flight used; NaN without a battery."""
+def charge_used(flight: Flight) -> float | None:
+    """Share of the full battery that a flight used; None without a battery."""
     if "state_of_charge" not in flight.columns:
-        return math.nan
+        return None
     charge = flight["state_of_charge"]
     return float(charge[0] - charge[-1])
 

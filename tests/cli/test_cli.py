@@ -166,7 +166,9 @@ class TestLearning:
         folder, done = chain
         report = json.loads(done[0].stdout)
         columns, record = read_table(folder / "data/residuals.parquet", "residuals", finite=True)
-        assert report["rows"] == len(columns["t"]) > 1100 and report["duration"] >= 24
+        assert (
+            report["rows"] == len(columns["t"]) > 1100 and report["duration"] >= 23.9
+        )  # rows without the commands before them are left out
         assert record["config"]["collect"]["mode"] == "random" and record["seed"] == 0
         assert len(list((folder / "flights").glob("*.parquet"))) == report["flights"] == len(record["flights"])
         assert len(set(columns["flight"].tolist())) == report["flights"] > 1

@@ -96,14 +96,14 @@ def test_what_decides_a_flight_is_what_it_was():
 
 ENTROPY = "107783315644506835894151"
 RECORDS = {
-    "controller=nominal_mpc": "6c07b133539d58fb4980",
-    "controller=gp_mpc": "94654741f0e7739da282",
+    "controller=nominal_mpc": "f9769f63de10883ec073",
+    "controller=gp_mpc": "cfb9afe2d74d307a2f25",
     "controller=rls_feedback": "f24abb9473bc95cf0100",
-    "controller=online_mpc": "3b642cd2b8269127c48d",
-    "plant=blade_element": "47b7bc32a3f6c06d9fda",
-    "trajectory=random": "e0383e1edb8a5695a2bf",
-    "world=everything": "bbd9a3509692108618e6",
+    "controller=online_mpc": "594c1bf1be4d2ad3bf63",
+    "plant=blade_element": "c8044704020005b7758a",
+    "trajectory=random": "02b0d2398ecd5901a8ac",
+    "world=everything": "a2bf3a4664d96ec6bf1e",
     "remedies=wind": "2519ffef468055718a4d",
-    "vehicle=lei_li": "3ca13f219bab91a3c3e5",
-    "trajectory=ellipse": "f224f06640222312b583",
+    "vehicle=lei_li": "9814de0e5171c30113ac",
+    "trajectory=ellipse": "706a41b5b3fc364a272a",
 }

@@ -76,11 +76,12 @@ class ExplicitController(InOperations):
         operations = [Operation("window", states, self.rows, thrusts)] if looks else []
         command, memory = self._results["command"], self.memory
         operations.append(call(connected(self._function, places, self._results, memory)))
-        operations.append(Operation("finite", source=command))
+        kept = memory.pairs[0][1]
+        operations += [Operation("finite", source=numbers) for numbers in (command, kept) if numbers.size]
         if "sent" in memory.sizes:
             operations.append(copy(memory.of_next["sent"], command))
         logged = tuple(self._logged.values())
-        record = law_record(command, self._results["held"])
+        record = law_record(command, self._results["held"], kept)
         return Instant(operations, command, record, self._results["held"], logged, memory=(memory,))
 
     def log(self) -> dict[str, float]:

@@ -199,6 +199,11 @@ class ModelPredictiveController:
         self.memory.commit()
         self._cold, self.prepared = True, False
 
+    def go_on(self) -> None:
+        """Take `memory`, which has been restored, for the last solution of a flight that goes on."""
+        self._cold, self.prepared = False, False
+        self.step.arguments["shift"][...] = self._shift
+
     def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray, finite: bool = False) -> None:
         if state_reference is not self._X_ref:  # else it is in place already
             self._X_ref_body[...] = state_reference
