@@ -42,6 +42,7 @@ PAIRS = (("rate", "attitude", 0.7), ("acceleration", "velocity", 0.9), ("acceler
 WINDOW, MOST_WINDOWS, LEAST_WINDOWS = 8.0, 24, 4  # s, and how many of them a line takes
 LEAST_DRIFT = 3e-4  # s/s: quartz keeps a tenth of that
 CLEARLY = 0.8  # of the misfit, below which the other side is taken to be late
+SURELY = 5.0  # standard errors of a drift, of the stretches' own and of their scatter about the line
 AROUND_LINE = 0.01  # s: what offsets of stretches may lie beside a line
 PARTS, PART = 6, 20.0  # how many stretches of a long flight are looked at, and how long (s)
 
@@ -195,7 +196,14 @@ def drifting(a: Stream, b: Stream) -> Offset | None:
         return None
     if np.ptp(slope * t) < 4 * np.median(np.abs(beside)):
         return None
-    error = 1.4826 * float(np.median(np.abs(beside))) / np.sqrt(len(known))
+    errors, around = np.array([offset.error for offset in known]), t - t.mean()
+    scatter = np.sqrt(np.sum(beside**2) / (len(known) - 2))
+    stated = errors[np.isfinite(errors)]  # others are of stretches in which it moved for a moment only
+    errors[~np.isfinite(errors)] = stated.max(initial=0.0)
+    of_slope = np.hypot(np.linalg.norm(around * errors), scatter * np.linalg.norm(around)) / np.sum(around**2)
+    if not abs(slope) > SURELY * of_slope:
+        return None
+    error = float(np.hypot(np.linalg.norm(errors) / len(known), scatter / np.sqrt(len(known))))
     correlation = float(np.median([offset.correlation for offset in known]))
     return Offset(level, error, correlation, 0.0, True, float(slope), middle)
 
