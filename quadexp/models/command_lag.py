@@ -12,7 +12,8 @@ least squares at each (d, tau). The cost is n/2 log of the residual's square, n 
 band. A dead time or a lag alone is taken where both are not SIMPLER more likely, and of dead times that are alike, as
 those of a held command are over a period where nothing lags, the shortest. Interval:
 blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and RESOLUTION at each end: of a sampled
-log no finer time is told.
+log no finer time is told. A log does not say whether a signal was held between its samples: where a loop is faster than
+its log, all is T/2 later than found, which the upper ends of the dead time and of the sum contain.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def find_lag(
     """
     v_z = velocity[:, 2]
     beside = np.column_stack([v_z, np.abs(v_z) * v_z, velocity[:, 0] ** 2 + velocity[:, 1] ** 2, force])
-    sums, counts, seconds = [], [], 0.0
+    sums, counts, periods, seconds = [], [], [0.0], 0.0
     for rows in _stretches(time, segment):
         period = period_of(time[rows])
         if period > 1 / (2.5 * HIGH):
@@ -120,6 +121,7 @@ def find_lag(
         made = _sums(signal[rows], beside[rows], period, bool(held[rows][0]))
         sums.append(made[0])
         counts.append(made[1] * min(1.0, 2 * HIGH * period))
+        periods.append(period)
         seconds += float(time[rows][-1] - time[rows][0])
         if seconds > MOST_SECONDS:
             break
@@ -133,6 +135,7 @@ def find_lag(
     ends = np.percentile(np.column_stack([likely, likely.sum(axis=1)]), [2.5, 97.5], axis=0).T
     ends = np.column_stack([np.minimum(ends[:, 0], near[:, 0]), np.maximum(ends[:, 1], near[:, 1])])
     ends += RESOLUTION * np.array([-1.0, 1.0])
+    ends[[0, 2], 1] += max(periods) / 2
     return CommandLag(float(best[0]), float(best[1]), np.maximum(ends, 0.0), float(cost[0, 0] - cost.min()))
 
 

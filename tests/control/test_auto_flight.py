@@ -180,7 +180,7 @@ def test_an_unstable_loop_with_rotor_speeds_is_refused_in_a_line(monkeypatch):
     monkeypatch.undo()
     words = "world=everything", "sensor=race_dshot", "vehicle=hummingbird", "trajectory.speed=5", "remedies=auto"
     with pytest.raises(UsageError, match="is not stable at hover"):
-        fly_one(compose(["controller=perfect_mpc", *words]))
+        fly_one(compose(["controller=nominal_mpc", *words]))
 
 
 @pytest.mark.parametrize(
