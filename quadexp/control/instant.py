@@ -191,7 +191,7 @@ class Running:
         self.told.tell(measurement, window)
         try:
             run(self._operations, self.k, window)
-        except Exception:
+        except BaseException:  # Ctrl-C too: who goes on afterwards goes on from what was remembered
             for memory in self.instant.memory:
                 memory.take_back()
             raise

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from quadexp.compile.compiler import compiler
-from quadexp.control.base import Measurement
+from quadexp.control.base import Measurement, Window
+from quadexp.control.l1 import L1
 from quadexp.control.law import Law
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.layer import Layer, LayerPart
@@ -20,6 +21,7 @@ from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.rollout import SampledReference
 from quadexp.parts.compose import compose
 from quadexp.parts.options import OptionFiles
+from tests.control.held import Held
 
 OWN = Path(__file__).parents[2] / "examples"
 FILES = OptionFiles()
@@ -165,3 +167,25 @@ class TestEach:
 
 def test_all_kinds_are_there():
     assert len(LAWS) >= 6 and len(LAYERS) >= 6 and "own adaptive=height_integral" in OF_ONE_S_OWN
+
+
+def test_an_instant_that_is_broken_off_leaves_the_memory(vehicle):
+    """By Ctrl-C in a controller of one's own, say: who goes on has lost nothing and remembers nothing of it."""
+
+    def thrusts():
+        yield from [np.full(4, vehicle.hover_thrust)] * 2
+        raise KeyboardInterrupt
+
+    controller = L1().around(Held(vehicle, thrusts(), 0.01))
+    x = np.eye(13)[3].copy()
+    window = Window(x[None].repeat(2, axis=0), np.full((1, 4), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
+    controller.reset(x, window)
+    for k in range(2):
+        controller.step(Measurement(0.01 * k, x, None, None), window)
+    kept = controller.memory.now.copy()
+    x[7:10] = 1.0
+    with pytest.raises(KeyboardInterrupt):
+        controller.step(Measurement(0.02, x, None, None), window)
+    for now, after in controller.memory.pairs:
+        np.testing.assert_array_equal(now, kept)
+        np.testing.assert_array_equal(after, kept)

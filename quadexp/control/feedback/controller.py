@@ -61,7 +61,7 @@ class Feedback(FeedbackSettings, Law):
         return self.compensates.parameters == "true"
 
     @property
-    def logged(self) -> tuple[str, ...]:  # type: ignore[override]
+    def logged(self) -> tuple[str, ...]:  # type: ignore[override]  # the same for all there, of a variant here
         """See Law."""
         identified = (*THETA, "clips", "reopened") if self.identifies else ()
         return ("phi_d", "theta_d", "error_eta", "cone", "floored", "limited", *identified)
