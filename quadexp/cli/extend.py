@@ -13,6 +13,8 @@ from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
 from quadexp.writer import check_output, write_text
 
+HEADING = "Extend"
+
 
 @command
 def options(

@@ -9,11 +9,11 @@ from typer.main import get_command
 
 from quadexp.cli.app import app
 from quadexp.log.store import write_flight
-from tests.bench.rows import board
 from tests.cli.command import run
 from tests.models.recorded_flights import crazyflie, recorded_flight
+from tests.plugins.bench.rows import board
+from tests.plugins.tune.parts import open_loop
 from tests.report.sweeps import noise, swept
-from tests.tune.parts import open_loop
 
 GROUP = get_command(app)
 BARE = ("controller.backend=interpreted", "plant.backend=interpreted")
@@ -54,8 +54,8 @@ HEADS = {"evaluate": 1}  # rows of a heading, which CSV has not
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """What the calls read."""
-    from quadexp.bench.board import write_board
-    from quadexp.bench.protocol import read_protocol
+    from quadexp.plugins.bench.board import write_board
+    from quadexp.plugins.bench.protocol import read_protocol
 
     made = tmp_path_factory.mktemp("formats")
     with pytest.MonkeyPatch.context() as patch:

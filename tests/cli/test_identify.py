@@ -7,10 +7,10 @@ import pytest
 from typer.main import get_command
 
 from quadexp.cli.app import app
-from quadexp.cli.learn import OPTIONS
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight
 from quadexp.models.checkpoint import load_model
+from quadexp.plugins.logs.learn_commands import OPTIONS
 from tests.cli.command import run
 from tests.models.logged_flights import DRAG, logged_flight
 

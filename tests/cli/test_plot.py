@@ -134,7 +134,7 @@ class TestCompare:
         assert len(report["metrics"]) == 4 and {row[-1] for row in report["tables"][0].rows} == {"4"}
 
     def test_the_picture_of_results_has_a_line_a_folder_and_a_panel_a_controller(self, results):
-        from quadexp.report.draw import results_figure
+        from quadexp.plugins.page.draw import results_figure
 
         figure = results_figure([Path("r"), Path("heavy"), Path("lossy")])
         panels = [panel for panel in figure.axes if panel.axison]

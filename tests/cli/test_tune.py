@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from tests.cli.command import run
-from tests.tune.parts import open_loop
+from tests.plugins.tune.parts import open_loop
 
 TASK = ["plant=ideal", "trajectory=hover", "trajectory.duration=0.2", "evaluate.workers=1"]
 SHARE = ["--vary", "controller.share=0.8..2", "--seeds", "1"]

@@ -10,9 +10,9 @@ from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.neural import NNConfig
-from quadexp.models.recorded import recorded_dataset
-from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.logs.recorded import recorded_dataset
+from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.neural.neural import NNConfig
 from tests.models.recorded_flights import crazyflie, recorded_flight
 
 VEHICLE = crazyflie()

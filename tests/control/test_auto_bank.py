@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.control.auto.posterior import posterior
-from quadexp.control.auto.responses import command_weights, reading_weights
-from quadexp.control.auto.settings import BANK
 from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
+from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
+from quadexp.plugins.auto.posterior import posterior
+from quadexp.plugins.auto.responses import command_weights, reading_weights
+from quadexp.plugins.auto.settings import BANK
 
 PERIOD = 0.02
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.control.auto.decide import Decision, Senses, decide, grids
-from quadexp.control.auto.posterior import Posterior
-from quadexp.control.auto.settings import DECISION
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.plugins.auto.decide import Decision, Senses, decide, grids
+from quadexp.plugins.auto.posterior import Posterior
+from quadexp.plugins.auto.settings import DECISION
 
 GRIDS = DECISION.grids
 

@@ -7,7 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.control.auto.disturbance import (
+from quadexp.control.instant import run
+from quadexp.models.residual import no_residual
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.physics.state import RATE
+from quadexp.plugins.auto.disturbance import (
     DEVIATIONS,
     FORCE,
     N_ESTIMATE,
@@ -17,11 +21,7 @@ from quadexp.control.auto.disturbance import (
     sources,
     speeds_tell,
 )
-from quadexp.control.auto.settings import DISTURBANCE, SPEEDS
-from quadexp.control.instant import run
-from quadexp.models.residual import no_residual
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.physics.state import RATE
+from quadexp.plugins.auto.settings import DISTURBANCE, SPEEDS
 
 PERIOD, NOISE = 0.02, 0.05
 

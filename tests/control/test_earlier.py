@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from quadexp.control.earlier import Earlier
 from quadexp.control.instant import run
+from quadexp.plugins.remedies.earlier import Earlier
 
 PERIOD = 0.01
 

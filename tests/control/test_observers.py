@@ -12,12 +12,6 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.observers import observer as observer_module
-from quadexp.control.observers import wind as wind_module
-from quadexp.control.observers.disturbance import DisturbanceObserver
-from quadexp.control.observers.filters import N_SCALED_STATE, SURPRISE, scaled_force_update
-from quadexp.control.observers.observer import COLUMNS
-from quadexp.control.observers.wind import WindObserver
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
 from quadexp.models.linear_drag import linear_drag_residual
@@ -25,6 +19,12 @@ from quadexp.models.residual import Residual, scaled_residual, symbolic_residual
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.remedies.observers import observer as observer_module
+from quadexp.plugins.remedies.observers import wind as wind_module
+from quadexp.plugins.remedies.observers.disturbance import DisturbanceObserver
+from quadexp.plugins.remedies.observers.filters import N_SCALED_STATE, SURPRISE, scaled_force_update
+from quadexp.plugins.remedies.observers.observer import COLUMNS
+from quadexp.plugins.remedies.observers.wind import WindObserver
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from tests.control.held import Held

@@ -8,17 +8,17 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app
-from quadexp.control.delay.moments import Moments, Stream
-from quadexp.control.delay.timing import Search
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.delays import _of_simulated, identify_delays, overrides, told
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.models.dataset import transitions
 from quadexp.models.rotor_thrust import fit_timing
 from quadexp.parts.compose import compose
+from quadexp.plugins.logs.delays import _of_simulated, identify_delays, overrides, told
+from quadexp.plugins.logs.moments import Moments, Stream
+from quadexp.plugins.logs.timing import Search
 from tests.models.late_flights import C, late_flight
 
 NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", "trajectory.speed=6", "seed=3"]

@@ -14,13 +14,13 @@ from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.schema import FLIGHT_COLUMNS
 from quadexp.parts.compose import compose
+from quadexp.plugins.worlds.eskf import N_COVARIANCE, N_NOMINAL, Navigation
+from quadexp.plugins.worlds.gnss import ImuGnss
+from quadexp.plugins.worlds.motion_capture import ImuMocap
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.constant_wind import ConstantWind
-from quadexp.world.eskf import N_COVARIANCE, N_NOMINAL, Navigation
-from quadexp.world.gnss import ImuGnss
-from quadexp.world.motion_capture import ImuMocap
 from quadexp.world.world import World
 from tests.experiment.test_compiled_flight import both, compiled, draw
 from tests.models.residuals import make_residual, with_rotors

@@ -9,11 +9,11 @@ from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
-from quadexp.models.blade_element import FIRST_VALUES, OFFLINE, fit_blade_element, identify_flight
-from quadexp.models.rls import BladeElementRLS, RLSSettings
 from quadexp.parts.compose import session
 from quadexp.physics.rotor import THETA
 from quadexp.physics.state import ATTITUDE, STATE_COLUMNS, VELOCITY
+from quadexp.plugins.papers.lei_li.blade_element import FIRST_VALUES, OFFLINE, fit_blade_element, identify_flight
+from quadexp.plugins.papers.lei_li.rls import BladeElementRLS, RLSSettings
 from tests import paper
 from tests.models.air_data import air_data
 
@@ -72,7 +72,7 @@ def test_is_exact_without_noise_from_far_away(lei_li):
 
 def test_the_derivative_is_the_whole_one(lei_li):
     """Through the induced velocity, on all axes; here by differences."""
-    from quadexp.models.blade_element import _force_function
+    from quadexp.plugins.papers.lei_li.blade_element import _force_function
 
     function, data, step = _force_function(lei_li), air_data(8), 1e-6
     for v, w in zip(data.velocity, data.rotor_speed, strict=True):

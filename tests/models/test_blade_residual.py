@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.models.blade_element import blade_element_residual
 from quadexp.physics.rotor import BladeCoefficients
+from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from tests import paper
 
 

@@ -10,8 +10,8 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import MODEL_FILE, _hash, load_model, save_model
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.neural import NeuralModel, NNConfig
 from quadexp.models.verdict import evaluate, split_by_flight, without
+from quadexp.plugins.neural.neural import NeuralModel, NNConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_checkpoint import assert_same_bits
 

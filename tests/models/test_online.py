@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from quadexp.compile.backend import BufferedFunction, compiler, realise
 from quadexp.models.gaussian_process import JITTER, adapting_process, gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import adapting_drag, linear_drag_acceleration, linear_drag_residual
-from quadexp.models.neural import adapting_network, neural_residual
-from quadexp.models.online import Law, from_zero, prior_belief, update_function
 from quadexp.models.sgpr import Hyperparameters, sparse_posterior
 from quadexp.models.terms import adapting_terms
+from quadexp.plugins.neural.neural import adapting_network, neural_residual
+from quadexp.plugins.remedies.online import Law, from_zero, prior_belief, update_function
 from tests.models.residuals import make_residual, network
 
 POINTS, LENGTH = np.linspace(-12, 12, 9), 4.0  # m/s, of the Gaussian processes

@@ -7,14 +7,15 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import rms
+from quadexp.models.common_scale import with_common_scale
 from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.recorded import force_rows, logged_thrust, recorded_dataset, tracked_scale, with_common_scale
 from quadexp.models.samples import read_rows
-from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.validation import Residuals, Track, nominal, predictors, residuals, rollout_errors, score_rows
-from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
-from quadexp.report.model_lines import validation_lines
+from quadexp.plugins.logs.lines import validation_lines
+from quadexp.plugins.logs.recorded import force_rows, logged_thrust, recorded_dataset, tracked_scale
+from quadexp.plugins.logs.thrust_curve import ThrustCurve
+from quadexp.plugins.logs.validation import Residuals, Track, nominal, predictors, residuals, rollout_errors, score_rows
+from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 
 VEHICLE = crazyflie()

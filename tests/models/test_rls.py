@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.models.rls import AXES, BladeElementRLS, RLSSettings
 from quadexp.physics.rotor import BladeCoefficients
+from quadexp.plugins.papers.lei_li.rls import AXES, BladeElementRLS, RLSSettings
 from tests import paper
 from tests.models.air_data import air_data
 

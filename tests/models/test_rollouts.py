@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.models.samples import read_rows
-from quadexp.models.validation import Track, full_rollout, predictors, rollout_errors
-from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.logs.validation import Track, full_rollout, predictors, rollout_errors
+from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
 from tests.log.imitated import imitated, vehicle_named
 
 

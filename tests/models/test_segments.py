@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.log.schema import Flight
-from quadexp.models.thrust_curve import ThrustCurve
-from quadexp.models.validation import accelerometer_bias
+from quadexp.plugins.logs.thrust_curve import ThrustCurve
+from quadexp.plugins.logs.validation import accelerometer_bias
 
 BIAS = np.array([0.1, -0.2, 0.15])
 

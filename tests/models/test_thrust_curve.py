@@ -7,7 +7,7 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.regression import half_width
 from quadexp.models.samples import choose_signal, gather
-from quadexp.models.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
+from quadexp.plugins.logs.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from tests.models.logged_flights import CURVE, DRAG, logged_flight
 
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.experiment.identify import chosen_curve, identify_vehicle
 from quadexp.log.schema import Flight
-from quadexp.models import vehicle_model as ladder
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.samples import gather
-from quadexp.models.vehicle_model import (
+from quadexp.plugins.logs import vehicle_model as ladder
+from quadexp.plugins.logs.identify import chosen_curve, identify_vehicle
+from quadexp.plugins.logs.lines import identification_lines
+from quadexp.plugins.logs.vehicle_model import (
     FitSettings,
     best_level,
     compare_curves,
@@ -22,7 +23,6 @@ from quadexp.models.vehicle_model import (
     rmse,
     selection,
 )
-from quadexp.report.model_lines import identification_lines
 from tests.log.imitated import vehicle_named
 from tests.models.logged_flights import CURVE, DRAG, OFFSET, logged_flight, specific_force
 from tests.models.recorded_data import blackbird, nanobench

@@ -18,15 +18,15 @@ from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
-from quadexp.models.blade_element import identify_flight
 from quadexp.models.dataset import read_dataset, residual_dataset, transitions
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.samples import gather, read_rows
-from quadexp.models.validation import Track, predictors, rollout_errors
-from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import STATE_COLUMNS
+from quadexp.plugins.logs.validation import Track, predictors, rollout_errors
+from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.papers.lei_li.blade_element import identify_flight
 from tests.models.test_dataset import VEHICLE
 from tests.models.test_recorded import VEHICLE as RECORDED_VEHICLE
 from tests.models.test_recorded import recorded_flight

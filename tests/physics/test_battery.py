@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from quadexp.physics.battery import (
+from quadexp.physics.motor import lagging_thrust
+from quadexp.plugins.worlds.circuit import (
     charge_after,
     compensated_power,
     compensated_thrust,
@@ -16,7 +17,6 @@ from quadexp.physics.battery import (
     sagging_power,
     sagging_thrust,
 )
-from quadexp.physics.motor import lagging_thrust
 
 CELLS, CAPACITY, R0, R1, TAU = 4, 1.5, 0.03, 0.02, 20.0
 HOVER, POWER = 2.5, 40.0  # N and W of a rotor

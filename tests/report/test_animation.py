@@ -7,7 +7,7 @@ from PIL import Image
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
-from quadexp.report.animation import animate
+from quadexp.plugins.page.animation import animate
 from quadexp.report.style import HUES
 from tests.log.flights import straight_flight
 

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.report.beliefs import BAND, behind, beliefs, force_variance, lag_of, truths
+from quadexp.plugins.auto.beliefs import BAND, behind, beliefs, force_variance, lag_of, truths
 
 STEP = 0.0005  # s
 

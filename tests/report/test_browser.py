@@ -6,11 +6,11 @@ import time
 
 import pytest
 
-from quadexp.report.draw import page_of
+from quadexp.plugins.page.document import page_of as table_page
+from quadexp.plugins.page.draw import page_of
+from quadexp.plugins.page.report import make_report
+from quadexp.plugins.page.view import view
 from quadexp.report.frame import SweepFrame
-from quadexp.report.page import make_report
-from quadexp.report.tables import page_of as table_page
-from quadexp.report.view import view
 from tests.report.sweeps import swept
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

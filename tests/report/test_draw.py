@@ -8,10 +8,10 @@ import pytest
 from matplotlib.colors import to_hex
 
 from quadexp.errors import UsageError
-from quadexp.report.draw import check_path, figure_of, page_of, save_view
+from quadexp.plugins.page.draw import SUFFIXES, figure_of, page_of, save_view
+from quadexp.plugins.page.view import automatic, view
 from quadexp.report.frame import SweepFrame
-from quadexp.report.style import LOOKS
-from quadexp.report.view import automatic, view
+from quadexp.report.style import LOOKS, check_path
 from tests.report.sweeps import noise, swept
 
 
@@ -117,12 +117,12 @@ def test_groups_stand_side_by_side_without_lines(tmp_path):
 @pytest.mark.parametrize(("form", "kind"), [("png", "lines"), ("pdf", "heat"), ("html", "lines"), ("svg", "heat")])
 def test_every_format_and_twice_the_same(frame, tmp_path, form, kind):
     made = view(frame, x="controller.nodes", by=["controller.horizon"], kind=kind)
-    first = save_view(made, check_path(tmp_path / f"a.{form}", False)).read_bytes()
+    first = save_view(made, check_path(tmp_path / f"a.{form}", False, SUFFIXES)).read_bytes()
     begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml", "html": b"<!doctype"}[form]
     assert first.startswith(begin) and save_view(made, tmp_path / f"b.{form}").read_bytes() == first
     for name, wrong in ((f"a.{form}", "exists already"), ("a.jpg", "a figure is a file .png, .pdf, .svg, .html")):
         with pytest.raises(UsageError, match=wrong):
-            check_path(tmp_path / name, False)
+            check_path(tmp_path / name, False, SUFFIXES)
 
 
 def test_a_page_holds_the_numbers_and_needs_no_network(frame):

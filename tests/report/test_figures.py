@@ -5,7 +5,8 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
-from quadexp.report.flight_figures import Profile, consistency_figure, delay_figure, flights_figure, tracked_paths
+from quadexp.plugins.logs.figures import Profile, consistency_figure, delay_figure
+from quadexp.plugins.page.flight_figures import flights_figure, tracked_paths
 from quadexp.report.style import save
 from tests.log.flights import straight_flight
 from tests.report.results import speed_figure

@@ -8,16 +8,16 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table
+from quadexp.plugins.page.report import make_report
+from quadexp.plugins.page.report.answer import answer
+from quadexp.plugins.page.report.panels import swept_section
+from quadexp.plugins.page.report.sections import sweep_command
+from quadexp.plugins.page.report.source import read_comparison
+from quadexp.plugins.page.view import automatic
 from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import from_columns
-from quadexp.report.page import make_report
-from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import swept_section
-from quadexp.report.page.sections import sweep_command
-from quadexp.report.page.source import read_comparison
 from quadexp.report.tables import error_table
 from quadexp.report.text import typeset
-from quadexp.report.view import automatic
 from tests.report.results import ERRORS, make_results, many_results
 from tests.report.sweeps import noise, swept
 
@@ -176,7 +176,7 @@ def test_absent_cells_leave_the_numbers(results, tmp_path):
 
 
 def test_a_large_page_says_what_it_leaves_out(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadexp.report.page.MOST_LINES", 10)
+    monkeypatch.setattr("quadexp.plugins.page.report.MOST_LINES", 10)
     made = make_report(many_results(tmp_path / "many", 20, seeds=8), tmp_path / "report.html")
     text = made["path"].read_text(encoding="utf-8")
     assert len(Page(text).tables["mean_error"]) == 1 + 10
@@ -198,9 +198,13 @@ def test_of_many_flights_some_are_looked_at_and_tables_are_complete(tmp_path, mo
     def counted(reader):
         return lambda path, *words, **options: read.append(path) or reader(path, *words, **options)
 
-    for place in ("frame.read_metadata", "page.source.read_record", "page.source.read_flight"):
+    for place in (
+        "report.frame.read_metadata",
+        "plugins.page.report.source.read_record",
+        "plugins.page.report.source.read_flight",
+    ):
         room, _, name = place.rpartition(".")
-        module = __import__(f"quadexp.report.{room}", fromlist=[name])
+        module = __import__(f"quadexp.{room}", fromlist=[name])
         monkeypatch.setattr(module, name, counted(getattr(module, name)))
     made = make_report(root, tmp_path / "page.html")
     text = made["path"].read_text(encoding="utf-8")
@@ -234,11 +238,11 @@ class TestSwept:
 
     def test_what_has_too_many_marks_is_a_picture_and_what_has_no_room_is_said(self, two, monkeypatch):
         comparison = read_comparison(two)
-        monkeypatch.setattr("quadexp.report.page.panels.tabled", tuple)  # the mean error and success
+        monkeypatch.setattr("quadexp.plugins.page.report.panels.tabled", tuple)  # the mean error and success
         monkeypatch.setattr("quadexp.report.style.LARGEST_DRAWING", 1000)
         blocks = swept_section(comparison)[0].blocks
         assert all("data:image/png" in figure for block in blocks for figure in block.figures)
-        monkeypatch.setattr("quadexp.report.page.panels.BUDGET", len(blocks[0].figures[0]) + 10)
+        monkeypatch.setattr("quadexp.plugins.page.report.panels.BUDGET", len(blocks[0].figures[0]) + 10)
         section, left_out, _ = swept_section(comparison)
         assert [len(block.figures) for block in section.blocks] == [1] and len(left_out) == 3
         assert left_out[0] == "mean error (mm) map of nodes and mass, which `quadexp plot` draws"

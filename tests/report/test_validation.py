@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from quadexp.report.model_figures import rollout_figure
-from quadexp.report.model_lines import MODES, rollout_lines
+from quadexp.plugins.logs.figures import rollout_figure
+from quadexp.plugins.logs.lines import MODES, rollout_lines
 
 HORIZONS, PREDICTORS = (0.1, 0.5), ("nominal", "linear drag")
 

@@ -17,9 +17,10 @@ from distributed.security import Security
 
 from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.sweep import build_engine, run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
+from tests.sweeps.cells import built_engine
 from tests.sweeps.dask_cluster import ROOT, Cluster, descendants
 
 pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs /proc")
@@ -104,7 +105,7 @@ def test_nobody_else_runs_code_on_a_cluster_of_this_machine(tmp_path, capfd):
             ports.extend(str(port) for host, port in addresses if not answers_http(host, port))  # a page runs nothing
             said.append(intrusion(tmp_path, ports))
 
-    engine = build_engine(compose(["engine=dask", "evaluate.workers=1"]))
+    engine = built_engine(compose(["engine=dask", "evaluate.workers=1"]))
     result = run_sweep(expand([GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=intrude)
     assert result.flown == 12 and not result.not_flown
     assert len(ports) >= 3, "scheduler, nanny, worker"
@@ -117,7 +118,7 @@ def test_nobody_else_runs_code_on_a_cluster_of_this_machine(tmp_path, capfd):
 
 def test_an_address_without_certificates_is_warned_of_and_everybody_runs_code_there(tmp_path, capfd):
     cluster, said = Cluster(tmp_path / "cluster", workers=1), []
-    engine = build_engine(compose(["engine=dask", f"engine.address={cluster.address}"]))
+    engine = built_engine(compose(["engine=dask", f"engine.address={cluster.address}"]))
     port = cluster.address.rpartition(":")[2]
     try:
         run_sweep(
@@ -159,7 +160,7 @@ def test_a_scheduler_that_runs_already(tmp_path):
     """With its certificates it flies as at home; with others, or none, it is not to be had."""
     own = certificate(tmp_path / "own")
     cluster = Cluster(tmp_path / "cluster", workers=1, certificate=own)
-    engine = build_engine(compose(["engine=dask", f"engine.address={cluster.address}"]))
+    engine = built_engine(compose(["engine=dask", f"engine.address={cluster.address}"]))
     try:
         with settings(own):
             away = run_sweep(expand([GRID]), tmp_path / "away", function=cells.quick_cell, engine=engine)

@@ -13,11 +13,12 @@ pytest.importorskip("distributed", reason="the extra `cluster` is not installed"
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.cluster import DaskEngine, open_cluster
+from quadexp.plugins.cluster.cluster import DaskEngine, open_cluster
 from quadexp.sweeps.engine import LocalEngine
-from quadexp.sweeps.sweep import build_engine, run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
+from tests.sweeps.cells import built_engine
 from tests.sweeps.dask_cluster import Cluster
 from tests.sweeps.quick import kill, start, wait_for
 from tests.sweeps.test_sweep import files
@@ -114,7 +115,7 @@ class TestKill:
     def test_no_worker_or_scheduler_left_is_said_and_the_same_command_goes_on(
         self, tmp_path, monkeypatch, undisturbed, who, said
     ):
-        monkeypatch.setattr("quadexp.sweeps.cluster.CONNECT", 2.0)
+        monkeypatch.setattr("quadexp.plugins.cluster.cluster.CONNECT", 2.0)
         cluster = Cluster(tmp_path / "cluster", workers=1)
         engine = on(cluster)
 
@@ -158,11 +159,11 @@ class TestMistakes:
     def test_the_extra_is_missing(self, monkeypatch, engine, package):
         monkeypatch.setitem(sys.modules, package, None)
         with pytest.raises(UsageError, match=rf"needs {package}, .* pip install 'quadexp\[cluster\]'"):
-            build_engine(compose([f"engine={engine}"]))
+            built_engine(compose([f"engine={engine}"]))
 
     def test_a_scheduler_that_is_not_there(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.sweeps.cluster.CONNECT", 0.5)
-        engine = build_engine(compose(["engine=dask", "engine.address=tcp://127.0.0.1:1"]))
+        monkeypatch.setattr("quadexp.plugins.cluster.cluster.CONNECT", 0.5)
+        engine = built_engine(compose(["engine=dask", "engine.address=tcp://127.0.0.1:1"]))
         with pytest.raises(QuadexpError, match="engine.address=tcp://127.0.0.1:1 cannot be had") as caught:
             run_sweep(expand(SHORT), tmp_path / "r", engine=engine)
         assert "\n" not in str(caught.value)

@@ -6,8 +6,8 @@ import pytest
 
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
+from quadexp.plugins.page.sweep_figures import SweepFigures
 from quadexp.sweeps.engine import Workers
-from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
 

@@ -14,9 +14,10 @@ pytest.importorskip("cryptography", reason="the extra `cluster` is not installed
 
 from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.sweep import build_engine, run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
+from tests.sweeps.cells import built_engine
 from tests.sweeps.dask_cluster import ROOT
 
 GRID = "seed=range(6)"
@@ -51,7 +52,7 @@ def queue(tmp_path, monkeypatch):
 
 def engine_of(*overrides, **options):
     given = ",".join(f"{name}: {value}" for name, value in {"interface": "lo", **options}.items())
-    return build_engine(compose(["engine=jobs", "evaluate.workers=2", f"engine.options={{{given}}}", *overrides]))
+    return built_engine(compose(["engine=jobs", "evaluate.workers=2", f"engine.options={{{given}}}", *overrides]))
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import time
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.report.live import Live, clock, page
+from quadexp.plugins.page.live import Live, clock, page
+from quadexp.plugins.page.watch import FILE, Watch
 from quadexp.sweeps.sweep import SweepInterrupted
-from quadexp.sweeps.watch import FILE, Watch
 from tests.report.test_tables import row
 
 AGAIN = '<meta http-equiv="refresh"'
@@ -17,8 +17,8 @@ AGAIN = '<meta http-equiv="refresh"'
 
 @pytest.fixture
 def out(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadexp.sweeps.watch.RENEWED", 0.0)
-    monkeypatch.setattr("quadexp.sweeps.watch.SHARE", 1e9)
+    monkeypatch.setattr("quadexp.plugins.page.watch.RENEWED", 0.0)
+    monkeypatch.setattr("quadexp.plugins.page.watch.SHARE", 1e9)
     (tmp_path / "r" / "cells").mkdir(parents=True)
     return tmp_path / "r"
 

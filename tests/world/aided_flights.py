@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
+from quadexp.plugins.worlds.eskf import N_COVARIANCE, N_ERROR, N_NOMINAL, Navigation
+from quadexp.plugins.worlds.inertial import N_BIAS, InertialSensors
 from quadexp.world.effect import Clock, Readings, Start
-from quadexp.world.eskf import N_COVARIANCE, N_ERROR, N_NOMINAL, Navigation
-from quadexp.world.inertial import N_BIAS, InertialSensors
 from quadexp.world.streams import Streams, part_stream
 
 GRAVITY = 9.81

@@ -1,5 +1,5 @@
 """An error-state EKF once more, in plain numpy: rotations by scipy, every derivative by differences, joint updates in
-Joseph's form. It shares no line with quadexp/world/eskf.py."""
+Joseph's form. It shares no line with quadexp/plugins/worlds/eskf.py."""
 
 from collections.abc import Callable
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import simpson
 
 from quadexp.errors import ModelDomainError, UsageError
-from quadexp.physics.battery import open_circuit_voltage
+from quadexp.plugins.worlds.battery import Battery
+from quadexp.plugins.worlds.circuit import open_circuit_voltage
 from quadexp.world.actuator import Actuator
-from quadexp.world.battery import Battery
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.world import World
 from tests.world.airframes import AIRFRAMES, PERIOD, REST, airframe, ideal

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
+from quadexp.plugins.papers.lei_li.plant import BladeElementEffects, BladeElementPlant, PlantChange
 from tests import paper
 from tests.states import random_state
 

@@ -8,11 +8,11 @@ from scipy.stats import chi2
 
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.world import eskf
+from quadexp.plugins.worlds import eskf
+from quadexp.plugins.worlds.eskf import KNOWN, Navigation, correction, prediction
+from quadexp.plugins.worlds.gnss import ImuGnss
+from quadexp.plugins.worlds.motion_capture import ImuMocap
 from quadexp.world.effect import Clock
-from quadexp.world.eskf import KNOWN, Navigation, correction, prediction
-from quadexp.world.gnss import ImuGnss
-from quadexp.world.motion_capture import ImuMocap
 from tests.world import plain_ekf
 from tests.world.aided_flights import GRAVITY, AidedRun, errors, full, motion, standing
 

@@ -7,8 +7,8 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import model_residual
 from quadexp.models.checkpoint import save_model
 from quadexp.models.linear_drag import linear_drag_residual
-from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
-from quadexp.world.from_model import FromModelPlant
+from quadexp.plugins.logs.from_model import FromModelPlant
+from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
 from tests.models.recorded_flights import DRAG, OFFSET, crazyflie, recorded_flight
 
 VEHICLE = crazyflie()

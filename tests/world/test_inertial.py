@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.physics.state import RATE
-from quadexp.world import eskf
-from quadexp.world.gnss import ImuGnss
-from quadexp.world.inertial import Aid, means, read, sample
-from quadexp.world.motion_capture import ImuMocap
+from quadexp.plugins.worlds import eskf
+from quadexp.plugins.worlds.gnss import ImuGnss
+from quadexp.plugins.worlds.inertial import Aid, means, read, sample
+from quadexp.plugins.worlds.motion_capture import ImuMocap
 from tests.states import random_state
 from tests.world.aided_flights import GRAVITY, AidedRun, motion, standing
 

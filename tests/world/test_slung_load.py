@@ -6,7 +6,7 @@ import pytest
 from scipy.special import ellipk
 
 from quadexp.errors import UsageError
-from quadexp.world.slung_load import SlungLoad, advanced, cable, cable_force, cable_torque, check_step, hanging
+from quadexp.plugins.worlds.slung_load import SlungLoad, advanced, cable, cable_force, cable_torque, check_step, hanging
 
 G = 9.81
 

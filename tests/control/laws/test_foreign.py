@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Measurement
-from quadexp.control.laws.rotorpy_se3 import RotorPySE3Keys
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
+from quadexp.plugins.foreign.rotorpy_se3 import RotorPySE3Keys
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 from tests.states import random_state
 
@@ -19,7 +19,7 @@ from tests.states import random_state
 @pytest.fixture
 def raptor():
     pytest.importorskip("foundation_policy")
-    from quadexp.control.laws import raptor
+    from quadexp.plugins.foreign import raptor
 
     return raptor
 
@@ -103,7 +103,7 @@ def test_other_rotors_than_four_in_an_x_are_refused(raptor):
     [("raptor", "foundation_policy"), ("rotorpy_se3", "rotorpy.controllers.quadrotor_control")],
 )
 def test_a_missing_package_is_said_in_one_line(monkeypatch, controller, module):
-    from quadexp.control.laws import raptor as laws
+    from quadexp.plugins.foreign import raptor as laws
 
     monkeypatch.setitem(sys.modules, module, None)
     laws.policy.cache_clear()
@@ -115,7 +115,7 @@ def test_a_missing_package_is_said_in_one_line(monkeypatch, controller, module):
 def test_rotorpy_s_controller_is_what_its_paper_says(monkeypatch):
     """Its commands against the printed law in numpy, on a vehicle with products of inertia."""
     pytest.importorskip("rotorpy")
-    from quadexp.control.laws.rotorpy_se3 import RotorPySE3Controller
+    from quadexp.plugins.foreign.rotorpy_se3 import RotorPySE3Controller
 
     vehicle, rng, keys = vehicle_of("lei_li", thrust_max=900.0), np.random.default_rng(6), RotorPySE3Keys()
     object.__setattr__(vehicle, "thrust_min", -900.0)

@@ -8,7 +8,6 @@ import pytest
 from quadexp.control.base import Measurement
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
@@ -19,6 +18,7 @@ from quadexp.models.residual import sum_residual
 from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, STATE_COLUMNS
+from quadexp.plugins.remedies.online_mpc import AdaptingController, AdaptKeys
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
