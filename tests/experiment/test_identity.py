@@ -24,8 +24,8 @@ from quadexp.sweeps.engine import Task, fly_as_planned
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import run_sweep
 from quadexp.sweeps.verify import verify_results
+from tests.plugins.cluster.test_dask import make_checkpoint
 from tests.sweeps.cells import quick_cell
-from tests.sweeps.test_dask import make_checkpoint
 
 FILES = {
     "mine.py": """

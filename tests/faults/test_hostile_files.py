@@ -25,7 +25,7 @@ from quadexp.physics.state import STATE_COLUMNS, input_columns
 from quadexp.plugins.logs.importers.table import open_table
 from tests.faults.command import ROOT, START, apart, one_line, run
 from tests.models.synthetic import synthetic_dataset
-from tests.sweeps.test_dask import make_checkpoint
+from tests.plugins.cluster.test_dask import make_checkpoint
 
 MEMORY = """
 import atexit

@@ -1,5 +1,5 @@
-"""The folder of any plug-in can be deleted: the program flies, lists and refuses without it, and the core learns, flies a
-sweep and reports without all of them."""
+"""The folder of any plug-in can be deleted: the program flies, lists and refuses without it, and the core learns,
+flies a sweep and reports without all of them."""
 
 import shutil
 import sys
@@ -20,7 +20,9 @@ def checkout(tmp_path):
     shutil.copytree(ROOT / "conf", tmp_path / "conf")
 
     def command(*words):
-        return apart(*words, environment={"PYTHONPATH": str(tmp_path)}, before=f"import os; os.chdir({str(tmp_path)!r})")
+        return apart(
+            *words, environment={"PYTHONPATH": str(tmp_path)}, before=f"import os; os.chdir({str(tmp_path)!r})"
+        )
 
     return tmp_path, command
 

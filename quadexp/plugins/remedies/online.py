@@ -35,9 +35,9 @@ the streaming sparse posterior: equal to that of all samples at once. fitc adds 
 of the function at z, s^2 - phi phi', to r (Huber 2014; Csato and Opper 2002); without it the update is variational.
 
 composite is the law of Neural-Fly (O'Connell et al. 2022, (8)) with its covariance (9), Q = 2 I / tau, discretised
-here: with c = 0 it is bayes. V = c sigma'sigma + b~' P^-1 b~ falls along the motion (tests/models/test_online.py). The
-discretisation printed in its supplement, (17) to (19), does not do this: it has the opposite sign before P phi' sigma
-and no dt, and r dt where a noise of density r dt gives r per sample.
+here: with c = 0 it is bayes. V = c sigma'sigma + b~' P^-1 b~ falls along the motion
+(tests/plugins/remedies/test_online.py). The discretisation printed in its supplement, (17) to (19), does not do this:
+it has the opposite sign before P phi' sigma and no dt, and r dt where a noise of density r dt gives r per sample.
 
 A component has its own b and P, so an update is of O(h^2) for each.
 """

@@ -17,9 +17,9 @@ from quadexp.plugins.cluster.cluster import DaskEngine, open_cluster
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
+from tests.plugins.cluster.dask_cluster import Cluster
 from tests.sweeps import cells
 from tests.sweeps.cells import built_engine
-from tests.sweeps.dask_cluster import Cluster
 from tests.sweeps.quick import kill, start, wait_for
 from tests.sweeps.test_sweep import files
 

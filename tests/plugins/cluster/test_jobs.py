@@ -16,9 +16,9 @@ from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
+from tests.plugins.cluster.dask_cluster import ROOT
 from tests.sweeps import cells
 from tests.sweeps.cells import built_engine
-from tests.sweeps.dask_cluster import ROOT
 
 GRID = "seed=range(6)"
 # Runs the script, whose name comes last, in a folder of another name, notes it, and says the number of the job.

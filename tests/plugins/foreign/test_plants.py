@@ -25,7 +25,7 @@ from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.world import World
 from tests.states import random_state
 
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parents[3]
 RPM = np.pi / 30  # rad/s
 SAME = 1e-9
 PAIRS = {"rotorpy": "hummingbird", "drone_models": "cf2x_L250", "drone_models_brushless": "cf21B_500"}

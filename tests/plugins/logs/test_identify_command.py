@@ -34,7 +34,7 @@ def test_estimates_with_confidence_and_their_time_series(flight, tmp_path):
     columns, record = read_table(tmp_path / "estimates" / "a.parquet", "estimates", finite=True)
     assert len(columns["t"]) == 1600
     truth = {"C_d0": 0.22, "C_la": 3.32, "C_Dx": 0.01, "C_Dy": 0.01, "C_Dz": 0.02}
-    for name, (low, high) in record["interval_95"].items():  # coverage: tests/models/test_blade_fit.py
+    for name, (low, high) in record["interval_95"].items():  # coverage: tests/plugins/papers/test_blade_fit.py
         assert abs(record["estimates"][name] - truth[name]) < high - low
         assert f"{name:<5} {record['estimates'][name]:9.5f}   95 % interval {low:.5f} to {high:.5f}" in out
     assert record["recursion"]["C_la"] == pytest.approx(3.32, abs=0.015)

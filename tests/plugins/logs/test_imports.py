@@ -10,7 +10,7 @@ import pytest
 from quadexp.sweeps.server import PRELOAD
 from tests.cli.command import run
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SCIPY = ("interpolate", "spatial", "stats", "optimize", "signal", "ndimage", "linalg", "special")
 HEAVY = (
     "torch", "gpytorch", "pandas", "matplotlib", "hydra", "omegaconf", "pebble", "distributed", "casadi",

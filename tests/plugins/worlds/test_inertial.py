@@ -13,8 +13,8 @@ from quadexp.plugins.worlds import eskf
 from quadexp.plugins.worlds.gnss import ImuGnss
 from quadexp.plugins.worlds.inertial import Aid, means, read, sample
 from quadexp.plugins.worlds.motion_capture import ImuMocap
+from tests.plugins.worlds.aided_flights import GRAVITY, AidedRun, motion, standing
 from tests.states import random_state
-from tests.world.aided_flights import GRAVITY, AidedRun, motion, standing
 
 
 def means_between(before: np.ndarray, after: np.ndarray, duration: float) -> np.ndarray:

@@ -24,7 +24,7 @@ from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.world import World
 from tests.experiment.test_compiled_flight import both, compiled, draw
 from tests.models.residuals import make_residual, with_rotors
-from tests.world.aided_flights import errors, full
+from tests.plugins.worlds.aided_flights import errors, full
 from tests.world.airframes import AIRFRAMES, airframe
 
 SENSORS = {"imu_mocap": ImuMocap(), "imu_gnss": ImuGnss()}

@@ -19,9 +19,9 @@ from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
+from tests.plugins.cluster.dask_cluster import ROOT, Cluster, descendants
 from tests.sweeps import cells
 from tests.sweeps.cells import built_engine
-from tests.sweeps.dask_cluster import ROOT, Cluster, descendants
 
 pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs /proc")
 

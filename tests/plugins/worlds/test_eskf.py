@@ -13,8 +13,8 @@ from quadexp.plugins.worlds.eskf import KNOWN, Navigation, correction, predictio
 from quadexp.plugins.worlds.gnss import ImuGnss
 from quadexp.plugins.worlds.motion_capture import ImuMocap
 from quadexp.world.effect import Clock
-from tests.world import plain_ekf
-from tests.world.aided_flights import GRAVITY, AidedRun, errors, full, motion, standing
+from tests.plugins.worlds import plain_ekf
+from tests.plugins.worlds.aided_flights import GRAVITY, AidedRun, errors, full, motion, standing
 
 DENSITIES = np.array([0.02, 2e-3, 3e-3, 2e-4])
 NO_BIAS = {"accelerometer_bias_std": 0, "gyroscope_bias_std": 0, "accelerometer_bias_walk": 0, "gyroscope_bias_walk": 0}

@@ -21,7 +21,7 @@ from quadexp.report.metrics import position_error
 from quadexp.report.summary import flight_lines
 
 pytestmark = pytest.mark.usefixtures("unmeasured")
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"  # whose vehicle has six rotors
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"  # whose vehicle has six rotors
 PATH = ("trajectory=circle", "trajectory.speed=8", "sensor.accelerometer_noise=[0.05,0.05,0.05]", "seed=5")
 
 

@@ -28,8 +28,8 @@ from quadexp.plugins.logs.validation import Track, predictors, rollout_errors
 from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.plugins.papers.lei_li.blade_element import identify_flight
 from tests.models.test_dataset import VEHICLE
-from tests.models.test_recorded import VEHICLE as RECORDED_VEHICLE
-from tests.models.test_recorded import recorded_flight
+from tests.plugins.logs.test_recorded import VEHICLE as RECORDED_VEHICLE
+from tests.plugins.logs.test_recorded import recorded_flight
 
 WIND = np.array([5.0, -3.0, 1.0])  # m/s, world
 

@@ -18,7 +18,7 @@ from quadexp.parts.recorded import recorded_words
 from tests.cli.command import run
 from tests.log.flights import straight_flight
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 SETTINGS = {
     "truth": ["truth.mass=1.2", "truth.thrust_coefficient=1.1"],
     "names": ["controller.name=ours", "plant.name=x", "trajectory.name=q", "wind=constant", "wind.name=breeze"],
