@@ -46,6 +46,7 @@ BRINGS: dict[str, dict[str, str]] = {
         "show": "quadexp.cli.look:show",
         "compare": "quadexp.cli.look:compare",
         "results": "quadexp.cli.look:results",
+        "table": "quadexp.cli.paper:table",
         "plot": "quadexp.cli.look:plot",
         "report": "quadexp.cli.look:report",
         "animate": "quadexp.cli.look:animate",

@@ -24,7 +24,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.plugin import BRINGS, brought, places
 
 # Heading of the help -> modules of its commands.
-HEADINGS = {"Fly": ("fly",), "Learn": ("logs", "learn"), "Look": ("look",), "Extend": ("extend",)}
+HEADINGS = {"Fly": ("fly",), "Learn": ("logs", "learn"), "Look": ("look", "paper"), "Extend": ("extend",)}
 OUTSIDE = "Plug-ins"
 INTERRUPTED = 130  # what typer returns for Ctrl-C
 

@@ -274,7 +274,7 @@ def view(
         raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
-    given_x, given_by, given_facet = (_checked(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
+    given_x, given_by, given_facet = (checked_keys(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
     given = [*given_x, *given_by, *given_facet]
     for key in given:
         if given.count(key) > 1:
@@ -378,7 +378,7 @@ def _names(keys: Sequence[str]) -> list[str]:
     return [key for key in keys if key in FLOWN or key.endswith(f".{OPTION}")]
 
 
-def _checked(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
+def checked_keys(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
     """The full names of keys; UsageError for what is none."""
     keys = [ALIASES.get(key, key) for key in keys]
     for key in keys:
