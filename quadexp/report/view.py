@@ -161,7 +161,8 @@ class View:
     """A figure to be drawn. y: a column of numbers, or "success". by: keys of the lines (of a heat map its rows).
     facet: keys of the panels. others: keys that vary and are averaged. notes: what a reader has to know. alone: who
     flew and what, as far as all flights share it: values of the controller, its model, the trajectory and the speed.
-    heading: the title. width: of a figure for a paper (inches)."""
+    heading: the title. width: of a figure for a paper (inches). height: of any figure, None for what it takes. colours: of
+    a line's label or value, "#rrggbb"."""
 
     kind: Kind
     y: str
@@ -176,17 +177,46 @@ class View:
     names: Mapping[str, str] = field(default_factory=dict)
     heading: str = ""
     width: float | None = None
+    height: float | None = None
+    colours: Mapping[str, str] = field(default_factory=dict)
 
     def named(self, names: Mapping[str, str]) -> View:
         """The same with texts of one's own for the metric, keys, and values of keys, such as {"gp_mpc": "GP"}.
 
         Raises UsageError for a name of none of these."""
-        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
-        known = {self.y, *self.keys, *values, *map(str, self.alone.values())}
+        known = {self.y, *self.keys, *self._texts()}
         for name in names:
             if name not in known:
                 raise UsageError(f"--label {name}: no key or value of this figure{suggestion(name, sorted(known))}")
         return replace(self, names=names, x=replace(self.x, names=names))
+
+    def coloured(self, colours: Mapping[str, str]) -> View:
+        """The same with colours of one's own for values of keys, such as {"gp_mpc": "#004fc3"}.
+
+        Raises UsageError for a value of none of the lines."""
+        known = self._texts()
+        for name in colours:
+            if name not in known:
+                raise UsageError(f"--color {name}: no value of this figure{suggestion(name, sorted(known))}")
+        return replace(self, colours=colours)
+
+    def _texts(self) -> set[str]:
+        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
+        return values | set(map(str, self.alone.values()))
+
+    def parts(self) -> dict[str, View]:
+        """Name of a file -> the view of one panel, of which it is the heading."""
+        n, name = len(self.facet), f"{self.y}_{self.file_name}"
+        if not n:
+            return {name: self}
+        found = {}
+        for facet in self.panels:
+            places = {place[n:]: point for place, point in self.places.items() if place[:n] == facet}
+            heading = self.title(self.facet, facet)
+            if any(point.is_shown for point in places.values()):
+                words = "_".join(heading.replace(",", "").split())
+                found[f"{name}_{words}"] = replace(self, facet=(), places=places, heading=heading)
+        return found
 
     @property
     def keys(self) -> tuple[str, ...]:
