@@ -32,6 +32,7 @@ FLOORS = (
     ("bench",),
     ("requests", "frames", "api", "loop"),
     ("cli",),
+    ("plugins",),
     ("__main__",),
 )
 

@@ -185,7 +185,9 @@ def plot(
     figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
     if height is not None and not 1 <= height <= 20:
         raise UsageError(f"--height {height:g}: must be in [1, 20] inches")
-    figure = replace(figure.coloured(_colours(color)), heading=title, width=WIDTHS[width] if width else None, height=height)
+    figure = replace(
+        figure.coloured(_colours(color)), heading=title, width=WIDTHS[width] if width else None, height=height
+    )
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)
     about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}

@@ -21,7 +21,7 @@ BOLD = 1.16  # width of bold digits over that of usual ones
 GLYPHS = {  # width (pt) in Computer Modern at 8 pt -> letters that have at most this one
     2.8: "!',.:;[]`ilfj-",
     3.4: "()rtsI",
-    4.3: "cez0123456789ago/\"$*?^~",
+    4.3: 'cez0123456789ago/"$*?^~',
     4.8: "kqvxySbdhnpuJ_",
     6.0: "ZLFEPB",
 }

@@ -1,6 +1,6 @@
 """A cell of a table for a paper: a mean, its interval in one of three forms, and how many flights were completed.
 
-    12.3    12.3 ± 0.2    12.3 [12.1, 12.5]    **12.3** (best)    12.3* (significant)    12.3 (4/5)    0/5
+12.3    12.3 ± 0.2    12.3 [12.1, 12.5]    **12.3** (best)    12.3* (significant)    12.3 (4/5)    0/5
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from quadexp.report.view import Point
 Intervals = Literal["none", "pm", "brackets"]
 
 
-def number_text(mean: float, low: float, high: float, intervals: Intervals, digits: int | None = None) -> tuple[str, str]:
+def number_text(
+    mean: float, low: float, high: float, intervals: Intervals, digits: int | None = None
+) -> tuple[str, str]:
     """A mean and its interval: ("12.3", ""), ("12.3", " ± 0.2") or ("12.3", " [12.1, 12.5]").
 
     digits: significant ones of the mean; None for as many as the interval needs, or three."""
@@ -33,7 +35,9 @@ def number_text(mean: float, low: float, high: float, intervals: Intervals, digi
     return text, f" [{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
-def cell_text(factor: float, point: Point, statistic: Statistic | None, intervals: Intervals, digits: int | None) -> str:
+def cell_text(
+    factor: float, point: Point, statistic: Statistic | None, intervals: Intervals, digits: int | None
+) -> str:
     """Such as "**12.3** ± 0.2* (4/5)": best, significant, 4 of 5 flights completed."""
     if point.invalid:
         return "invalid"

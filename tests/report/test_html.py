@@ -235,7 +235,11 @@ class TestSwept:
         assert set(made["figures"]) == lines | maps
         for path in made["figures"].values():  # a column of the IEEE, 252 pt, in the letters of a paper
             content = path.read_bytes()
-            assert re.search(rb"/MediaBox \[ ?0 0 252 ", content) and b"STIXGeneral" in content and b"/Type3" not in content
+            assert (
+                re.search(rb"/MediaBox \[ ?0 0 252 ", content)
+                and b"STIXGeneral" in content
+                and b"/Type3" not in content
+            )
 
     def test_what_has_too_many_marks_is_a_picture_and_what_has_no_room_is_said(self, two, monkeypatch):
         comparison = read_comparison(two)

@@ -40,7 +40,12 @@ def test_a_cell_is_the_mean_over_the_seeds_that_all_completed(results):
     frame = SweepFrame.read(results)
     table = paper_table(frame, rows=["trajectory", "speed"], columns=["controller"], digits=4)
     assert table.columns == ["trajectory", "speed (m/s)", *ERRORS] and table.over == "mean error (mm)"
-    assert [row[:2] for row in table.rows] == [["circle", "4"], ["circle", "8"], ["lemniscate", "4"], ["lemniscate", "8"]]
+    assert [row[:2] for row in table.rows] == [
+        ["circle", "4"],
+        ["circle", "8"],
+        ["lemniscate", "4"],
+        ["lemniscate", "8"],
+    ]
     for row in table.rows:
         for name, cell in zip(ERRORS, row[2:], strict=True):
             seeds = of(frame, (name, row[0], float(row[1])))
@@ -124,7 +129,9 @@ def test_the_command_writes_three_formats_and_texts_of_ones_own(results, tmp_pat
 def wide(columns=14, rows=70, words="gp_mpc residual=gaussian_process @quad_bench"):
     """A table that nobody fits by hand."""
     heads = ["trajectory", "m/s", "plant", *(f"{words} {k}" for k in range(columns))]
-    body = [["lemniscate, payload 0.1 kg", "12", "simplified/everything", *["1240.5 [1240.4, 1241.6]* (3/4)"] * columns]]
+    body = [
+        ["lemniscate, payload 0.1 kg", "12", "simplified/everything", *["1240.5 [1240.4, 1241.6]* (3/4)"] * columns]
+    ]
     return Table(heads, body * rows, "", frozenset({0, 2}), over="mean error of position (mm)", beside=3)
 
 
@@ -137,7 +144,9 @@ TABLES = {
 }
 
 
-@pytest.mark.parametrize("text", ["1240.53 [1240.44, 1241.61]*", "gp_mpc residual=wind, MPC", "lemniscate, 8 m/s (3/4)"])
+@pytest.mark.parametrize(
+    "text", ["1240.53 [1240.44, 1241.61]*", "gp_mpc residual=wind, MPC", "lemniscate, 8 m/s (3/4)"]
+)
 def test_the_estimate_of_a_width_is_above_that_of_a_font_with_the_widths_of_times(text):
     font = FT2Font(findfont(FontProperties(family="STIXGeneral")))
     font.set_size(8, 72)
@@ -157,7 +166,9 @@ def test_every_column_stands_once_in_a_tabular_that_fits(name, width):
         rows = [line for line in part.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
         assert len(rows) <= MOST_LINES + 12
         cells = [[c.strip() for c in re.split(r"(?<!\\)&", row[:-2])] for row in rows]
-        unescaped = [[re.sub(r"\\textbf\{(.*?)\}", r"\1", c).replace("\\", "").replace("$", "") for c in row] for row in cells]
+        unescaped = [
+            [re.sub(r"\\textbf\{(.*?)\}", r"\1", c).replace("\\", "").replace("$", "") for c in row] for row in cells
+        ]
         widths = [max(text_width(row[i]) for row in unescaped) for i in range(len(unescaped[0]))]
         unclear = name in ("bold", "capitals")  # thirty capitals without a place to break; commands of LaTeX
         assert unclear or sum(widths) + GAP * (len(widths) - 1) <= width
