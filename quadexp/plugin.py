@@ -1,4 +1,5 @@
-"""What can be brought from outside: commands, readers of logs, sections of the report page, papers.
+"""What can be brought from outside: commands, readers of logs, sections of the report page, papers, exports, and
+files that vehicles are read from.
 
 Each is a seam: names, and where each is found, as text. This program states its own in BRINGS below; an installed
 package states its own in a mapping of the same form, in a module that an entry point names:
@@ -9,9 +10,12 @@ package states its own in a mapping of the same form, in a module that an entry 
     # in the module my_lab
     BRINGS = {"commands": {"laps": "my_lab:laps"}, "sections": {"laps": "my_lab:lap_section"}}
 
+What ships beside the core, a folder each of quadexp/plugins, is found likewise: its BRINGS is that of its __init__.
+
 What a place must be: of "commands" a command (quadexp/cli/command.py), of "readers" a module, or another object, with
 what quadexp/log/importers/readers asks for, of "sections" a function of a Page (quadexp/report/page), of "papers" a
-module with what quadexp/papers asks for. A name of this program is looked for first, so that what ships needs no look
+module with what quadexp/papers asks for, of "exports" a function as quadexp/cli/look.py calls it for models and
+vehicles, of "vehicles" a function of a file and a section of it that gives the keys of a vehicle. A name of this program is looked for first, so that what ships needs no look
 at what is installed. That look reads the files entry_points.txt of sys.path itself: importlib.metadata, which does the
 same, takes as long to import as all the rest of `quadexp --help`.
 """
@@ -72,6 +76,8 @@ BRINGS: dict[str, dict[str, str]] = {
         "lei_li": "quadexp.papers.lei_li",
         "sun": "quadexp.papers.sun",
     },
+    "exports": {},
+    "vehicles": {},
 }
 
 
@@ -113,7 +119,7 @@ def _found(place: str) -> Any:
 def _outside() -> dict[str, dict[str, tuple[str, str]]]:
     """Seam -> name -> place and entry point, of what installed packages bring."""
     seams: dict[str, dict[str, tuple[str, str]]] = {seam: {} for seam in BRINGS}
-    for point, module in sorted(entry_points(ENTRY_POINTS).items()):
+    for point, module in sorted((shipped() | entry_points(ENTRY_POINTS)).items()):
         said = f"entry point {point!r} of {ENTRY_POINTS}"
         try:
             brings = getattr(importlib.import_module(module), "BRINGS", None)
@@ -132,6 +138,12 @@ def _outside() -> dict[str, dict[str, tuple[str, str]]]:
                     raise UsageError(f"{said}: BRINGS[{seam!r}][{name!r}]: must be a text MODULE:ATTRIBUTE")
                 seams[seam][name] = place, point
     return seams
+
+
+def shipped() -> dict[str, str]:
+    """Name -> module of the folders in quadexp/plugins; a folder that is taken away is missed by nothing else."""
+    folders = sorted(Path(__file__).with_name("plugins").glob("*/__init__.py"))
+    return {f"quadexp.{file.parent.name}": f"quadexp.plugins.{file.parent.name}" for file in folders}
 
 
 @cache
