@@ -15,9 +15,10 @@ What ships beside the core, a folder each of quadexp/plugins, is found likewise:
 What a place must be: of "commands" a command (quadexp/cli/command.py), of "readers" a module, or another object, with
 what quadexp/log/importers/readers asks for, of "sections" a function of a Page (quadexp/report/page), of "papers" a
 module with what quadexp/papers asks for, of "exports" a function as quadexp/cli/look.py calls it for models and
-vehicles, of "vehicles" a function of a file and a section of it that gives the keys of a vehicle. A name of this program is looked for first, so that what ships needs no look
-at what is installed. That look reads the files entry_points.txt of sys.path itself: importlib.metadata, which does the
-same, takes as long to import as all the rest of `quadexp --help`.
+vehicles, of "vehicles" a function of a file and a section of it that gives the keys of a vehicle. A name of this
+program is looked for first, so that what ships needs no look at what is installed. That look reads the files
+entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the rest of
+`quadexp --help`.
 """
 
 from __future__ import annotations

@@ -220,7 +220,7 @@ class TermStructure(NamedTuple):
         return sum(map(len, self.terms))
 
     def torque(self, vehicle: Vehicle, features: Expression, theta: Expression) -> Expression:
-        """tau_body, (3,) (N m): what the term `thrust` says of the scale of every rotor's thrust, its torque follows."""
+        """tau_body, (3,) (N m): the scale of every rotor's thrust, the term `thrust`, is that of its torque too."""
         if "thrust" not in self.terms[2]:
             return ca.SX(3, 1)
         before = len(self.terms[0]) + len(self.terms[1])

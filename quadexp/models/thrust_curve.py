@@ -46,8 +46,8 @@ class ThrustCurve(Record, frozen=True):
     voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
     drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.
     residual_std: root mean square residual along z, m/s^2. signal_range: smallest and largest signal of the fit. loss:
-    "squares" or "huber". delay, lag: dead time and time constant of the thrust behind its signal (s). covariance: of the
-    coefficients, (p, p); None in older files.
+    "squares" or "huber". delay, lag: dead time and time constant of the thrust behind its signal (s). covariance: of
+    the coefficients, (p, p); None in older files.
     """
 
     signal: Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(SIGNALS)})$")]

@@ -1,4 +1,4 @@
-"""Numbers out: what is known of a vehicle, as autopilots, simulators and solvers read it; and vehicles from their files.
+"""Numbers out: what is known of a vehicle, as other programs read it; and vehicles from their files.
 
 known.py: the numbers, with units, intervals and origin. One file a kind of target: autopilots.py, simulators.py,
 descriptions.py (SDF, URDF, MJCF), equations.py. document.py: what stands at the top of every file. vehicles.py reads.

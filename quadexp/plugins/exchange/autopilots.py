@@ -5,7 +5,7 @@ FLU here, FRD there: x, -y, -z.
 
     PX4         u = THR_MDL_FAC s^2 + (1 - THR_MDL_FAC) s, solved for the signal s of a wished thrust u
                 THR_MDL_FAC = f, MPC_THR_HOVER = g / (n sigma (c1 + c2)), CA_ROTORi_PX, PY, PZ = x, -y, -z,
-                CA_ROTORi_CT = T(1), CA_ROTORi_KM = -c_tau s_i                     (FunctionMotors, ActuatorEffectiveness)
+                CA_ROTORi_CT = T(1), CA_ROTORi_KM = -c_tau s_i
     PX4 SIH     T = T_MAX s, Q = Q_MAX s, drag -KDV v along all axes:
                 T_MAX = T(1), Q_MAX = c_tau T(1), L_ROLL = |y|, L_PITCH = |x|, KDV = m (d_x + d_y) / 2, T_TAU = lag;
                 as it is linear in s, with THR_MDL_FAC 0 and THR of hover as a share of T(1)
@@ -64,7 +64,7 @@ def _share(known: Known, most: float = 1.0, least: float = 0.0) -> tuple[Quantit
 
 
 def _hover(known: Known) -> Quantity:
-    return known.quantity(lambda p: p.gravity / (p.rotors * p.sigma * (p.c1 + p.c2)), "share of full thrust")
+    return known.quantity(lambda p: p.gravity / (p.n_rotors * p.sigma * (p.c1 + p.c2)), "share of full thrust")
 
 
 def _rotors(known: Known, order: list[int]) -> dict[str, Quantity]:
@@ -104,11 +104,11 @@ def px4_sih(known: Known, firmware: str | None, path: Path) -> Written:
     for name, place in MOMENTS.items():
         numbers[f"SIH_{name.upper()}"] = of_file(float(inertia[place]), "kg m^2")
     numbers["SIH_T_MAX"] = known.quantity(lambda p: p.full_thrust, "N")
-    numbers["SIH_Q_MAX"] = known.quantity(lambda p: p.c_tau * p.full_thrust, "N m")
+    numbers["SIH_Q_MAX"] = known.quantity(lambda p: p.torque_coefficient * p.full_thrust, "N m")
     numbers["SIH_L_ROLL"] = of_file(abs(known.vehicle.rotor_position[0][1]), "m")
     numbers["SIH_L_PITCH"] = of_file(abs(known.vehicle.rotor_position[0][0]), "m")
     drag = known.quantity(lambda p: p.mass * (p.d_x + p.d_y) / 2, "N s/m")
-    numbers["SIH_KDV"] = drag.at_least(0, "would push")
+    numbers["SIH_KDV"] = drag.not_negative()
     numbers["SIH_KDW"] = Quantity(0.0, "N m s", "not known")
     lag = known.quantity(lambda p: p.lag, "s")
     if lag.value:
@@ -118,23 +118,24 @@ def px4_sih(known: Known, firmware: str | None, path: Path) -> Written:
         "rotors in SIH's order: front right, back left, front left, back right",
         "SIH's motors are linear: its commands are not those of the vehicle, its thrusts are",
         f"drag by axis: one for all, d_z = {known.facts['d_z'].value:.3g} 1/s is not in it",
-        known.departure(lambda v, a: linear_force(v, [per_mass] * 3)),
+        *known.departure(lambda velocity, thrust: linear_force(velocity, [per_mass] * 3)),
     ]
     return Written(_qgc(numbers), numbers, lost)
 
 
 def ardupilot(known: Known, firmware: str | None, path: Path) -> Written:
-    """Thrust curve and hover. For other ends of the spin, f (b - a) / (1 - f + f (a + b)): T(s) between them, from 0."""
+    """Thrust curve and hover; for ends a, b of the spin MOT_THST_EXPO is f (b - a) / (1 - f + f (a + b))."""
     known.require_commands("ardupilot")
     share, lost = _share(known, least=-1.0)
     numbers = {"MOT_THST_EXPO": share, "MOT_THST_HOVER": _hover(known)}
     f, hover = share.value, numbers["MOT_THST_HOVER"].value
     a, b = SPIN_MIN, SPIN_MAX
     low, high = ((1 - f) * s + f * s * s for s in (a, b))
+    expo = f * (b - a) / (1 - f + f * (a + b))
     lost += [
-        f"both hold for MOT_SPIN_MIN 0 and MOT_SPIN_MAX 1; for {a:g} and {b:g}, the defaults, they are "
-        f"{f * (b - a) / (1 - f + f * (a + b)):.4g} and {(hover - low) / (high - low):.4g}, "
-        f"and the thrust at MOT_SPIN_MIN, {100 * low:.3g} % of the full one, is not in the model",
+        "both numbers hold for MOT_SPIN_MIN 0 and MOT_SPIN_MAX 1",
+        f"with {a:g} and {b:g}, the defaults, they are {expo:.4g} and {(hover - low) / (high - low):.4g}",
+        f"the thrust at MOT_SPIN_MIN {a:g}, {100 * low:.3g} % of the full one, is not in its model",
         LOG_SCALE,
         "mass, inertia and drag: the firmware has no model of them",
     ]
@@ -153,8 +154,8 @@ def betaflight(known: Known, firmware: str | None, path: Path) -> Written:
     note = "nearest to a straight line; whole percent, without an interval"
     numbers = {"thrust_linear": Quantity(best, "%", origin, note=note)}
     lost = [
-        f"thrust is linear within {100 * departures[best]:.2f} % of full thrust (rms), with thrust_linear 0 within"
-        f" {100 * departures[0]:.2f} %",
+        f"thrust is linear within {100 * departures[best]:.2f} % of full thrust (rms)",
+        f"with thrust_linear 0 it is within {100 * departures[0]:.2f} %",
         f"for Betaflight {firmware}: the curve is another one {'before' if version >= SECOND_ORDER else 'from'} 2026.6",
         LOG_SCALE,
         "motor_poles, mass, inertia, drag, reaction torque: not identified, or no place in the firmware",

@@ -30,8 +30,8 @@ from quadexp.plugins.exchange.simulators import (
     hub_lost,
     lag,
     largest_speed,
-    linear_departure,
     linear_drag,
+    linear_lost,
     per_rotor,
 )
 
@@ -148,7 +148,7 @@ def gym_pybullet(known: Known, firmware: str | None, path: Path) -> Written:
     air = per_rotor(known)
     numbers = body(known)
     numbers["kf"] = known.quantity(lambda p: p.k * RPM**2, "N/rpm^2")
-    numbers["km"] = known.quantity(lambda p: p.c_tau * p.k * RPM**2, "N m/rpm^2")
+    numbers["km"] = known.quantity(lambda p: p.torque_coefficient * p.k * RPM**2, "N m/rpm^2")
     numbers["thrust2weight"] = of_file(vehicle.thrust_max / vehicle.hover_thrust, "1")
     numbers["arm"] = of_file(float(np.linalg.norm(vehicle.rotor_position[0][:2])), "m")
     numbers["drag_coeff_xy"] = air["k_d"]
@@ -232,9 +232,9 @@ def mjcf(known: Known, firmware: str | None, path: Path) -> Written:
     lost = [
         "ctrl 0 to n - 1 are the rotors' thrusts in N, not commands; the controls of drag_x, drag_y, drag_z do nothing",
         "motor lag",
-        "drag beyond linear; wind (the velocity is that of the body, not of the air)",
+        "wind (the velocity is that of the body, not of the air)",
         NO_SHAPE,
-        linear_departure(known, drag),
+        *linear_lost(known, drag),
     ]
     return Written(document(root), numbers, lost)
 

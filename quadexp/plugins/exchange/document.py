@@ -67,7 +67,7 @@ class Target:
         path = out if out is not None else Path(f"{_stem(source)}_{self.name}{self.suffix}")
         check_output(path, force=force)
         written = self.write(known, options.get("firmware"), path)
-        lost = [line for line in written.lost if line] + _lost(known, written.whole)
+        lost = [*written.lost, *_lost(known, written.whole)]
         head = [f"{self.title}, written by quadexp {__version__}", *origin, self._voltage(known), ""]
         head += [*_table(written.numbers), "", "What is not in this file:", *(f"- {line}" for line in lost)]
         files = _write(path, written, self._comment(head), force)

@@ -9,7 +9,9 @@ the Python form, which any version reads, has one assignment an operation.
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
+
 import numpy as np
 
 from quadexp.compile.symbolic import ca
@@ -68,7 +70,11 @@ def casadi(known: Known, firmware: str | None, path: Path) -> Written:
     if path.suffix != ".casadi":
         raise UsageError(f"--out {path}: --to casadi writes .casadi, or .py, which every version of CasADi reads")
     lost = [*LOST, f"written by CasADi {ca.__version__}: an older one may not read it (--out model.py is for all)"]
-    return Written("", _numbers(known), [STATE, *lost], function.serialize().encode(), whole=True)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "model.casadi"
+        function.save(str(file))
+        content = file.read_bytes()
+    return Written("", _numbers(known), [STATE, *lost], content, whole=True)
 
 
 def c(known: Known, firmware: str | None, path: Path) -> Written:
@@ -132,7 +138,7 @@ def _statement(function: ca.Function, i: int, operations: dict[int, str]) -> str
         return f"y[{outputs[1]}] = w[{inputs[0]}]"
     if code not in operations:
         raise UsageError(
-            f"--to casadi: the model has an operation (CasADi's {code}) that has no Python form here: --out model.casadi"
+            f"--to casadi: an operation of the model (CasADi's {code}) has no Python form here: --out model.casadi"
         )
     return f"w[{outputs[0]}] = {operations[code].format(*(f'w[{k}]' for k in inputs))}"
 

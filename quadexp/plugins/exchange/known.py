@@ -17,7 +17,7 @@ these; its interval follows from theirs by its slope (delta method), its origin 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.models.base import Model
 from quadexp.models.regression import half_width
-from quadexp.models.residual import feature_names
 from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
@@ -63,18 +62,12 @@ class Quantity(NamedTuple):
         pairs = zip(np.ravel(self.value), np.ravel(self.half_width), strict=True)
         return " ".join(f"[{value - half:.6g}, {value + half:.6g}]" for value, half in pairs)
 
-    def at_least(self, least: float, why: str) -> Quantity:
-        """The quantity, or the bound with what was identified as a note; of one number."""
-        if self.value >= least:
+    def not_negative(self) -> Quantity:
+        """A drag, or 0 where it would push, with what was identified as a note."""
+        if self.value >= 0:
             return self
         half = "" if self.half_width is None else f" +- {self.half_width:.3g}"
-        note = f"{self.value:.6g}{half} {why}: written as {least:g}"
-        return self.changed(least, note)
-
-    def times(self, factor: float, unit: str, name: str) -> Quantity:
-        """The quantity times a number of the vehicle file, by its name."""
-        half = None if self.half_width is None else abs(factor) * self.half_width
-        return Quantity(factor * self.value, unit, f"{self.origin}, times {name} {FROM_FILE}", half, self.note)
+        return self.changed(0.0, f"{self.value:.6g}{half} would push: written as 0")
 
     def changed(self, value: Any, note: str) -> Quantity:
         """Another value, which has no interval."""
@@ -122,7 +115,7 @@ class Reading:
     @property
     def hover_thrust(self) -> Any:
         """Of a rotor (N)."""
-        return self.mass * self.gravity / self.rotors
+        return self.mass * self.gravity / self.n_rotors
 
     @property
     def hover_speed(self) -> Any:
@@ -149,30 +142,31 @@ class Known:
     without one. k_of: see Reading. voltage: V, None where nothing depends on it. together: covariance of pairs."""
 
     vehicle: Vehicle
-    model: Model | None = None
-    signal: str = ""
-    k_of: str = ""
-    voltage: float | None = None
-    facts: dict[str, Fact] = field(default_factory=dict)
-    together: dict[tuple[str, str], float] = field(default_factory=dict)
+    model: Model | None
+    signal: str
+    k_of: str
+    voltage: float | None
+    facts: dict[str, Fact]
+    together: dict[tuple[str, str], float]
 
     def value(self, formula: Formula) -> Any:
-        return formula(self._reading({name: fact.value for name, fact in self.facts.items()}))
+        return formula(Reading(self._values(), self.k_of))
 
-    def _reading(self, values: dict[str, Any]) -> Reading:
-        return Reading(values, self.k_of)
+    def _values(self) -> dict[str, Any]:
+        return {name: fact.value for name, fact in self.facts.items()}
 
     def quantity(self, formula: Formula, unit: str) -> Quantity:
         """The formula of the facts, a number or an array, with interval and origin."""
-        values = {name: fact.value for name, fact in self.facts.items()}
-        reading = self._reading(values)
+        values = self._values()
+        reading = Reading(values, self.k_of)
         value = formula(reading)
         uncertain = [name for name in sorted(reading.names) if self.facts[name].freedom]
         slopes = {}
         for name in uncertain:
             step = SLOPE_STEP * self.facts[name].error or 1e-12
-            ends = [formula(self._reading({**values, name: values[name] + side * step})) for side in (1, -1)]
-            slopes[name] = (np.asarray(ends[0], float) - np.asarray(ends[1], float)) / (2 * step)
+            above = formula(Reading({**values, name: values[name] + step}, self.k_of))
+            below = formula(Reading({**values, name: values[name] - step}, self.k_of))
+            slopes[name] = (above - below) / (2 * step)
         origin = self._origin(reading.names)
         if not uncertain:
             return Quantity(value, unit, origin)
@@ -245,111 +239,104 @@ class Known:
             raise UsageError(f"--to {target}: has one arm along x and one along y, the rotors are at {arms.tolist()}")
 
     # How a target's force compares with that of the model.
-    def departure(self, force: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> str:
-        """A line: how far a target's specific force is from the model's at random states inside the range of its fit; ""
-        without a model.
+    def departure(self, force: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[str]:
+        """A line: how far a target's specific force is from the whole model's, offsets aside, at random states inside
+        the range of its fit and at no rates; none without a model.
 
         force: of velocity (k, 3) (m/s) and thrusts per mass (k, n) (m/s^2), beyond the rotors' thrust, (k, 3) (m/s^2).
         """
         if self.model is None:
-            return ""
+            return []
         rng = np.random.default_rng(0)
         ranges = self.model.feature_range
         velocity = np.stack([rng.uniform(*ranges[f"v_{axis}"], STATES) for axis in AXES], axis=1)
         thrust = self.vehicle.hover_thrust * rng.uniform(*THRUSTS, (STATES, self.vehicle.n_rotors))
-        ours = self.model_force(velocity, thrust)
-        theirs = force(velocity, thrust / self.vehicle.mass)
-        sigma = self.value(lambda p: p.sigma)
-        theirs[:, 2] += sigma * thrust.sum(axis=1) / self.vehicle.mass
-        share = root_mean_square(theirs - ours) / root_mean_square(ours)
-        return f"specific force here: {100 * share:.3g} % (rms) from that of the whole model, over the range of its fit"
-
-    def model_force(self, velocity: np.ndarray, thrust: np.ndarray) -> np.ndarray:
-        """Specific force, (k, 3) body (m/s^2), of the whole model without its offsets, at no rates.
-
-        velocity: (k, 3) (m/s). thrust: of the curve, (k, n) (N)."""
-        assert self.model is not None
-        features = np.zeros((len(velocity), len(feature_names(self.vehicle.n_rotors))))
-        features[:, :3] = velocity
-        features[:, 6:] = thrust
-        force = self.model.residual(self.vehicle)(features)[:, :3]
-        force -= [self.facts[f"offset_{axis}"].value for axis in AXES]
-        force[:, 2] += thrust.sum(axis=1) / self.vehicle.mass
-        return force
+        features = np.hstack([velocity, np.zeros_like(velocity), thrust])
+        ours = self.model.residual(self.vehicle)(features)[:, :3]
+        ours -= [self.facts[f"offset_{axis}"].value for axis in AXES]
+        per_mass = thrust / self.vehicle.mass
+        theirs = force(velocity, per_mass)
+        theirs[:, 2] += (self.facts["sigma"].value - 1) * per_mass.sum(axis=1)
+        difference = root_mean_square(theirs - ours)
+        ours[:, 2] += per_mass.sum(axis=1)
+        share = 100 * difference / root_mean_square(ours)
+        return [f"specific force here: {share:.3g} % (rms) from that of the whole model, over the range of its fit"]
 
 
 def known_of(
     vehicle: Vehicle, model: Model | None = None, *, voltage: float | None = None, motor_lag: float | None = None
 ) -> Known:
-    """All that is known. voltage: V at which the numbers hold; None: the curve's reference. motor_lag: s, time constant;
-    None: the curve's.
+    """All that is known. voltage: V at which the numbers hold; None: the curve's reference. motor_lag: time constant
+    (s); None: the curve's.
 
     Raises UsageError for a voltage that nothing depends on.
     """
-    file = {
-        "mass": vehicle.mass, "gravity": vehicle.gravity, "rotors": vehicle.n_rotors, "c_tau": vehicle.torque_coefficient,
-        "thrust_max": vehicle.thrust_max,
-    }  # fmt: skip
-    facts = {name: Fact(value, FROM_FILE) for name, value in file.items()}
-    facts["sigma"] = Fact(1.0, "")
-    for axis in AXES:
-        facts[f"d_{axis}"] = Fact(0.0, UNKNOWN)
-        facts[f"offset_{axis}"] = Fact(0.0, UNKNOWN)
     curve = getattr(model, "thrust", None)
+    at = _voltage(curve, voltage)
     k_of = ""
+    facts = _of_vehicle(vehicle)
+    together: dict[tuple[str, str], float] = {}
     if vehicle.thrust_coefficient is not None:
         facts["thrust_coefficient"] = Fact(vehicle.thrust_coefficient, FROM_FILE)
         k_of = "corrected" if curve is None else "file"
-    known = Known(vehicle, model, facts=facts, k_of=k_of)
     if model is not None:
-        known = _of_air(known, model)
+        facts |= _of_air(model, vehicle.mass)
     if curve is not None:
-        known = _of_curve(known, curve, voltage)
-    if voltage is not None and known.voltage is None:
-        raise UsageError(f"--voltage {voltage:g}: nothing that is known here depends on the battery's voltage")
-    lag = Fact(0.0, UNKNOWN)
+        of_curve, together = _of_curve(curve, at)
+        facts |= of_curve
+        if curve.signal == "rotor_speed" and curve.powers.tolist() == [2]:
+            k_of = "curve"
+        if curve.lag:
+            facts["lag"] = Fact(curve.lag, IDENTIFIED)
     if motor_lag is not None:
-        lag = Fact(motor_lag, GIVEN)
-    elif curve is not None and curve.lag:
-        lag = Fact(curve.lag, IDENTIFIED)
-    return _with(known, lag=lag)
+        facts["lag"] = Fact(motor_lag, GIVEN)
+    return Known(vehicle, model, curve.signal if curve else "", k_of, at, facts, together)
 
 
-def _with(known: Known, **facts: Fact) -> Known:
-    return replace(known, facts=known.facts | facts)
+def _voltage(curve: Any, voltage: float | None) -> float | None:
+    """At which a curve holds; None where there is none, or it does not use the voltage."""
+    if curve is not None and curve.reference_voltage:
+        return float(curve.reference_voltage if voltage is None else voltage)
+    if voltage is not None:
+        raise UsageError(f"--voltage {voltage:g}: nothing that is known here depends on the battery's voltage")
+    return None
 
 
-def _of_air(known: Known, model: Any) -> Known:
+def _of_vehicle(vehicle: Vehicle) -> dict[str, Fact]:
+    """Numbers of the vehicle file; the air and the motors' lag are not known from there."""
+    names = ("mass", "gravity", "n_rotors", "torque_coefficient", "thrust_max")
+    facts = {name: Fact(getattr(vehicle, name), FROM_FILE) for name in names}
+    facts |= {f"{kind}_{axis}": Fact(0.0, UNKNOWN) for kind in ("d", "offset") for axis in AXES}
+    return facts | {"sigma": Fact(1.0, ""), "lag": Fact(0.0, UNKNOWN)}
+
+
+def _of_air(model: Any, mass: float) -> dict[str, Fact]:
     """Linear drag of every kind of model, and the coefficients of a blade-element model per rotor speed."""
     drag = model.linear_drag
     facts: dict[str, Fact] = {}
     for i, axis in enumerate(AXES):
         facts[f"d_{axis}"] = Fact(drag.drag[i], IDENTIFIED, drag.drag_error[i], drag.freedom[i])
         facts[f"offset_{axis}"] = Fact(drag.intercept[i], IDENTIFIED, drag.intercept_error[i], drag.freedom[3 + i])
-    mass = known.vehicle.mass
     if drag.thrust_gain:
         facts["sigma"] = Fact(1 + mass * drag.thrust_gain, IDENTIFIED, mass * drag.thrust_gain_error, drag.freedom[6])
-    if hasattr(model, "models"):
-        facts |= _of_terms(model.model())
-    return _with(known, **facts)
-
-
-def _of_terms(air: Any) -> dict[str, Fact]:
-    """The terms of the model that identification chose."""
-
-    def fact(axis: str, term: str, base: float = 0.0) -> Fact:
-        value, error = air.coefficient(axis, term)
-        if term not in air.terms[AXES.index(axis)]:
-            return Fact(base, "")
-        return Fact(base + value, IDENTIFIED, error, air.freedom[AXES.index(axis)])
-
-    facts = {"sigma": fact("z", "thrust", base=1.0)}
-    facts |= {f"offset_{axis}": fact(axis, "offset") for axis in "xy"}
+    if not hasattr(model, "models"):
+        return facts
+    air = model.model()  # which identification chose
+    facts |= {f"offset_{axis}": _term(air, axis, "offset") for axis in "xy"}
+    scale = _term(air, "z", "thrust")
+    facts["sigma"] = scale._replace(value=1 + scale.value)
     if is_per_speed(air):
-        facts |= {"climb": fact("z", "climb"), "advance": fact("z", "advance")}
-        facts |= {"hub_x": fact("x", "hub"), "hub_y": fact("y", "hub")}
-        facts |= {f"body_{axis}": fact(axis, "body") for axis in AXES}
+        facts |= {name: _term(air, "z", name) for name in ("climb", "advance")}
+        facts |= {f"hub_{axis}": _term(air, axis, "hub") for axis in "xy"}
+        facts |= {f"body_{axis}": _term(air, axis, "body") for axis in AXES}
     return facts
+
+
+def _term(air: Any, axis: str, term: str) -> Fact:
+    """Coefficient of a model of terms; 0 where it has none."""
+    value, error = air.coefficient(axis, term)
+    i = AXES.index(axis)
+    return Fact(value, IDENTIFIED, error, air.freedom[i]) if term in air.terms[i] else Fact(0.0, "")
 
 
 def is_per_speed(air: Any) -> bool:
@@ -357,24 +344,16 @@ def is_per_speed(air: Any) -> bool:
     return air.kind == "blade_element" and "climb" in air.terms[2]
 
 
-def _of_curve(known: Known, curve: Any, voltage: float | None) -> Known:
-    """c1, c2 at the voltage; k of a curve on rotor speeds."""
-    at = None
-    if curve.reference_voltage:
-        at = curve.reference_voltage if voltage is None else voltage
+def _of_curve(curve: Any, at: float | None) -> tuple[dict[str, Fact], dict[tuple[str, str], float]]:
+    """c1 and c2 at a voltage, and their covariance. An older checkpoint has none: then there is no interval of two."""
     ratio = 1.0 if at is None else at / curve.reference_voltage
-    facts = {"c1": Fact(0.0, ""), "c2": Fact(0.0, "")}
-    powers = [int(power) for power in curve.powers]
-    scales = [ratio ** (power * curve.voltage_exponent) for power in powers]
+    scales = ratio ** (curve.powers * curve.voltage_exponent)
+    values = curve.coefficients * scales
     covariance = np.diag(curve.errors**2) if curve.covariance is None else curve.covariance
-    covariance = covariance * np.outer(scales, scales)
-    if curve.voltage_exponent_error and ratio != 1:  # dc/dg = c power ln(V / V_ref)
-        slope = curve.coefficients * scales * powers * np.log(ratio)
-        covariance = covariance + np.outer(slope, slope) * curve.voltage_exponent_error**2
-    for i, power in enumerate(powers):
-        value = float(curve.coefficients[i] * scales[i])
-        facts[f"c{power}"] = Fact(value, IDENTIFIED, float(np.sqrt(covariance[i, i])), curve.freedom)
-    together = {("c1", "c2"): float(covariance[0, 1])} if powers == [1, 2] else {}
-    on_speeds = curve.signal == "rotor_speed" and powers == [2]
-    k_of = "curve" if on_speeds else known.k_of
-    return replace(_with(known, **facts), signal=curve.signal, voltage=at, together=together, k_of=k_of)
+    slopes = values * curve.powers * np.log(ratio)  # dc/dg
+    covariance = covariance * np.outer(scales, scales) + np.outer(slopes, slopes) * curve.voltage_exponent_error**2
+    freedom = 0 if curve.covariance is None and len(values) > 1 else curve.freedom
+    facts = {"c1": Fact(0.0, ""), "c2": Fact(0.0, "")}
+    for i, power in enumerate(curve.powers.astype(int)):
+        facts[f"c{power}"] = Fact(float(values[i]), IDENTIFIED, float(np.sqrt(covariance[i, i])), freedom)
+    return facts, {("c1", "c2"): float(covariance[0, 1])} if len(values) > 1 else {}

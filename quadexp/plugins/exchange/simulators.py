@@ -8,7 +8,7 @@ Symbols as in known.py; J: inertia, r_i = (x, y, z) and s_i: rotors, tau: motor 
     crazyflow 0.4  f = rpm2thrust polynomial in rpm, J w' = L mixing f ..., -drag_matrix v
                    rpm2thrust = [0, 0, k (pi/30)^2], rpm2torque = c_tau times that, L mixing = [y, -x], s
                    drag_matrix = -m diag(d), rotor_dyn_coef = [1/tau, 0, 1/tau, 0]
-    agilicious     thrust_map = k, kappa = c_tau, aero_coeff_1 = m d, rotors front right, back left, back right, front left
+    agilicious     thrust_map = k, kappa = c_tau, aero_coeff_1 = m d; rotors fr, bl, br, fl (front, back, left, right)
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def linear_force(velocity: np.ndarray, drag: Sequence[float]) -> np.ndarray:
 
 
 def hub_force(known: Known, velocity: np.ndarray, thrust: np.ndarray, air: dict[str, float]) -> np.ndarray:
-    """RotorPy's air per mass, (k, 3) (m/s^2). thrust: of the curve, per mass (k, n) (m/s^2). air: what is not there is 0."""
+    """RotorPy's air per mass, (k, 3) (m/s^2). thrust: of the curve, per mass (k, n) (m/s^2). air: 0 where absent."""
     speeds = (np.sqrt(thrust) / known.value(lambda p: p.kappa)).sum(axis=1, keepdims=True)
     per_speed = [air.get(name, 0.0) for name in ("k_d", "k_d", "k_z")]
     per_square = [air.get(f"c_D{axis}", 0.0) for axis in AXES]
@@ -58,12 +58,12 @@ def per_rotor(known: Known) -> dict[str, Quantity]:
             numbers[f"c_D{axis}"] = known.quantity(lambda p, axis=axis: p.mass * getattr(p, f"body_{axis}"), "kg/m")
     else:
         numbers = {
-            "k_d": known.quantity(lambda p: p.mass * (p.d_x + p.d_y) / (2 * p.rotors * p.hover_speed), "kg/rad"),
-            "k_z": known.quantity(lambda p: p.mass * p.d_z / (p.rotors * p.hover_speed), "kg/rad"),
+            "k_d": known.quantity(lambda p: p.mass * (p.d_x + p.d_y) / (2 * p.n_rotors * p.hover_speed), "kg/rad"),
+            "k_z": known.quantity(lambda p: p.mass * p.d_z / (p.n_rotors * p.hover_speed), "kg/rad"),
         }
         for name in ("k_h", "c_Dx", "c_Dy", "c_Dz"):
             numbers[name] = Quantity(0.0, "kg/m", "not in linear drag")
-    return {name: number if name == "k_h" else number.at_least(0, "would push") for name, number in numbers.items()}
+    return {name: number if name == "k_h" else number.not_negative() for name, number in numbers.items()}
 
 
 def is_blade_element(known: Known) -> bool:
@@ -76,23 +76,21 @@ def linear_drag(known: Known) -> dict[str, Quantity]:
     drag = {}
     for axis in AXES:
         number = known.quantity(lambda p, axis=axis: p.mass * getattr(p, f"d_{axis}"), "N s/m")
-        drag[axis] = number.at_least(0, "would push")
+        drag[axis] = number.not_negative()
     return drag
 
 
-def linear_departure(known: Known, drag: dict[str, Quantity]) -> str:
-    """How far linear drag is from the whole model."""
+def linear_lost(known: Known, drag: dict[str, Quantity]) -> list[str]:
+    """What is lost by linear drag."""
     values = [drag[axis].value / known.vehicle.mass for axis in AXES]
-    return known.departure(lambda velocity, thrust: linear_force(velocity, values))
+    return ["drag beyond linear", *known.departure(lambda velocity, thrust: linear_force(velocity, values))]
 
 
 def hub_lost(known: Known, air: dict[str, Quantity]) -> list[str]:
     """What is lost by RotorPy's form, with these numbers and the others 0."""
-    if known.model is None:
-        return []
     values = {name: number.value for name, number in air.items()}
-    departure = known.departure(lambda velocity, thrust: hub_force(known, velocity, thrust, values))
-    return [departure] if is_blade_element(known) else [departure, FOR_LINEAR]
+    lines = known.departure(lambda velocity, thrust: hub_force(known, velocity, thrust, values))
+    return lines if is_blade_element(known) or not lines else [*lines, FOR_LINEAR]
 
 
 def lag(known: Known) -> tuple[Quantity, list[str]]:
@@ -124,7 +122,7 @@ def rotorpy(known: Known, firmware: str | None, path: Path) -> Written:
     tau, lost = lag(known)
     numbers = body(known) | air
     numbers["k_eta"] = known.quantity(lambda p: p.k, "N s^2")
-    numbers["k_m"] = known.quantity(lambda p: p.c_tau * p.k, "N m s^2")
+    numbers["k_m"] = known.quantity(lambda p: p.torque_coefficient * p.k, "N m s^2")
     numbers["tau_m"] = tau
     numbers["rotor_speed_max"] = largest_speed(known)
     rows: dict[str, Any] = {"mass": known.vehicle.mass, "num_rotors": known.vehicle.n_rotors}
@@ -152,13 +150,17 @@ def crazyflow(known: Known, firmware: str | None, path: Path) -> Written:
     drag = linear_drag(known)
     numbers = body(known)
     if known.signal == "rotor_speed":
-        thrust = known.quantity(lambda p: p.mass * p.sigma * np.array([0.0, p.c1 * RPM, p.c2 * RPM**2]), "N per rpm^i")
+
+        def thrust(p: Any) -> Any:
+            return p.mass * p.sigma * np.array([0.0, p.c1 * RPM, p.c2 * RPM**2])
     else:
         known.require_speeds("crazyflow")
-        thrust = known.quantity(lambda p: np.array([0.0, 0.0, p.k * RPM**2]), "N per rpm^i")
-    numbers["rpm2thrust"] = thrust
-    c_tau = known.vehicle.torque_coefficient
-    numbers["rpm2torque"] = thrust.times(c_tau, "N m per rpm^i", "c_tau")
+
+        def thrust(p: Any) -> Any:
+            return np.array([0.0, 0.0, p.k * RPM**2])
+
+    numbers["rpm2thrust"] = known.quantity(thrust, "N per rpm^i")
+    numbers["rpm2torque"] = known.quantity(lambda p: p.torque_coefficient * thrust(p), "N m per rpm^i")
     numbers["tau"] = tau
     numbers |= {f"drag_{axis}": number for axis, number in drag.items()}
     x, y, _ = np.array(known.vehicle.rotor_position, float).T
@@ -172,7 +174,7 @@ def crazyflow(known: Known, firmware: str | None, path: Path) -> Written:
         "drag_matrix": -np.diag([drag[axis].value for axis in AXES]) + 0.0,
     }  # fmt: skip
     text = f'["{known.vehicle.name}"]\n' + "".join(f"{name} = {plain(value)!r}\n" for name, value in rows.items())
-    lost += ["drag beyond linear", linear_departure(known, drag)]
+    lost += linear_lost(known, drag)
     lost += ["the models so_rpy* (rpy_coef, rpy_rates_coef, cmd_rpy_coef): of the attitude loop, not identified"]
     return Written(text, numbers, lost)
 
@@ -186,24 +188,22 @@ def agilicious(known: Known, firmware: str | None, path: Path) -> Written:
     drag = linear_drag(known)
     numbers = body(known)
     numbers["thrust_map"] = known.quantity(lambda p: p.k, "N s^2")
-    numbers["torque_map"] = known.quantity(lambda p: p.c_tau * p.k, "N m s^2")
-    numbers["kappa"] = of_file(known.vehicle.torque_coefficient, "m")
+    numbers["torque_map"] = known.quantity(lambda p: p.torque_coefficient * p.k, "N m s^2")
+    vehicle = known.vehicle
+    numbers["kappa"] = of_file(vehicle.torque_coefficient, "m")
     numbers["motor_tau"] = tau
     numbers["motor_omega_max"] = largest_speed(known)
     numbers |= {f"aero_coeff_1_{axis}": number for axis, number in drag.items()}
-    vehicle = known.vehicle
-    rows: dict[str, Any] = {"mass": vehicle.mass}
+    rows: dict[str, Any] = {name: numbers[name].value for name in ("mass", "kappa", "motor_tau", "motor_omega_max")}
     rows |= {f"tbm_{quadrant}": vehicle.rotor_position[i] for quadrant, i in zip(quadrants, order, strict=True)}
+    rows |= {name: [numbers[name].value, 0.0, 0.0] for name in ("thrust_map", "torque_map")}
     rows |= {
         "inertia": np.diag(vehicle.inertia_matrix), "omega_max": [vehicle.rate_max] * 3, "motor_omega_min": 0.0,
-        "motor_omega_max": numbers["motor_omega_max"].value, "motor_tau": tau.value,
-        "thrust_map": [numbers["thrust_map"].value, 0.0, 0.0], "torque_map": [numbers["torque_map"].value, 0.0, 0.0],
-        "kappa": vehicle.torque_coefficient, "thrust_min": vehicle.thrust_min, "thrust_max": vehicle.thrust_max,
-        "rotors_config": "cross", "aero_coeff_1": [drag[axis].value for axis in AXES], "aero_coeff_3": [0.0] * 3,
-        "aero_coeff_h": 0.0,
+        "thrust_min": vehicle.thrust_min, "thrust_max": vehicle.thrust_max, "rotors_config": "cross",
+        "aero_coeff_1": [drag[axis].value for axis in AXES], "aero_coeff_3": [0.0] * 3, "aero_coeff_h": 0.0,
     }  # fmt: skip
     text = "".join(f"{name}: {plain(value)}\n" for name, value in rows.items())
-    lost += [PRODUCTS, "drag beyond linear", linear_departure(known, drag)]
+    lost += [PRODUCTS, *linear_lost(known, drag)]
     return Written(text, numbers, lost)
 
 

@@ -13,6 +13,7 @@ CURVE = (1.5, 3.0)  # m/s^2 of s V/4 and its square: of tests.models.logged_flig
 HUMMINGBIRD = {  # RotorPy 3's rotorpy/vehicles/hummingbird_params.py, N, m, rad, s
     "k_eta": 5.57e-6, "k_d": 1.19e-4, "k_z": 2.32e-4, "k_h": 3.39e-3, "c_Dx": 0.5e-2, "c_Dy": 0.5e-2, "c_Dz": 1e-2,
 }  # fmt: skip
+VEHICLES = {name: vehicle_named(name, None) for name in ("crazyflie", "hummingbird")}
 
 
 def named(flight: Flight, vehicle) -> Flight:

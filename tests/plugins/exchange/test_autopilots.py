@@ -87,7 +87,7 @@ def test_ardupilots_expo_at_the_ends_of_the_spin_that_it_says(export):
     found = dict(line.split(",") for line in text.splitlines() if line and not line.startswith("#"))
     c1, c2 = curve(crazyflie())
     e, hover = float(found["MOT_THST_EXPO"]), float(found["MOT_THST_HOVER"])
-    beside = [float(x) for x in re.search(r"the defaults, they are (\S+) and (\S+),", text).groups()]
+    beside = [float(x) for x in re.search(r"the defaults, they are (\S+) and (\S+)", text).groups()]
     for expo, share, low, high in ((e, hover, 0.0, 1.0), (*beside, 0.15, 0.95)):
         wished = np.linspace(0, 1, 50)
         throttle = (expo - 1 + np.sqrt((1 - expo) ** 2 + 4 * expo * wished)) / (2 * expo)
@@ -100,7 +100,9 @@ def test_ardupilots_expo_at_the_ends_of_the_spin_that_it_says(export):
 @pytest.mark.parametrize(("firmware", "second_order"), [("4.5", False), ("2025.12", False), ("2026.6", True)])
 def test_betaflights_percent_makes_the_thrust_most_linear(export, firmware, second_order):
     """Of all whole percents, by its C code: motorOutput *= 1 + e (1-x)^2, or 1 + e (1-x) (1 + e ((1-x) - x))."""
-    found = int(re.search(r"^set thrust_linear = (\d+)$", export("cf", "betaflight", "--firmware", firmware), re.M)[1])
+    found = int(
+        re.search(r"^set thrust_linear = (\d+)$", export("cf", "betaflight", "--firmware", firmware), re.MULTILINE)[1]
+    )
     c1, c2 = curve(crazyflie())
     x, departures = np.linspace(0.1, 1, 200), []
     for percent in range(151):
@@ -161,7 +163,10 @@ def test_betaflight_is_asked_for_its_version(export, options, message):
     [
         ({"rotor_spin": tuple(-spin for spin in VEHICLE.rotor_spin)}, "they turn the other way"),
         ({"rotor_position": ((0.05, 0, 0), (0, -0.05, 0), (-0.05, 0, 0), (0, 0.05, 0))}, "has four rotors in an x"),
-        ({"rotor_position": ((0.05, -0.03, 0), (-0.02, -0.03, 0), (-0.03, 0.03, 0), (0.03, 0.03, 0))}, "one arm along x"),
+        (
+            {"rotor_position": ((0.05, -0.03, 0), (-0.02, -0.03, 0), (-0.03, 0.03, 0), (0.03, 0.03, 0))},
+            "one arm along x",
+        ),
     ],
 )
 def test_sih_has_one_layout_built_in(changes, message):

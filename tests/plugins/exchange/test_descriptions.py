@@ -44,7 +44,9 @@ def test_the_links_of_gazebos_model_weigh_and_turn_as_the_vehicle(export):
         own = float(link.find("inertial/mass").text)
         place = floats(link.findtext("pose", "0 0 0 0 0 0"))[:3]
         mass += own
-        inertia += inertia_of(link.find("inertial/inertia")) + own * (place @ place * np.eye(3) - np.outer(place, place))
+        inertia += inertia_of(link.find("inertial/inertia")) + own * (
+            place @ place * np.eye(3) - np.outer(place, place)
+        )
     assert mass == pytest.approx(VEHICLE.mass, rel=1e-12)
     assert inertia == pytest.approx(VEHICLE.inertia_matrix, rel=1e-9, abs=1e-12)
 

@@ -83,7 +83,9 @@ def test_linear_drag_on_rotors_is_that_of_hover_and_says_how_far_it_is_elsewhere
     mean = np.array([drag[:2].mean()] * 2 + [drag[2]])
     assert level - [0, 0, CRAZYFLIE.gravity] == pytest.approx(-mean * velocity, rel=1e-9, abs=1e-12)
     force = rotorpy_force(velocity, np.sqrt(thrust / found["k_eta"]), found) / CRAZYFLIE.mass
-    thrust = CRAZYFLIE.hover_thrust * np.random.default_rng(2).uniform(0.3, 1.9, thrust.shape)  # the range of the file's
+    thrust = CRAZYFLIE.hover_thrust * np.random.default_rng(2).uniform(
+        0.3, 1.9, thrust.shape
+    )  # the range of the file's
     force = rotorpy_force(velocity, np.sqrt(thrust / found["k_eta"]), found) / CRAZYFLIE.mass
     away = 100 * relative(force, specific_force(crazyflie(), CRAZYFLIE, velocity, thrust))
     said = float(re.search(r"specific force here: (\S+) %", text)[1])
@@ -136,7 +138,9 @@ def test_accelerations_by_crazyflow_itself(export):
     rpm = np.sqrt(thrust / found["rpm2thrust"][2])
     force, turn = [], []
     for i in range(len(rpm)):
-        _, _, v_dot, w_dot, _ = dynamics(np.zeros(3), q[i, [1, 2, 3, 0]], R[i] @ velocity[i], rate[i], rpm[i], rpm[i], **given)
+        _, _, v_dot, w_dot, _ = dynamics(
+            np.zeros(3), q[i, [1, 2, 3, 0]], R[i] @ velocity[i], rate[i], rpm[i], rpm[i], **given
+        )
         force.append(R[i].T @ (np.asarray(v_dot) + [0, 0, CRAZYFLIE.gravity]))
         turn.append(np.asarray(w_dot))
     J = CRAZYFLIE.inertia_matrix
