@@ -41,7 +41,7 @@ test-fast: $(STAMP)
 # A selection with the lowest versions that pyproject.toml admits, in an environment of its own.
 LOWEST := $(VENV)-lowest
 SMOKE := tests/test_versions.py tests/log/test_store.py tests/parts/test_compose.py tests/models/test_contract.py \
-	tests/physics tests/report/test_animation.py tests/experiment/test_recorded.py tests/sweeps/test_results.py
+	tests/physics tests/plugins/page/test_animation.py tests/plugins/logs/test_recorded_flights.py tests/sweeps/test_results.py
 test-lowest:
 	$(PYTHON) -m venv $(LOWEST)
 	$(LOWEST)/bin/python -m pip install -qq --disable-pip-version-check --constraint constraints-lowest.txt \
@@ -58,8 +58,9 @@ test-python:
 # Dynamics, air, control step and worlds as on a machine without a compiler; what compiled code alone shows is skipped.
 test-interpreted: $(STAMP)
 	CC=none $(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' \
-		tests/physics tests/models/test_residuals.py tests/models/test_online.py tests/models/test_terms.py \
-		tests/control tests/world tests/reference
+		tests/physics tests/models/test_residuals.py tests/plugins/remedies/test_online.py tests/models/test_terms.py \
+		tests/control tests/world tests/reference \
+		tests/plugins/remedies tests/plugins/auto tests/plugins/worlds tests/plugins/foreign tests/plugins/papers
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -71,10 +72,10 @@ docs: $(STAMP)
 	$(BIN)/python docs/site/build.py
 
 # How much of the core the default tests reach; they assert physics, so a line that is reached is a line that is checked.
-CORE := physics control world reference models
+CORE := physics control world reference models plugins/remedies plugins/auto plugins/worlds plugins/papers
 coverage: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/experiment/test_lei_li.py tests/compile/test_backend.py \
-		$(CORE:%=tests/%) $(CORE:%=--cov=quadexp.%) --cov-report=term-missing:skip-covered --cov-fail-under=95
+	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/plugins/papers/test_lei_li_flights.py tests/compile/test_backend.py \
+		$(CORE:%=tests/%) $(subst /,.,$(CORE:%=--cov=quadexp.%)) --cov-report=term-missing:skip-covered --cov-fail-under=95
 
 # The two papers at full size, with figures.
 reproduce: reproduce-torrente reproduce-lei-li

@@ -13,6 +13,8 @@ from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
 from quadexp.writer import check_output, write_text
 
+HEADING = "Extend"
+
 
 @command
 def options(
@@ -147,16 +149,13 @@ def _vehicle_from(part: str, name: str, source: str, to: Path) -> Answer:
     from quadexp.experiment.build import build_vehicle
     from quadexp.parts.settings import made
     from quadexp.physics.vehicle import Vehicle
-    from quadexp.plugin import brought, places
+    from quadexp.plugin import service
 
     if part != "vehicle":
         raise UsageError(f"new {part} --from: only a vehicle is read from a file")
-    readers = list(places("vehicles"))
-    if not readers:
-        raise UsageError(f"new vehicle --from {source}: nothing is installed that reads such files")
     _check_name(part, name, TEMPLATES[part], to)
     file, _, section = source.partition(":")
-    keys = brought("vehicles", readers[0])(Path(file), section)
+    keys = service("vehicle_of_file", f"new vehicle --from {source}")(Path(file), section)
     build_vehicle(made(Vehicle, {"name": name} | keys))
     stated = {"_target_": f"{Vehicle.__module__}.{Vehicle.__name__}", "name": name} | keys
     text = f"# From {source}. SI units; rate_max, the largest body rate of a reference, is not from there.\n"

@@ -33,9 +33,9 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, ModelPart, Prediction, outside_shares, quiet, rms
+from quadexp.models.common_scale import has_thrust_scale, with_common_scale
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
-from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import LEAST_FLIGHTS, between_flights
 from quadexp.models.terms import MEANS, fit_term_mean
 from quadexp.physics.state import root_mean_square

@@ -1,1 +1,1 @@
-"""What ships beside the core in the shape of a plug-in of a user: a folder each, that says in BRINGS what it brings."""
+"""What the core does not need: a folder a plug-in, each of which may be deleted (quadexp/plugin.py)."""

@@ -32,7 +32,7 @@ from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
-from quadexp.log.importers.columns import groups
+from quadexp.log.column_names import groups
 from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.state import norms

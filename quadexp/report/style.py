@@ -29,12 +29,15 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
+from quadexp.errors import UsageError
 from quadexp.messages import clean, html
 from quadexp.names import distinct
 from quadexp.parts.options import OptionFiles
 from quadexp.progress import doing
 from quadexp.report import FORMATS
-from quadexp.writer import written
+from quadexp.writer import check_output, written
+
+PICTURES = ("png", "pdf", "svg")  # suffixes of a figure
 
 HUES = {
     "ink": "#000000",
@@ -268,6 +271,13 @@ def save_figure(figure: Figure, path: Path, *, inside: Path | None = None, force
     with written(path, inside=inside, force=force) as file:
         figure.savefig(file, format=form, dpi=150, metadata=undated)
     return path
+
+
+def check_path(path: Path, force: bool, suffixes: Sequence[str] = PICTURES) -> Path:
+    """The path of a figure; UsageError for a suffix of none of the formats, or a file that is there."""
+    if path.suffix.lower().lstrip(".") not in suffixes:
+        raise UsageError(f"--out {path}: a figure is a file .{', .'.join(suffixes)}")
+    return check_output(path, force=force)
 
 
 def save(figure: Figure, path: Path, inside: Path | None = None) -> Path:

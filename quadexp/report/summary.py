@@ -249,7 +249,6 @@ def held_out_table(rows: Sequence[Mapping[str, Any]]) -> Table | None:
 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.models.checkpoint import load_model, load_report
-    from quadexp.models.vehicle_model import VehicleModel
 
     model, file = load_model(path), path / MODEL_FILE
     try:
@@ -257,7 +256,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
     data = dict(model.dataset)
-    about, described = model.described()
+    about, described = model.described(load_report(path))
     summary = {
         "path": str(path), "kind": model.kind, "schema": record.get("schema"), "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle), "dataset": data, "settings": dict(getattr(model, "settings", {})),
@@ -271,17 +270,6 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         f"data        {data.get('rows')} rows of {data.get('flights')} flights, sha256 {str(data.get('sha256'))[:12]}",
     ]
     lines += described
-    if isinstance(model, VehicleModel):
-        from quadexp.report.model_lines import model_lines, selection_lines
-
-        summary |= {"thrust": str(model.thrust), "best": model.best}
-        summary["models"] = {kind: fitted.records() for kind, fitted in model.models.items()}
-        lines += model_lines(model)
-        if (report := load_report(path)).get("selection"):
-            lines += selection_lines(report["selection"], report.get("best_row", model.best))
-        lines += [f"note        {note}" for note in model.notes]
-    else:
-        lines.append(f"drag        {model.linear_drag}")
     lines += range_lines(model.feature_range)
     if (scores := held_out_table(summary["held_out"])) is not None:
         lines += scores.lines()

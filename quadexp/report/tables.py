@@ -26,7 +26,6 @@ from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
-from quadexp.report.document import sortable_page
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
 from quadexp.report.metrics import metric_of
 from quadexp.report.notes import notes as row_notes
@@ -228,11 +227,6 @@ def flights_table(frame: SweepFrame, names: Sequence[str]) -> Table:
 def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
     """Flights as CSV: SI units, every digit."""
     return csv_text(names, zip(*(frame.column(name) for name in names), strict=True))
-
-
-def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
-    """Flights as a page that sorts and filters, and opens without a network."""
-    return sortable_page(title, flights_table(frame, names), notes=[f"{len(frame.rows)} flights of {title}"])
 
 
 def heading(name: str) -> str:

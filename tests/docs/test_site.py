@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.report.test_browser import browser, show  # noqa: F401
+from tests.plugins.page.test_browser import browser, show  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 LOADED = re.compile(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"?https?://(?!squidfunk)[^\" >]+")

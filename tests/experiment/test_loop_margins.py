@@ -9,7 +9,7 @@ from quadexp.experiment.evaluate import InfeasibleError, build_loop, fly_one
 from quadexp.experiment.loop_margins import hover_loop
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose
-from quadexp.report.page.sections import margins as margins_of
+from quadexp.plugins.page.report.sections import margins as margins_of
 from quadexp.report.summary import flight_lines, margin_line, world_note
 
 HOVER = ["trajectory=hover", "trajectory.duration=0.2"]

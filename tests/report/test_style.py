@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from quadexp.report.page.source import read_comparison
+from quadexp.plugins.page.report.source import read_comparison
 from quadexp.report.style import CYCLE, GLYPHS, HUES, LOOKS, MODELS, SHADES, looks, plain_log, shaded
 from tests.report.results import ERRORS, make_results, speed_figure
 from tests.report.test_tables import row

@@ -21,5 +21,5 @@ BRINGS = {
         "casadi": f"{_HERE}.equations:CASADI",
         "c": f"{_HERE}.equations:C",
     },
-    "vehicles": {"file": f"{_HERE}.vehicles:vehicle_keys"},
+    "services": {"vehicle_of_file": f"{_HERE}.vehicles:vehicle_keys"},
 }

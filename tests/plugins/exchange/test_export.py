@@ -85,11 +85,15 @@ def test_the_voltage_scales_the_curve(checkpoints, tmp_path, monkeypatch):
 
 
 def test_without_the_plug_in_flights_are_exported_and_the_rest_is_refused(flight, checkpoints, monkeypatch):
-    monkeypatch.setattr(plugin, "shipped", dict)
-    plugin._outside.cache_clear()
+    rest = tuple(name for name in plugin.shipped_plugins() if name != "exchange")
+    monkeypatch.setattr(plugin, "shipped_plugins", lambda: rest)
+    for found in (plugin._shipped, plugin._outside):
+        found.cache_clear()
     try:
         assert run(flight, "--to", "csv")[0] == 0
         code, said = run(checkpoints / "cf", "--to", "px4")
         assert code == 2 and "--to px4: no such format; a flight is written as csv, tum, rerun\n" in said
+        assert "no plug-in writes it" in run(checkpoints / "cf", "--to", "csv")[1]
     finally:
-        plugin._outside.cache_clear()
+        for found in (plugin._shipped, plugin._outside):
+            found.cache_clear()

@@ -3,7 +3,7 @@
 import pytest
 
 from quadexp.experiment.evaluate import fly_one
-from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.parts.compose import compose
 from quadexp.plugins.exchange.known import known_of
 from quadexp.plugins.exchange.simulators import rotorpy
