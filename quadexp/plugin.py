@@ -21,6 +21,7 @@ What a place must be:
     papers     a module with what quadexp/report/paper.py asks for
     readers    a module, or another object, with what quadexp/plugins/logs/importers/readers asks for
     sections   a function of a Page (quadexp/plugins/page/report)
+    exports    a function as `quadexp export` calls it for models and vehicles (quadexp/cli/look.py)
 
 A name of this program is looked for first, so that what ships needs no look at what is installed. That look reads the
 files entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the

@@ -34,7 +34,7 @@ FLOORS = (
 )
 # Floors of the plug-ins, above all of the core, which imports nothing from them.
 PLUGIN_FLOORS = (
-    ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural"),
+    ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural", "exchange"),
     ("papers", "auto", "bench", "gym"),
     ("logs",),
 )

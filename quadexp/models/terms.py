@@ -219,6 +219,14 @@ class TermStructure(NamedTuple):
     def n_parameters(self) -> int:
         return sum(map(len, self.terms))
 
+    def torque(self, vehicle: Vehicle, features: Expression, theta: Expression) -> Expression:
+        """tau_body, (3,) (N m): the scale of every rotor's thrust, the term `thrust`, is that of its torque too."""
+        if "thrust" not in self.terms[2]:
+            return ca.SX(3, 1)
+        before = len(self.terms[0]) + len(self.terms[1])
+        scale = theta[before + self.terms[2].index("thrust")]
+        return scale * (ca.sparsify(ca.DM(vehicle.allocation[1:])) @ features[6:])
+
     def acceleration(self, features: Expression, theta: Expression) -> Expression:
         """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta, the coefficients of all axes one after the other."""
         numbers = iter(range(self.n_parameters))
@@ -226,10 +234,14 @@ class TermStructure(NamedTuple):
         return ca.vertcat(*(sum((theta[next(numbers)] * term for term in axis), ca.SX(0)) for axis in phi))
 
 
-def term_residual(vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "") -> Residual:
-    """Residual of the terms; coefficients of all axes, (p,). source: for the record."""
+def term_residual(
+    vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "", *, torque: bool = False
+) -> Residual:
+    """Residual of the terms; coefficients of all axes, (p,). source: for the record. torque: whether the rotors'
+    torques have the scale of their thrust that the term `thrust` states."""
     features, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=structure.n_parameters)
-    outputs = ca.vertcat(structure.acceleration(features, theta), ca.SX(3, 1))
+    beyond = structure.torque(vehicle, features, theta) if torque else ca.SX(3, 1)
+    outputs = ca.vertcat(structure.acceleration(features, theta), beyond)
     return symbolic_residual("identified", outputs, features, theta, coefficients, source=source)
 
 

@@ -46,7 +46,8 @@ class ThrustCurve(Record, frozen=True):
     voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
     drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.
     residual_std: root mean square residual along z, m/s^2. signal_range: smallest and largest signal of the fit. loss:
-    "squares" or "huber". delay, lag: dead time and time constant of the thrust behind its signal (s).
+    "squares" or "huber". delay, lag: dead time and time constant of the thrust behind its signal (s). covariance: of
+    the coefficients, (p, p); None in older files.
     """
 
     signal: Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(SIGNALS)})$")]
@@ -68,6 +69,7 @@ class ThrustCurve(Record, frozen=True):
     loss: str = "squares"
     delay: float = 0.0
     lag: float = 0.0
+    covariance: Annotated[np.ndarray | None, Shape("powers powers")] = None
 
     def rotor_acceleration(self, flight: Flight) -> np.ndarray:
         """Acceleration that each rotor's thrust gives, (k, n) (m/s^2), sample by sample.
@@ -217,7 +219,7 @@ def fit_thrust_samples(
         float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
         float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
         regression.condition, root_mean_square(regression.residual), np.array([scaled.min(), scaled.max()]),
-        delay=samples.delay, lag=samples.lag,
+        delay=samples.delay, lag=samples.lag, covariance=regression.covariance[:q, :q],
     )  # fmt: skip
     return curve, regression
 

@@ -111,7 +111,7 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """See Model.residual. part: a kind, or "best"."""
         mean = TermMean(self.model(part), vehicle.mass)
-        return term_residual(vehicle, mean.structure, mean.parameters, source)
+        return term_residual(vehicle, mean.structure, mean.parameters, source, torque=True)
 
     def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
         """See Model.described: coefficients with intervals, and models compared."""

@@ -100,7 +100,7 @@ def _chosen(
 
 def _statistics(frame: SweepFrame, keys: Sequence[str], metric: str) -> dict[Place, Statistic]:
     """The statistic of each place that is one contestant in one condition."""
-    every = compute_statistics(frame.rows, metrics=(metric,), **_options(frame))  # type: ignore[arg-type]
+    every = compute_statistics(frame.rows, metrics=(metric,), **_options(frame))
     by_flight = {(s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting): s for s in every}
     columns = [frame.controllers(keys) if key == "controller" else frame.column(key) for key in keys]
     flown = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)))

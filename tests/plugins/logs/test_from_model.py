@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import model_residual
@@ -60,3 +61,22 @@ def test_it_is_the_model_that_flights_taught(tmp_path):
     assert np.array_equal(value[3:], np.zeros(3))
     with pytest.raises(UsageError, match="blade_element"):
         model_residual(VEHICLE, path, "blade_element")
+
+
+def test_the_scale_of_the_thrust_is_that_of_the_torque():
+    """A model that says of the curve 0.2 more thrust: force and angular acceleration of the rotors are both 1.2 times,
+    as they are pushed by the same blades."""
+    flights = [recorded_flight(seed, VEHICLE) for seed in range(2)]
+    fitted = fit_vehicle_model(flights, VEHICLE, FitSettings(powers=(1,), kinds=("quadratic",)), best="quadratic")
+    assert fitted.quadratic.terms[2][0] == "thrust"
+    z = np.r_[0.2, np.zeros(len(fitted.quadratic.terms[2]) - 1)]
+    sides = [np.zeros(len(names)) for names in fitted.quadratic.terms[:2]]
+    model = replace(fitted, quadratic=replace(fitted.quadratic, coefficients=(*sides, z)))
+    truth = FromModelPlant(VEHICLE, model.residual(VEHICLE), backend="interpreted")
+    thrusts = VEHICLE.hover_thrust * np.array([1.1, 0.9, 1.05, 0.8])
+    moved, reading = truth.advance(AT_REST, thrusts, 1e-3, np.random.default_rng(0))
+    torque = np.zeros(3)
+    for thrust, position, spin in zip(thrusts, VEHICLE.rotor_position, VEHICLE.rotor_spin, strict=True):
+        torque += 1.2 * thrust * (np.cross(position, [0, 0, 1]) + [0, 0, spin * VEHICLE.torque_coefficient])
+    assert moved[10:] / 1e-3 == pytest.approx(np.linalg.solve(VEHICLE.inertia_matrix, torque), rel=1e-3)
+    assert reading[2] == pytest.approx(1.2 * thrusts.sum() / VEHICLE.mass, rel=1e-3)
