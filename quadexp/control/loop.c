@@ -2,12 +2,18 @@
    so that at any instant the one may take over from the other. Every number is Python's own. What is out of the
    ordinary is left to Python, before anything has been changed, or after it was changed back: a function then returns
    0. Freestanding C11: no allocation, of libraries only math.h; the caller has the clock. compiled_loop.py reads the
-   structures. Compiled without -ffast-math: what is not a number must be seen. */
+   structures. Compiled without -ffast-math: what is not a number must be seen.
+
+   With ALONE defined there is no Python behind it (plugins/vehicle): `planned` and `within_reach`, of the text that
+   stands behind this one, do what is out of the ordinary. */
 
 #include <math.h>
 
 #ifndef REAL
 #define REAL double /* of the functions that are called too */
+#endif
+#ifndef INTEGER
+#define INTEGER long long /* likewise */
 #endif
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
@@ -15,7 +21,7 @@ enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
 enum { CALL, COPY, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
-typedef long long integer;
+typedef INTEGER integer;
 
 static const real HUGE_NUMBER = (real)1e30; /* beyond which sums may not be finite */
 static const real LARGEST = (real)1e8;      /* of a reading; readings.py decides about what is beyond */
@@ -98,7 +104,9 @@ static real attitudes_product(const real *a, const real *b) {
 /* Turns the attitudes of `count` states to the side of x's; 0 where the side is in doubt. */
 static int to_side(real *states, integer count, integer width, const real *x) {
     const real product = attitudes_product(states, x);
+#ifndef ALONE
     if (!(fabs(product) > TURNED)) return 0;
+#endif
     if (product < 0)
         for (integer k = 0; k < count; k++)
             for (int i = ATTITUDE; i < ATTITUDE + 4; i++) states[width * k + i] *= -1;
@@ -174,6 +182,14 @@ static void gather(real *restrict to, const operation *o) {
         }
 }
 
+#ifdef ALONE
+static int planned(mpc *p);
+static int within_reach(const operation *o, const mpc *p);
+#else
+static int planned(mpc *p) { return plan(p); }
+static int within_reach(const operation *o, const mpc *p) { return (void)o, (void)p, 0; }
+#endif
+
 static int operate(const loop *l, const operation *o, const reference *r, integer at) {
     const integer n = o->count;
     switch (o->kind) {
@@ -189,8 +205,8 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
         return 1;
     case GATHER: gather(o->to, o); return 1;
     case FINITE: return ordinary(o->source, n, HUGE_NUMBER);
-    case NEAR: return distance(o->source, o->other) <= o->factor;
-    case PLAN: return plan(l->plan);
+    case NEAR: return distance(o->source, o->other) <= o->factor || within_reach(o, l->plan);
+    case PLAN: return planned(l->plan);
     default: return 0;
     }
 }
@@ -223,6 +239,7 @@ static int of_numbers(const reference *r, integer inputs) {
            ordinary(r->paths, PATH, LARGEST) && ordinary(r->yaws, YAW, LARGEST);
 }
 
+#ifndef ALONE
 /* A step of a loop of the user's own, who may have given a reference for it. */
 int step(loop *l) {
     const measured *m = l->given;
@@ -241,3 +258,4 @@ int step(loop *l) {
     if (l->plan) *l->plan->unprepared = 1;
     return made;
 }
+#endif
