@@ -50,6 +50,7 @@ BRINGS: dict[str, dict[str, str]] = {
         "report": "quadexp.cli.look:report",
         "animate": "quadexp.cli.look:animate",
         "export": "quadexp.cli.look:export",
+        "export-controller": "quadexp.plugins.vehicle.commands:export_controller",
         "options": "quadexp.cli.extend:options",
         "new": "quadexp.cli.extend:new",
         "cache": "quadexp.cli.extend:cache",

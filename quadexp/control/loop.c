@@ -213,11 +213,13 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
 
 static int due(const operation *o, integer k) { return !(k % o->every) && (!o->when || *o->when != 0); }
 
+#ifndef ALONE
 /* Whether readings.py would admit what is measured; force, speed: may be null. */
 static int admitted(const loop *l, const real *x, const real *force, const real *speed) {
     if (!ordinary(x, BODY, LARGEST) || !(fabs(attitudes_product(x, x) - 1) < LENGTH_ERROR)) return 0;
     return (!force || ordinary(force, 3, LARGEST)) && (!speed || ordinary(speed, l->inputs, LARGEST));
 }
+#endif
 
 /* Control instant k of a flight, at the instant `at` of a reference, for what the controller has been told. */
 static int control(const loop *l, integer k, const reference *r, integer at) {

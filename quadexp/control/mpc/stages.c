@@ -226,8 +226,9 @@ static real projected(const real *u, const real *gradient, const real *low, cons
 
 /* multiplier <- q + A' multiplier; gradient = r + B' multiplier, with the multiplier before. */
 static void adjoint(real *multiplier, const real *rows, const real *q, const real *r, real *gradient) {
-  vector sums[USED / LANES] = {{0}};
+  vector sums[USED / LANES];
   real both[USED];
+  for (int j = 0; j < USED / LANES; ++j) sums[j] = (vector){0};
   for (int i = 0; i < STATES; ++i)
     for (int j = 0; j < USED / LANES; ++j) sums[j] += multiplier[i] * *(const vector *)(rows + i * LINE + j * LANES);
   for (int j = 0; j < USED / LANES; ++j) *(vector *)(both + j * LANES) = sums[j];
