@@ -5,7 +5,7 @@
    structures. Compiled without -ffast-math: what is not a number must be seen.
 
    With ALONE defined there is no Python behind it (plugins/vehicle): `planned` and `within_reach`, of the text that
-   stands behind this one, do what is out of the ordinary. */
+   stands behind this one, do what is out of the ordinary. NO_PLAN: of a law in closed form. */
 
 #include <math.h>
 
@@ -101,6 +101,7 @@ static real attitudes_product(const real *a, const real *b) {
     return product;
 }
 
+#ifndef NO_PLAN
 /* Turns the attitudes of `count` states to the side of x's; 0 where the side is in doubt. */
 static int to_side(real *states, integer count, integer width, const real *x) {
     const real product = attitudes_product(states, x);
@@ -128,7 +129,7 @@ static void towards(real *guess, const real *from, const real *to, integer count
 
 /* The solution without bounds, as ModelPredictiveController.command and .feedback begin. */
 static int unbounded(const mpc *p) {
-    if (*p->unprepared) {
+    if (*p->unprepared != 0) {
         if (!to_side(p->X_ref, p->reference_rows, p->states, p->x0)) return 0;
         if (!to_side(p->X, p->nodes + 1, p->states, p->x0) || run(&p->prepare)) return 0;
     } else if (!to_side(p->x0, 1, p->states, p->X) || !(attitudes_product(p->X_ref, p->x0) > TURNED)) {
@@ -160,6 +161,8 @@ static int plan(mpc *p) {
     p->status = status, p->sweeps = sweeps, p->active = active, p->kkt = kkt, p->converged = 1;
     return 1;
 }
+
+#endif
 
 static void look_ahead(const reference *r, integer at, const operation *o, integer n) {
     const integer *rows = r->where + at * r->rows, count = o->source ? (integer)o->factor : r->rows;

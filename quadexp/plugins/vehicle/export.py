@@ -58,13 +58,25 @@ def export_controller(
         reference = SampledReference(build_trajectory(config.trajectory, vehicle), controller)
         flight = recorded(controller, plant, reference, generator(config, flight_record(config)))
         files = folder_of(config, controller, plant, reference, flight, generate.Names(prefix, real))
+    former = path / MANIFEST
+    stale = manifest_names(former) - files.keys() if former.is_file() else set()
     write_folder(path, files, force=force)
+    for name in stale:
+        (path / name).unlink(missing_ok=True)
     return {"path": str(path), "files": {name: len(content) for name, content in files.items()}}
+
+
+def manifest_names(file: Path) -> set[str]:
+    """Files of an earlier export, none where it is something else."""
+    try:
+        return {Path(name).name for name in json.loads(file.read_text(encoding="utf-8"))["files"]}
+    except (ValueError, KeyError, TypeError):
+        return set()
 
 
 def refuse_python(controller: Any, config: Config) -> None:
     """Raise UsageError where a controller, or a remedy, exists in Python only; it is named."""
-    if controller.backend != "compiled":
+    if in_operations(controller) and controller.backend != "compiled":
         raise UsageError("export-controller: needs a C compiler and backend=compiled, which the bench flies with too")
     around = [f"{group}={part.name}" for group, part in remedies(config).items()]
     inside = [innermost(controller), *reversed(layers(controller))]
@@ -236,9 +248,8 @@ def manifest(
     residual = controller.residual
     air: dict[str, Any] = {}
     if residual is not None:
-        forms = {"function": residual.function, "to_compile": residual.to_compile}
         air = {"name": residual.name, "source": residual.source, "theta": residual.theta.tolist()}
-        air |= {name: function.serialize() for name, function in forms.items() if function is not None}
+        air["function"] = residual.function.serialize()
         air["ranges"] = {key: list(value) for key, value in (residual.ranges or {}).items()}
     content = {
         "exported": FORMAT,

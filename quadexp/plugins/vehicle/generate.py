@@ -42,9 +42,9 @@ HELPERS = re.compile(  # what CasADi adds for programs that ask a library about 
     r"\{(?:[^{}]|\{[^{}]*\})*\}\n"
 )
 LITERAL = re.compile(r"(?<![\w.])(\d+\.\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)(?![\w.])")
-QUIET = "".join(  # of generated code: an argument or a table that a function does not need
+QUIET = "".join(  # of generated code: arguments and tables that a function does not need; truth of a number
     f'#pragma GCC diagnostic ignored "-W{name}"\n'
-    for name in ("unused-parameter", "unused-const-variable", "unused-function")
+    for name in ("unused-parameter", "unused-const-variable", "unused-function", "float-conversion")
 )
 
 
@@ -64,7 +64,10 @@ class Names(NamedTuple):
             raise ValueError(f"{value} is no number of a controller")
         if value == int(value) and abs(value) < 1e6:
             return f"{int(value)}"
-        return f"{value:.9g}f" if self.real == "float" else repr(float(value))
+        if self.real == "double":
+            return repr(float(value))
+        text = f"{value:.9g}"
+        return f"{text}f" if {".", "e"} & set(text) else f"{text}.0f"
 
     def literals(self, values: Iterable[float]) -> str:
         """Numbers of an array, which in C has one at least."""
@@ -105,7 +108,7 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
         if operation.function is not None:
             for name, array in operation.function.arguments.items():
                 arrays.add(array, changed=name in CHANGEABLE)
-            arrays.add_all(operation.function.results.values(), written=True)
+            arrays.add_all(operation.function.results.values(), written=True, cleared=True)
     if instant.plan is not None:
         mpc = instant.plan.mpc
         mpc.step.arguments["shift"][...] = mpc._shift
@@ -275,7 +278,8 @@ def controller_c(made: Program) -> str:
     called += [made.start[0]] if made.start[0] is not None else []
     work = max([1, *(function.sz_w() for function in called)])
     places = max([1, *(function.sz_iw() for function in called)])
-    lines = ['#include "real.h"', "#define ALONE", '#include "controller.h"', '#include "loop.c"', ""]
+    lines = ['#include "real.h"', "#define ALONE", *(["#define NO_PLAN"] if made.plan is None else [])]
+    lines += ['#include "controller.h"', '#include "loop.c"', ""]
     lines += [f"#define QX(name) {names.prefix}_##name", f"typedef {names.prefix}_window window;"]
     lines += [f"enum {{ ROTORS = {vehicle.n_rotors}, ROWS = {made.rows}, RAM = {max(len(image), 1)} }};"]
     lines += [f"enum {{ IMAGE = {len(begins)}, ROUND = {math.lcm(*(o.every for o in made.operations))} }};"]
@@ -360,7 +364,6 @@ def plan_lines(made: Program) -> list[str]:
     steps = min(mpc.settings.initial_iterations, PLAIN_ITERATIONS)
     rates = step.form.states + RATE.start
     return [
-        "#define HAS_PLAN",
         *(f"int {phase}(const real **, real **, integer *, real *, int);" for phase in PHASES.values()),
         "extern real mpc_work[];",
         f"static const real *plan_given[] = {{{', '.join(given)}}};",

@@ -3,7 +3,7 @@
    that is far away, a step that has no answer. Freestanding C11: no allocation, of libraries only math.h.
 
    Declared before: ROTORS, ROWS, IMAGE, ROUND, ram, image, operations, the_loop, hover, thrust_min, thrust_max, start,
-   command_now; with an MPC HAS_PLAN, the_plan, the_shift, NODES, SAMPLES, FULL_STEPS, RATES. */
+   command_now; without NO_PLAN the_plan, the_shift, NODES, SAMPLES, FULL_STEPS, RATES. */
 #ifdef __FAST_MATH__
 #error "compile this file without -ffast-math: what is not a number must be seen"
 #endif
@@ -46,7 +46,7 @@ static int reading(integer which, const real *values, integer count) {
     return good[which] && (real)age[which] * the_loop.period <= HELD + ROUNDING ? 0 : -1;
 }
 
-#ifdef HAS_PLAN
+#ifndef NO_PLAN
 enum { UNSOLVED = 3 }; /* Status.FAILED of active_set.py */
 static const real CONVERGED = sizeof(real) == 8 ? (real)1e-6 : (real)1e-3; /* optimality residual; first_solve.py */
 static integer cold;
@@ -104,7 +104,7 @@ static void begin_plan(mpc *p, const real *state, const reference *r) {
     cold = 1;
 }
 #else
-static int planned(mpc *p) { return plan(p); }
+static int planned(mpc *p) { return (void)p, 0; }
 static int within_reach(const operation *o, const mpc *p) { return (void)o, (void)p, 0; }
 #endif
 
@@ -128,7 +128,7 @@ int QX(reset)(const real state[BODY], const window *w) {
         const operation *o = operations + i;
         if (o->kind == COMMIT) copy(o->next, o->to, o->count);
     }
-#ifdef HAS_PLAN
+#ifndef NO_PLAN
     begin_plan(&the_plan, state, &r);
     for (integer i = 0; i < the_loop.operations_size; i++) {
         const operation *o = operations + i;
@@ -157,7 +157,7 @@ int QX(step)(const real state[BODY], const real *force, const real *speed, const
             status = control(l, instant, &r, 0) ? OK : FAILED;
             instant = instant + 1 < ROUND ? instant + 1 : 0;
             if (status == OK) copy(last, command_now, ROTORS);
-#ifdef HAS_PLAN
+#ifndef NO_PLAN
             if (the_plan.status == UNSOLVED) status = FAILED;
 #endif
         }
@@ -168,7 +168,7 @@ int QX(step)(const real state[BODY], const real *force, const real *speed, const
 
 /* Body rates that an MPC predicts for its next node (rad/s), for stacks that take rates; null of a law. */
 const real *QX(rates)(void) {
-#ifdef HAS_PLAN
+#ifndef NO_PLAN
     return RATES;
 #else
     return 0;
