@@ -7,6 +7,7 @@ the reference.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -84,7 +85,8 @@ def _starts(controller: Any, x: np.ndarray, thrust: np.ndarray) -> Starts:
         if isinstance(layer, ObservingMPC):
             estimator = layer.inner.believed._estimator
             commands = np.tile(thrust, estimator.delays.pending)
-            start = {"commands": commands, "thrust": thrust, "sent": thrust, "estimate": _traced(layer.part.begin, x)}
+            estimate = _traced(layer.part.begin, x)
+            start = {"commands": commands, "thrust": thrust, "sent": thrust, "estimate": estimate}
             yield layer.inner.believed.memory, start
         elif isinstance(layer, Layer):
             start = at_start(layer.vehicle, layer.about, thrust) if "sent" in layer.memory.sizes else {}
@@ -105,13 +107,20 @@ def _starts(controller: Any, x: np.ndarray, thrust: np.ndarray) -> Starts:
 
 
 def _traced(start: Any, *arguments: Any) -> Any:
-    """What a `start` gives for symbols. Raises UsageError where it does with them what equations cannot."""
-    try:
-        return start(*arguments)
-    except Exception as error:
-        owner = type(getattr(start, "__self__", start)).__name__
-        text = " ".join(str(error).split())[:160]
-        raise UsageError(f"export: start of {owner}: cannot be written as equations: {text}") from None
+    """What a `start` gives for symbols: as arrays of numpy, or where it cannot have these as columns of CasADi.
+
+    Raises UsageError where it does with both what equations cannot."""
+    columns = [_column(one) if isinstance(one, np.ndarray) else one for one in arguments]
+    reason = ""
+    for form in (arguments, columns):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of functions of numpy on symbols, which are tried
+                return start(*form)
+        except Exception as error:  # of whatever a user's code does
+            reason = " ".join(str(error).split())[:160]
+    owner = type(getattr(start, "__self__", start)).__name__
+    raise UsageError(f"export: start of {owner}: cannot be written as equations: {reason}")
 
 
 def _elements(symbols: ca.SX) -> np.ndarray:
@@ -123,4 +132,7 @@ def _elements(symbols: ca.SX) -> np.ndarray:
 
 
 def _column(value: Any) -> ca.SX:
+    """Numbers and symbols, in their order."""
+    if isinstance(value, (ca.SX, ca.DM)):
+        return ca.SX(ca.densify(ca.vec(value)))
     return ca.vertcat(*[ca.SX(element) for element in np.ravel(np.asarray(value, object)).tolist()])
