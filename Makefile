@@ -1,4 +1,4 @@
-# `make` sets everything up and runs the main job; `make test` sets up and runs the tests.
+# `make` sets everything up and runs the main job; `make test` sets up and runs the tests of the core, `make test-full` all.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
+.PHONY: all setup quick test test-full test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
 
 all: quick
 
@@ -29,8 +29,13 @@ quick: $(STAMP)
 # One process more than there are cores: tests of sweeps and clusters wait much of their time.
 TEST_PROCESSES ?= $(shell echo $$(($$(nproc 2>/dev/null || echo 2) + 1)))
 # The processes that tests start read compiled modules, whatever the shell says of writing them.
-test test-fast test-interpreted test-slow: export PYTHONDONTWRITEBYTECODE :=
+test test-full test-fast test-interpreted test-slow: export PYTHONDONTWRITEBYTECODE :=
+# The core, that it works with any plug-in deleted, and every command of the documentation.
 test: $(STAMP)
+	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' --ignore-glob='*/plugins/*/*' tests examples
+
+# These, and the tests of all plug-ins.
+test-full: $(STAMP)
 	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests examples
 
 # Physics, properties, and a flight through every seam: a tenth of `test`.
