@@ -16,7 +16,7 @@ import numpy as np
 from quadexp.log.check import rotors, samples, search
 from quadexp.log.check.candidates import COLUMNS, KEYS, Candidate
 from quadexp.log.check.duplicates import check_duplicates
-from quadexp.log.check.finding import Finding, of_rows, worst_first
+from quadexp.log.check.finding import SEVERITIES, Finding, of_rows, worst_first
 from quadexp.log.check.rotors import check_commands, check_flown, check_voltage
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream, continuous, increasing, longest
@@ -34,6 +34,7 @@ THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
 OFFSET_BLOCKS = 0.1  # s
+SAME_OFFSET = 0.005  # s: gyro and accelerometer of one board
 CLEARANCE = 0.5  # m that a flight is above where it rests
 GROUND, GROUND_BLOCKS = 0.02, 0.05  # share of the samples at rest
 LETTERS = {key: letter for letter, key in KEYS.items()}
@@ -163,6 +164,10 @@ def inspect_flight(
         mark(finding.name, _stray_rows(t, when, spike))
     findings += [finding for finding in spikes if finding.name not in {other.name for other in findings}]
     commands, impossible = check_commands(kept, vehicle)
+    if (unit := rotors.check_rotor_unit(kept, vehicle)) and any("rotor_speed" in one.where for one in commands):
+        commands = [one for one in commands if "rotor_speed" not in one.where]  # its symptom
+        impossible[:] = False
+    commands += unit
     mark("impossible_command", impossible)
     findings += commands + check_voltage(kept, vehicle)
     if t[-1] - t[0] < SHORT:
@@ -337,8 +342,9 @@ def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candida
 
 
 def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.ndarray) -> list[Finding]:
-    """Streams that are late or early, or drift apart, beyond what clean logs do. good: samples to be used, (k,)."""
-    found = []
+    """Streams that are late or early, or drift apart, beyond what clean logs do; gyro and accelerometer that are so by
+    as much are one finding. good: samples to be used, (k,)."""
+    found: dict[str, tuple[Finding, Offset]] = {}
     for (name, behind), offset in _offsets(streams, t, good).items():
         size = _late(offset, t)
         limit = max(ALLOWED, 3 * offset.error)
@@ -349,5 +355,15 @@ def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.nda
         severity = "blocking" if size > OFFSET_BLOCKS else "warning"
         where = f"{COLUMNS[LETTERS[name]]} against {COLUMNS[LETTERS[behind]]}"
         kind, advice = "clock_drift" if offset.drift else "time_offset", "`import --align` corrects it"
-        found.append(Finding(kind, severity, where, text, f"{limit * 1e3:.0f} ms, no drift", advice))
-    return found
+        finding = Finding(kind, severity, where, text, f"{limit * 1e3:.0f} ms, no drift", advice)
+        found[name] = finding, offset
+    if {"rate", "acceleration"} <= found.keys():
+        (rate, by), (force, other) = found["rate"], found.pop("acceleration")
+        if rate.name == force.name and abs(by.seconds - other.seconds) < SAME_OFFSET + 3 * (by.error + other.error):
+            worse = max(rate.severity, force.severity, key=SEVERITIES.index)
+            text = f"{rate.measured}, and {force.measured}"
+            where = f"{rate.where}, {force.where}"
+            found["rate"] = replace(rate, severity=worse, where=where, measured=text), by
+        else:
+            found["acceleration"] = force, other
+    return [finding for finding, _ in found.values()]
