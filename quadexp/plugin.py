@@ -55,6 +55,8 @@ BRINGS: dict[str, dict[str, str]] = {
         "cache": "quadexp.cli.extend:cache",
     },
     "readers": {  # the most general last: to it any text is a table
+        "ardupilot": "quadexp.log.importers.readers.ardupilot",
+        "betaflight": "quadexp.plugins.betaflight.reader",
         "rosbag": "quadexp.log.importers.readers.rosbag",
         "ulog": "quadexp.log.importers.readers.ulog",
         "csv": "quadexp.log.importers.readers.csv",
