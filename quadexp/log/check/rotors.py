@@ -35,6 +35,7 @@ ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
 FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
 FASTEST_MEDIAN = 4e3  # rad/s: 38 000 rpm
 HOVER_RANGE = 2.5
+SLOW = 3.0  # times below the least median speed: certainly another unit
 RADIUS = (0.35, 0.5)  # of a rotor over the distance to its neighbour
 SPEED_OF_SOUND, AIR_DENSITY = 340.0, 1.2  # m/s, kg/m^3
 LARGEST_THRUST_COEFFICIENT = 0.05  # of a rotor: T / (rho A (w r)^2)
@@ -117,14 +118,15 @@ def check_rotor_unit(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     factors = {unit: factor for unit, factor in UNITS["rotor_speed"].items() if unit not in ("rad/s", "deg/s", ELECTRICAL)}
     fitting = [unit for unit, factor in factors.items() if low <= speed * factor <= high]
     unit = min(fitting, key=lambda name: abs(np.log(speed * factors[name] / middle)), default="")
+    severity = "warning" if low / SLOW < speed < low else "blocking"  # a slow rotor may be larger than it is taken for
     text = f"median {speed:.4g} rad/s"
     allowed = f"{low:.3g} to {high:.3g} rad/s" + ("" if vehicle is None else f" of {vehicle.name}")
     if not unit:
         advice = "state the unit of rotor_speed (rpm, Hz, krpm, erpm with pole_pairs) in the mapping"
-        return [Finding("units", "blocking", "rotor_speed_*", text, allowed, advice)]
+        return [Finding("units", severity, "rotor_speed_*", text, allowed, advice)]
     lines = {"rotor_speed": {"unit": unit}}
     advice = f"correct the mapping of the import: `rotor_speed: {{unit: {unit}}}`"
-    return [Finding("units", "blocking", "rotor_speed_*", f"{text}: {unit}", allowed, advice, correction=lines)]
+    return [Finding("units", severity, "rotor_speed_*", f"{text}: {unit}", allowed, advice, correction=lines)]
 
 
 def plausible_speeds(vehicle: Vehicle | None) -> tuple[float, float]:
