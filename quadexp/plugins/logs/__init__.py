@@ -10,6 +10,8 @@ BRINGS = {
     "parts": {"from_model": "quadexp.plugins.logs.from_model"},
     "models": {"vehicle_model": "quadexp.plugins.logs.vehicle_model"},
     "readers": {  # the most general last: to it any text is a table
+        "ardupilot": "quadexp.plugins.logs.importers.readers.ardupilot",
+        "betaflight": "quadexp.plugins.logs.importers.readers.betaflight",
         "rosbag": "quadexp.plugins.logs.importers.readers.rosbag",
         "ulog": "quadexp.plugins.logs.importers.readers.ulog",
         "csv": "quadexp.plugins.logs.importers.readers.csv",

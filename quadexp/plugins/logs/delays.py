@@ -33,6 +33,7 @@ from quadexp.writer import check_output
 EVEN = 1e-3  # share of a period by which samples may be uneven
 MOST_SEARCHED = 3  # flights of a data set
 NOTHING = 1.5e-3  # s: less than this is no delay that is worth a setting
+SUM_SHARE = 0.25  # of dead time and lag together, by which their sum may be off to be worth a setting
 LIKELY = 20.0  # log likelihood less the best, down to which candidates are drawn
 PROFILED, BESIDE = 51, 2  # candidates of a delay in a figure; of them on each side of the likely ones
 
@@ -62,15 +63,20 @@ def identify_delays(
         if is_recorded(flight):
             if figure is not None:
                 raise UsageError("identify --figure: draws the search in a simulated flight, this one is a log")
-            delays, said = _of_log(flight, str(path), flown)
+            delays, said, late = _of_log(flight, str(path), flown)
         else:
+            late = None
             search, delays = _of_simulated(flight, str(path), flown)
             said = report(delays)
             if figure is not None:
                 _draw(search, delays, figure)
         settings = overrides(delays)
+        split = ""
+        if late is not None and not delays.commands_known and sum_known(late):
+            settings = [*_of_commands(late.dead_time, late.lag), *settings]
+            split = " (the sum of dead time and lag is known, its parts are the likeliest)"
         records.append({"path": str(path), **asdict(delays), "overrides": settings})
-        lines += [f"{path}", *(f"  {line}" for line in said), f"  set: {' '.join(settings) or 'nothing'}"]
+        lines += [f"{path}", *(f"  {line}" for line in said), f"  set: {' '.join(settings) or 'nothing'}{split}"]
     return {"flights": records, "lines": lines}
 
 
@@ -110,8 +116,8 @@ def timing_by_accelerometer(flights: Sequence[Flight], vehicle: Vehicle, *, of_e
     return Timing(float(lag), float(lag), "thrust", float(delay))
 
 
-def _of_log(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Delays, list[str]]:
-    """Delays of a recorded flight, and what to say of them."""
+def _of_log(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Delays, list[str], CommandLag | None]:
+    """Delays of a recorded flight, what to say of them, and dead time and lag as they were found."""
     speeds = rotor_columns(flight, "rotor_speed")
     kind = next((kind for kind in COMMANDS if rotor_columns(flight, kind)), None)
     late, lines = None, list[str]()
@@ -127,13 +133,13 @@ def _of_log(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Delays, list[s
     if late is None:
         why = "too short or too slow to tell" if kind else f"none of {', '.join(COMMANDS)} is in the log"
         delays = Delays(*ages, 0.0, np.inf, 0.0, np.inf)
-        return delays, [*report(delays)[:-2], f"dead time and lag of the commands: {why}"]
+        return delays, [*report(delays)[:-2], f"dead time and lag of the commands: {why}"], None
     error = (late.intervals[:, 1] - late.intervals[:, 0]) / (2 * 1.96)
     error[late.at_bound | (not late.late)] = np.inf
     delays = Delays(*ages, late.dead_time, float(error[0]), late.lag, float(error[1]))
     by = "the rotor speeds" if lines else f"{kind} and the specific force"
     found = str(late) if late.late else f"none is seen; {late}"
-    return delays, [*report(delays)[:-2], f"commands, by {by}, 95 % intervals: {found}", *lines]
+    return delays, [*report(delays)[:-2], f"commands, by {by}, 95 % intervals: {found}", *lines], late
 
 
 def _by_speeds(samples: Samples, speeds: np.ndarray) -> tuple[CommandLag | None, list[str]]:
@@ -224,12 +230,23 @@ def report(delays: Delays) -> list[str]:
     return [*lines, line("time constant of the motors", delays.lag, delays.lag_error, known)]
 
 
+def sum_known(late: CommandLag) -> bool:
+    """Whether a log tells how late the commands are in all, whatever the parts of dead time and lag."""
+    low, high = late.intervals[2]
+    whole = late.dead_time + late.lag
+    return late.late and not late.at_bound[2] and (high - low) / 2 <= max(2 * KNOWN, SUM_SHARE * whole)
+
+
+def _of_commands(dead_time: float, lag: float) -> list[str]:
+    commands = {"dead_time": dead_time, "motor_lag": lag}
+    return [f"controller.{key}={value:.3f}" for key, value in commands.items() if value > NOTHING]
+
+
 def overrides(delays: Delays) -> list[str]:
     """The settings that make these delays good, as far as they are known."""
     settings = list[str]()
     if delays.commands_known:
-        commands = {"dead_time": delays.dead_time, "motor_lag": delays.lag}
-        settings += [f"controller.{key}={value:.3f}" for key, value in commands.items() if value > NOTHING]
+        settings += _of_commands(delays.dead_time, delays.lag)
     if delays.age_known and delays.age > NOTHING:
         settings += [f"delay={'strapdown' if delays.gyro_fresh else 'prediction'}", f"delay.time={delays.age:.3f}"]
     return settings

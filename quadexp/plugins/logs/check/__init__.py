@@ -8,6 +8,7 @@ degrees is reported as such, not as one that spins too fast.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs.check import rotors, samples, search
 from quadexp.plugins.logs.check.candidates import COLUMNS, KEYS, Candidate
 from quadexp.plugins.logs.check.duplicates import check_duplicates
-from quadexp.plugins.logs.check.finding import Finding, of_rows, worst_first
+from quadexp.plugins.logs.check.finding import SEVERITIES, Finding, of_rows, worst_first
 from quadexp.plugins.logs.check.rotors import check_commands, check_flown, check_voltage
 from quadexp.plugins.logs.signal import Stream, increasing
 from quadexp.plugins.logs.signal.offset import Offset, aligned, find_offsets, turning_offset
@@ -35,12 +36,39 @@ THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
 OFFSET_BLOCKS = 0.1  # s
+SAME_OFFSET = 0.005  # s: gyro and accelerometer of one board
 CLEARANCE = 0.5  # m that a flight is above where it rests
 GROUND, GROUND_BLOCKS = 0.02, 0.05  # share of the samples at rest
 LETTERS = {key: letter for letter, key in KEYS.items()}
+TURNS = {"mounting", "heading", "scale", "bias"}  # what a delay may look like
+LEAST_LATE, MOST_LATE = 0.008, 0.3  # s: that is looked for in place of a turn
+LEAST_CORRELATION = 0.7
 # Faults of samples, of which the finding `inconsistent` is a symptom.
 BROKEN = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",
           "dead_logger"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LateStreams:
+    """moves: by how much streams are late (s), by letter. rivals: turns that explain the flight as well."""
+
+    moves: dict[str, float]
+    rivals: list[Candidate]
+
+    def said(self, offsets: list[Finding]) -> list[Finding]:
+        """The findings of offsets with the rivals named, and one of these streams where there is none."""
+        doubt = "; or " + " and ".join(f"{one.where}: {one.text}" for one in self.rivals) if self.rivals else ""
+        lines = ", ".join(line for one in self.rivals for line in one.lines)
+        decide = f"; decide between this and {lines}, which the flight does not" if self.rivals else ""
+        if not offsets:
+            sizes = {KEYS[name]: seconds for name, seconds in self.moves.items()}
+            text = ", ".join(f"{name} is {1e3 * seconds:+.0f} ms late" for name, seconds in sizes.items())
+            where = ", ".join(COLUMNS[name] for name in self.moves)
+            size = max(abs(seconds) for seconds in self.moves.values())
+            severity = "blocking" if size > OFFSET_BLOCKS else "warning"
+            advice = "a flight that does not repeat itself tells it, then `import --align` corrects it"
+            offsets = [Finding("time_offset", severity, where, text, f"{1e3 * ALLOWED:.0f} ms", advice)]
+        return [replace(one, measured=one.measured + doubt, advice=one.advice + decide) for one in offsets]
 
 
 def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding]:
@@ -121,8 +149,9 @@ def inspect_flight(
     mark("dead_logger", lost)
     mark("frozen_sensor", stuck)
     bad = _spiky(streams, len(t)) | lost | stuck | ~_finite(streams)
-    repaired, explained = _consistency(t, streams, bad, segment)
-    findings += explained + _check_offset(repaired, t, ~bad)
+    repaired, explained, late = _consistency(t, streams, bad, segment)
+    offsets = _check_offset(repaired, t, ~bad)
+    findings += explained + (offsets if late is None else late.said(offsets))
     hardest = HARD_LIMIT
     if vehicle is not None:
         thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
@@ -137,6 +166,10 @@ def inspect_flight(
         mark(finding.name, _stray_rows(t, when, spike))
     findings += [finding for finding in spikes if finding.name not in {other.name for other in findings}]
     commands, impossible = check_commands(kept, vehicle)
+    if (unit := rotors.check_rotor_unit(kept, vehicle)) and any("rotor_speed" in one.where for one in commands):
+        commands = [one for one in commands if "rotor_speed" not in one.where]  # its symptom
+        impossible[:] = False
+    commands += unit
     mark("impossible_command", impossible)
     findings += commands + check_voltage(kept, vehicle)
     if t[-1] - t[0] < SHORT:
@@ -194,10 +227,11 @@ def _spiky(streams: Mapping[str, np.ndarray], length: int) -> np.ndarray:
 
 def _consistency(
     t: np.ndarray, streams: dict[str, np.ndarray], bad: np.ndarray, segment: np.ndarray | None
-) -> tuple[dict[str, np.ndarray], list[Finding]]:
-    """The streams after the corrections that were found, and the findings."""
+) -> tuple[dict[str, np.ndarray], list[Finding], LateStreams | None]:
+    """The streams after the corrections that were found, the findings, and streams that are late where a turn would
+    explain the flight no better."""
     if len(cut(t, {}, ~bad, segment).t) < search.LEAST_WINDOWS:
-        return streams, []
+        return streams, [], None
     shifted = dict(streams)
     if {"q", "w"} <= streams.keys() and (~bad).sum() >= 50:
         turning = turning_offset(*(Stream(t[~bad], streams[name][~bad]) for name in "qw"))
@@ -213,7 +247,65 @@ def _consistency(
         shifted = dict(streams) | _moved(t, streams, {name: by for name, by in moves.items() if by.any()})
         taken, found = search.explain(cut(t, shifted, ~bad, segment))
         again = _repaired(t, streams, taken)
-    return again, found
+    late_streams = _late_instead(t, shifted, taken, ~bad, segment)
+    if late_streams is None:
+        return again, found, None
+    moved = shifted | _moved(t, shifted, late_streams.moves)
+    taken, found = search.explain(cut(t, moved, ~bad, segment))
+    return _repaired(t, streams, taken), found, late_streams
+
+
+def _late_instead(
+    t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candidate], good: np.ndarray, segment: np.ndarray | None
+) -> LateStreams | None:
+    """Streams that are late, where that explains the flight as well as the turns and factors that were taken.
+
+    On a circle at a constant speed a delay tau turns what is measured by omega tau about the vertical.
+    """
+    doubtful = [candidate for candidate in taken if candidate.fault in TURNS]
+    if not doubtful:
+        return None
+    rest = [candidate for candidate in taken if candidate.fault not in TURNS]
+    plain = _repaired(t, streams, rest)
+    before = _evidence(t, plain, good, segment)
+    offsets = _offsets(plain, t, good)
+    explained = _evidence(t, _repaired(t, streams, taken), good, segment)
+    explained -= search.PER_COST * sum(candidate.cost for candidate in doubtful)
+    best, most = None, before + search.MARGIN
+    for moves in _possible_moves(offsets):
+        after = _evidence(t, plain | _moved(t, plain, moves), good, segment) - search.PER_COST * len(moves)
+        if after > most:
+            best, most = moves, after
+    if best is None:
+        return None
+    moved = plain | _moved(t, plain, best)
+    besides, _ = search.explain(cut(t, moved, good & _finite(moved), segment))
+    with_others = _evidence(t, _repaired(t, moved, besides), good, segment)
+    with_others -= search.PER_COST * (len(best) + sum(candidate.cost for candidate in besides))
+    if with_others < explained - search.MARGIN:
+        return None
+    return LateStreams(best, [] if with_others > explained + search.MARGIN else doubtful)
+
+
+def _possible_moves(offsets: Mapping[tuple[str, str], Offset]) -> list[dict[str, float]]:
+    """Streams by letter and by how much each may be late (s)."""
+    known = {}
+    for (name, _), offset in offsets.items():
+        if offset.correlation > LEAST_CORRELATION and LEAST_LATE < abs(offset.seconds) < MOST_LATE:
+            known[name] = offset.seconds
+    moves = []
+    if "rate" in known:
+        rate = known["rate"]
+        moves += [{"w": rate}, {"q": -rate}, {"w": rate, "f": known.get("acceleration", rate)}]
+    if "acceleration" in known:
+        force = known["acceleration"]
+        moves += [{"f": force}, {"p": -force, "v": -force}]
+    return moves
+
+
+def _evidence(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, segment: np.ndarray | None) -> float:
+    """How well the streams agree (log units)."""
+    return search.evidence(search.agreements(cut(t, streams, good & _finite(streams), segment)))
 
 
 def _moved(t: np.ndarray, streams: dict[str, np.ndarray], late: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -250,8 +342,9 @@ def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candida
 
 
 def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.ndarray) -> list[Finding]:
-    """Streams that are late or early, or drift apart, beyond what clean logs do. good: samples to be used, (k,)."""
-    found = []
+    """Streams that are late or early, or drift apart, beyond what clean logs do; gyro and accelerometer that are so by
+    as much are one finding. good: samples to be used, (k,)."""
+    found: dict[str, tuple[Finding, Offset]] = {}
     for (name, behind), offset in _offsets(streams, t, good).items():
         size = _late(offset, t)
         limit = max(ALLOWED, 3 * offset.error)
@@ -262,5 +355,15 @@ def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.nda
         severity = "blocking" if size > OFFSET_BLOCKS else "warning"
         where = f"{COLUMNS[LETTERS[name]]} against {COLUMNS[LETTERS[behind]]}"
         kind, advice = "clock_drift" if offset.drift else "time_offset", "`import --align` corrects it"
-        found.append(Finding(kind, severity, where, text, f"{limit * 1e3:.0f} ms, no drift", advice))
-    return found
+        finding = Finding(kind, severity, where, text, f"{limit * 1e3:.0f} ms, no drift", advice)
+        found[name] = finding, offset
+    if {"rate", "acceleration"} <= found.keys():
+        (rate, by), (force, other) = found["rate"], found.pop("acceleration")
+        if rate.name == force.name and abs(by.seconds - other.seconds) < SAME_OFFSET + 3 * (by.error + other.error):
+            worse = max(rate.severity, force.severity, key=SEVERITIES.index)
+            text = f"{rate.measured}, and {force.measured}"
+            where = f"{rate.where}, {force.where}"
+            found["rate"] = replace(rate, severity=worse, where=where, measured=text), by
+        else:
+            found["acceleration"] = force, other
+    return [finding for finding, _ in found.values()]

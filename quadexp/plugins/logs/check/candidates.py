@@ -53,6 +53,15 @@ class Candidate:
         return self.severity == "blocking"
 
     @property
+    def axes(self) -> tuple[int, ...]:
+        """Axes whose size it changes; all where it says nothing of single ones."""
+        for lines in self.correction.values():
+            factors = lines.get("scale") if isinstance(lines, dict) else None
+            if isinstance(factors, list) and len(factors) == 3:
+                return tuple(i for i, factor in enumerate(factors) if factor != 1.0)
+        return (0, 1, 2)
+
+    @property
     def where(self) -> str:
         return ", ".join(COLUMNS[stream] for stream in self.streams)
 
@@ -312,32 +321,32 @@ def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | 
         floor = RELATIONS[name].floor
         if name == "rate" and np.sqrt(np.mean(np.sum(expected**2, axis=1))) < LEAST_MOTION * floor:
             return None
-        size = norms(expected - _kabsch(expected, measured).apply(measured))
+        size = norms(expected - kabsch(expected, measured).apply(measured))
         near = size <= np.quantile(size, KEPT_WINDOWS)
         stretch = np.arange(len(measured)) % windows * STRETCHES // windows
         parts.append((expected[near] / floor, measured[near] / floor, stretch[near]))
     x, y, part = (np.concatenate(side) for side in zip(*parts, strict=True))
     if len(x) < 3 * STRETCHES or not (np.isfinite(x).all() and np.isfinite(y).all()):
         return None
-    turn = _kabsch(x, y)
-    rest = [_kabsch(x[part != k], y[part != k]) for k in np.unique(part)]
+    turn = kabsch(x, y)
+    rest = [kabsch(x[part != k], y[part != k]) for k in np.unique(part)]
     apart = np.array([(partly * turn.inv()).as_rotvec() for partly in rest])
     error = np.degrees(np.sqrt((len(rest) - 1) * np.var(apart, axis=0)))  # jackknife
     about_z = abs(np.degrees(turn.as_rotvec()[2]))
     if alone and (about_z < CERTAIN_ALONE * error[2] or error[2] > LEAST_TURN):
-        turn = _shortest(turn)
+        turn = shortest(turn)
     spread = np.linalg.norm(error[:2] if alone else error)
     return (turn, error) if max(LEAST_TURN, CERTAIN * spread) <= np.degrees(turn.magnitude()) < LARGEST_TURN else None
 
 
-def _kabsch(x: np.ndarray, y: np.ndarray) -> Rotation:
+def kabsch(x: np.ndarray, y: np.ndarray) -> Rotation:
     """The rotation that brings y (n, 3) onto x (n, 3)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # "not uniquely defined": its error will be large
         return Rotation.align_vectors(x, y)[0]
 
 
-def _shortest(turn: Rotation) -> Rotation:
+def shortest(turn: Rotation) -> Rotation:
     """The shortest of the turns that bring the same direction of the sensor onto the body's z."""
     up = turn.inv().apply(UP)
     axis = np.cross(up, UP)

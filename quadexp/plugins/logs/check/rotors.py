@@ -23,6 +23,7 @@ from quadexp.names import distinct
 from quadexp.physics.state import finite_rows, norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs.check.finding import Finding, of_rows
+from quadexp.plugins.logs.units import ELECTRICAL, UNITS
 
 # Of commands and battery:
 ROUNDING = 0.005  # of the range: what quantisation and resampling may add
@@ -32,6 +33,12 @@ CELL = (2.5, 4.45)  # V: of a lithium cell, empty and full
 MOST_CELLS = 14
 ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
 FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
+FASTEST_MEDIAN = 4e3  # rad/s: 38 000 rpm
+HOVER_RANGE = 2.5
+SLOW = 3.0  # times below the least median speed: certainly another unit
+RADIUS = (0.35, 0.5)  # of a rotor over the distance to its neighbour
+SPEED_OF_SOUND, AIR_DENSITY = 340.0, 1.2  # m/s, kg/m^3
+LARGEST_THRUST_COEFFICIENT = 0.05  # of a rotor: T / (rho A (w r)^2)
 # Of order and spin:
 RATE = 50.0  # Hz: of the fit
 BAND = 6.0  # Hz: vehicles turn up to there, vibration shakes above
@@ -92,6 +99,56 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Findin
             text = f"{share[k]:.2%} of the samples at full command"
             found.append(Finding("saturation", severity, names[k], text, f"{SATURATED:.0%}"))
     return found, impossible
+
+
+def check_rotor_unit(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
+    """Whether rotor speeds are in rad/s: against the speed at which the vehicle hovers where its thrust coefficient is
+    known, else against the speed of sound and what a blade can lift, by the size that rotors beside each other leave.
+    """
+    names = command_columns(flight).get("rotor_speed", [])
+    values = np.abs(flight.stack(names).astype(float)) if names else np.zeros((0, 1))
+    turning = values[np.isfinite(values) & (values > 0.2 * np.nanmax(values, initial=0.0))]
+    if not len(turning):
+        return []
+    speed = float(np.median(turning))
+    low, high = plausible_speeds(vehicle)
+    if low <= speed <= high:
+        return []
+    middle = np.sqrt(low * high)
+    factors = {
+        unit: factor for unit, factor in UNITS["rotor_speed"].items() if unit not in ("rad/s", "deg/s", ELECTRICAL)
+    }
+    fitting = [unit for unit, factor in factors.items() if low <= speed * factor <= high]
+    unit = min(fitting, key=lambda name: abs(np.log(speed * factors[name] / middle)), default="")
+    severity = "warning" if low / SLOW < speed < low else "blocking"  # a slow rotor may be larger than it is taken for
+    text = f"median {speed:.4g} rad/s"
+    allowed = f"{low:.3g} to {high:.3g} rad/s" + ("" if vehicle is None else f" of {vehicle.name}")
+    if not unit:
+        advice = "state the unit of rotor_speed (rpm, Hz, krpm, erpm with pole_pairs) in the mapping"
+        return [Finding("units", severity, "rotor_speed_*", text, allowed, advice)]
+    lines = {"rotor_speed": {"unit": unit}}
+    advice = f"correct the mapping of the import: `rotor_speed: {{unit: {unit}}}`"
+    return [Finding("units", severity, "rotor_speed_*", f"{text}: {unit}", allowed, advice, correction=lines)]
+
+
+def plausible_speeds(vehicle: Vehicle | None) -> tuple[float, float]:
+    """Least and largest median speed of the rotors of a flight (rad/s).
+
+    With a thrust coefficient k: the hover's, sqrt(m g / (n k)), over and times HOVER_RANGE. Else tips slower than
+    sound, and faster than sqrt(T / (C_T rho pi r^2)) with the largest C_T of a rotor; r between RADIUS times the
+    distance of neighbouring rotors.
+    """
+    if vehicle is None:
+        return 0.0, FASTEST_MEDIAN
+    weight = vehicle.mass * vehicle.gravity / vehicle.n_rotors
+    if vehicle.thrust_coefficient:
+        hover = float(np.sqrt(weight / vehicle.thrust_coefficient))
+        return hover / HOVER_RANGE, hover * HOVER_RANGE
+    places = np.array(vehicle.rotor_position, float)
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1) + 1e9 * np.eye(len(places))
+    small, large = (share * float(apart.min()) for share in RADIUS)
+    lifting = float(np.sqrt(weight / (LARGEST_THRUST_COEFFICIENT * AIR_DENSITY * np.pi * large**2))) / large
+    return lifting, SPEED_OF_SOUND / small
 
 
 def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:

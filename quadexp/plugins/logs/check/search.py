@@ -13,13 +13,15 @@ behind, both are named, and which one holds is asked for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.physics.state import norms
+from quadexp.plugins.logs.check.axis_scale import axis_candidates
 from quadexp.plugins.logs.check.candidates import (
     COLUMNS,
     Candidate,
@@ -30,7 +32,9 @@ from quadexp.plugins.logs.check.candidates import (
     mounting_candidates,
     scale_candidates,
 )
-from quadexp.plugins.logs.check.finding import LEAVE_OUT, Finding
+from quadexp.plugins.logs.check.finding import LEAVE_OUT, SEVERITIES, Finding
+from quadexp.plugins.logs.check.turn_and_bias import CLEAR as SURELY
+from quadexp.plugins.logs.check.turn_and_bias import better, turned_and_biased
 from quadexp.plugins.logs.signal.windows import Pair, Relation, Windows, pairs
 
 INDEPENDENT = 60
@@ -41,6 +45,9 @@ KEPT = 0.9  # share of the windows that a residual is taken over
 MOST_FAULTS = 4
 MOST_LEFT = 0.4  # of a misfit: a candidate that leaves as much names no fault
 MEASURED = ("scale", "heading")
+CALIBRATIONS = {"mounting", "bias", "scale"}
+MOVES = ("velocity", "rate", "force", "force (p)")  # relations whose both sides move
+MISFIT = 3.0  # floors: what is left of a relation's axis beyond is said, whatever was found
 FEW, FINALISTS = 100, 10  # every candidate is tried on so many windows first, the best ones on all
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
@@ -150,7 +157,7 @@ class Trial:
     @property
     def measured(self) -> bool:
         """Whether its size is measured, so that a small one that leaves much of the misfit is real all the same."""
-        return not self.candidate.blocks or self.candidate.fault in MEASURED
+        return not self.candidate.blocks or self.candidate.fault in MEASURED or len(self.candidate.axes) < 3
 
     @property
     def better(self) -> list[str]:
@@ -163,16 +170,20 @@ class Trial:
         was, stays = (sum(side[name].excess for name in self.better) for side in (self.before, self.after))
         return float(np.sqrt(stays / was)) if was > 0 else 1.0
 
-    def shrinks(self, share: float, names: list[str]) -> bool:
-        """Whether of one of these relations less than this share of the residual is left."""
-        return any(self.after[name].left < share * self.before[name].left for name in names if name in self.after)
+    def shrinks(self, share: float, names: Sequence[str], axes: Sequence[int] = (0, 1, 2)) -> bool:
+        """Whether of one of these relations less than this share of the residual is left, along these axes."""
+        for name in set(names) & self.after.keys():
+            was, left = (np.linalg.norm(side[name].residual[list(axes)]) for side in (self.before, self.after))
+            if left < share * was:
+                return True
+        return False
 
     def plausible(self) -> bool:
         """A candidate must make two moving streams agree, not only make both small, and make no relation worse."""
         fault, better, after = self.candidate.fault, self.better, self.after
         if any(one.evidence < self.before[name].evidence - 30.0 for name, one in after.items()):
             return False
-        if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, ["velocity", "rate", "force", "force (p)"]):
+        if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, MOVES, self.candidate.axes):
             return False  # a slope due to noise
         if fault == "units" and not self._more_than_nothing():
             return False
@@ -188,6 +199,17 @@ class Trial:
         nothing = _without_own(self.candidate, agreements(silent, self.before, self.candidate.streams), self.before)
         return not zero or evidence(self.after) - evidence(nothing) > MARGIN
 
+    def competes(self, other: Trial) -> bool:
+        """Whether both are calibrations of one sensor: a turn, a bias, a factor."""
+        faults = {self.candidate.fault, other.candidate.fault} <= CALIBRATIONS
+        return faults and bool(set(self.candidate.streams) & set(other.candidate.streams) & set("wf"))
+
+    @property
+    def gains(self) -> bool:
+        """Whether it makes what it changes agree better, and nothing agree worse."""
+        worse = any(one.evidence < self.before[name].evidence - 1.0 for name, one in self.after.items())
+        return not worse and evidence(self.after) > evidence(self.before)
+
     @property
     def telling(self) -> str:
         """The relation that it betters most."""
@@ -202,11 +224,14 @@ class Trial:
         advice += f"; or import {one.options}" if one.options else ""
         if rival is not None:
             other, behind = rival.candidate, self.value - rival.value
-            text += f"; but {other.where}: {other.text}, is {behind:.1f} log units less likely only"
-            text += f" ({MARGIN:g} are sure)"
+            likely = f"{behind:.1f} log units less likely only ({MARGIN:g} are sure)" if behind > 0 else "as likely"
+            text += f"; but {other.where}: {other.text}, is {likely}"
             advice += f"; decide between this and {', '.join(other.lines)}, which the data do not"
         allowed = "SI units, world ENU, body FLU, quaternion body to world with w first"
-        return Finding(one.fault, one.severity, one.where, text, allowed, advice, correction=one.correction)
+        both = [one.severity] if rival is None else [one.severity, rival.candidate.severity]
+        return Finding(
+            one.fault, max(both, key=SEVERITIES.index), one.where, text, allowed, advice, correction=one.correction
+        )
 
 
 def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
@@ -235,9 +260,7 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
         mount = next((trial for trial in named if not trial.conventional), None)
         if mount is not None and not mount.candidate.blocks and mount.value > best.value - MARGIN:
             best = mount
-        rivals = (trial for trial in named if trial is not best and trial.conventional and trial.candidate.blocks)
-        rival = next(rivals, None) if best.candidate.blocks else None
-        findings.append(best.finding(rival if rival and best.value - rival.value < MARGIN else None))
+        findings.append(best.finding(_rival(best, named)))
         taken.append(best.candidate)
         windows, named = best.windows, []
         before = agreements(windows)
@@ -249,7 +272,60 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
             )
             allowed = f"{DISAGREE:.0%} of the signal"
             findings.append(Finding("inconsistent", "blocking", relation.columns, text, allowed))
-    return taken, findings
+    findings += _small_factors(windows, before, taken)
+    return taken, findings + _misfits(before, findings)
+
+
+def _rival(best: Trial, named: list[Trial]) -> Trial | None:
+    """The next best explanation, where it lies less than MARGIN behind."""
+    for trial in named:
+        near = trial is not best and best.value - trial.value < MARGIN
+        if near and best.candidate.blocks and trial.conventional and trial.candidate.blocks:
+            return trial
+        if near and trial.candidate.fault != best.candidate.fault and best.competes(trial):
+            return trial
+    return None
+
+
+def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate]) -> list[Finding]:
+    """Factors of axes that are sure by their own standard errors, and too small to count against what sensors differ
+    by: warnings."""
+    scaled = {stream for mended in taken if mended.fault in ("scale", "units") for stream in mended.streams}
+    findings = []
+    told: set[str] = set()
+    for candidate in axis_candidates(windows):
+        relation = {"w": "rate", "f": "force"}.get(candidate.streams, "velocity")
+        if candidate.fault == "scale":
+            candidate = replace(candidate, severity="warning")
+        trial = _tried(candidate, windows, before)
+        if candidate.streams in scaled or relation in told or trial is None or not trial.gains:
+            continue
+        told.add(relation)
+        findings.append(trial.finding(None))
+    return findings
+
+
+def _misfits(before: Agreements, findings: list[Finding]) -> list[Finding]:
+    """What is left between two streams once all that was found is corrected, where it is beyond what sensors differ
+    by."""
+    said = {finding.where for finding in findings if finding.name in ("misfit", "inconsistent")}
+    misfits = []
+    for name in MOVES:
+        relation = before.get(name)
+        if relation is None or relation.columns in said:
+            continue
+        excess = np.sqrt(np.maximum(relation.residual**2 - relation.floor**2, 0.0))
+        large = relation.residual > MISFIT * relation.floor
+        bad = large & (excess > MOST_LEFT * np.maximum(relation.signal, relation.floor))
+        if not bad.any():
+            continue
+        axes = ", ".join(axis for axis, one in zip("xyz", bad, strict=True) if one)
+        floors = float(np.max(relation.residual[bad])) / relation.floor
+        corrected = " once what is named is corrected" if findings else ""
+        text = f"{relation.words}{corrected}; along {axes} up to {floors:.1f} times what sensors differ by"
+        said.add(relation.columns)
+        misfits.append(Finding("misfit", "warning", relation.columns, text, f"{MISFIT:g} times, or {MOST_LEFT:.0%}"))
+    return misfits
 
 
 def _tried(candidate: Candidate, windows: Windows, before: Agreements) -> Trial | None:
@@ -274,13 +350,15 @@ def _ranked(windows: Windows, before: Agreements, taken: list[Candidate]) -> lis
     turned = {stream for mended in taken if mended.fault == "mounting" for stream in mended.streams}
     every = [*candidates(frozenset(windows.streams)), *_scales(before), *heading_candidates(windows)]
     every += bias_candidates(windows)
+    every += axis_candidates(windows)
     few = windows.every(max(1, len(windows.t) // FEW))
     known = agreements(few)
     new = [candidate for candidate in every if (candidate.streams, candidate.fault) not in done]
     coarse = [trial for candidate in new if (trial := _tried(candidate, few, known))]
     best = sorted((trial for trial in coarse if trial.value > 0), key=lambda trial: -trial.value)
     likely = [trial.candidate for trial in best[:FINALISTS]]
-    mounts = [mount for mount in mounting_candidates(windows) if not set(mount.streams) & turned]
+    mounts = [*mounting_candidates(windows), *turned_and_biased(windows)]
+    mounts = [mount for mount in mounts if not set(mount.streams) & turned]
     trials = [trial for candidate in (*likely, *mounts) if (trial := _tried(candidate, windows, before)) is not None]
     explaining = [trial for trial in trials if trial.value > MARGIN and trial.plausible()]
     if not any(trial.candidate.blocks and trial.left < MOST_LEFT for trial in explaining):
@@ -291,7 +369,24 @@ def _ranked(windows: Windows, before: Agreements, taken: list[Candidate]) -> lis
         for trial in explaining
         if trial.conventional or not trial.candidate.blocks or trial.value > best_other + MARGIN
     ]
-    return sorted(explaining, key=lambda trial: -trial.value)
+    return _without_beaten(sorted(explaining, key=lambda trial: -trial.value))
+
+
+def _without_beaten(trials: list[Trial]) -> list[Trial]:
+    """Without calibrations of a sensor that another one of it surely beats, stretch by stretch of the flight."""
+    kept: list[Trial] = []
+    for trial in trials:
+        rivals = [other for other in kept if trial.competes(other)]
+        if any(_beats(other, trial) for other in rivals):
+            continue
+        beaten = [other for other in rivals if _beats(trial, other)]
+        kept = [other for other in kept if all(other is not lost for lost in beaten)] + [trial]
+    return sorted(kept, key=lambda trial: -trial.value)
+
+
+def _beats(a: Trial, b: Trial) -> bool:
+    """Whether the variations surely say `a`, and all together does not say `b`."""
+    return a.value > b.value - MARGIN and better(a.windows, b.windows, b.candidate.streams) > SURELY
 
 
 def _under_a_mount(windows: Windows, before: Agreements, likely: list[Candidate], alone: float) -> list[Trial]:

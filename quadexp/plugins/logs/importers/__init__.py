@@ -76,11 +76,24 @@ def import_log(
         log.streams.clear()  # a long log is held once
         flight = Flight(columns, _metadata(path, log, vehicle, offsets))
         if options.bad_rows == "refuse":
-            return flight, [*log.notes, *moved]
+            return flight, said_once([*log.notes, *moved])
         flight, counts, left_out = without_bad_rows(flight, vehicle, options.bad_rows, derived=derived)
         if counts:
             flight.metadata["source"]["left_out"] = {"mode": options.bad_rows, "rows": counts}
-        return flight, [*log.notes, *moved, *left_out]
+        return flight, said_once([*log.notes, *moved, *left_out])
+
+
+def said_once(notes: list[str]) -> list[str]:
+    """Notes of several streams that say the same, as those of one clock do, as one."""
+    streams: dict[str, list[str]] = {}
+    for note in notes:
+        name, colon, text = note.partition(": ")
+        streams.setdefault(text if colon else note, []).append(name if colon else "")
+    said = []
+    for text, names in streams.items():
+        bare = [name.partition(" (")[0] for name in names] if len(names) > 1 else names
+        said.append(f"{', '.join(dict.fromkeys(bare))}: {text}" if names[0] else text)
+    return said
 
 
 def _unmount(path: Path, log: RawLog, options: Options) -> None:

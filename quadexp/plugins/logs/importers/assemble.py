@@ -19,6 +19,7 @@ from quadexp.plugins.logs.importers.mapping import PLACES, ROTORS, Crop, columns
 from quadexp.plugins.logs.importers.raw import RawLog
 from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative
 from quadexp.plugins.logs.signal.resample import resample
+from quadexp.plugins.logs.units import UNITS
 
 HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
 SLOW = ("battery_voltage", "wind")  # known before their first sample and after their last
@@ -30,6 +31,7 @@ SHORTEST = 5  # rows of a segment
 MOST_ROWS = 8_000_000
 MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
 LONGEST = 7 * 86400.0  # s
+LIKELY_RATES = (20.0, 9000.0)  # Hz, of a log whose unit of time is wrong
 
 
 def assemble(
@@ -117,6 +119,11 @@ def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
         covered = float(np.minimum(step, 10 * np.median(step)).sum())
         if length > min(MOST_EMPTY * covered, LONGEST):
             row, what = int(np.argmax(step)), "its clock jumps, or the unit of its time is wrong"
+            for unit in ("ms", "us", "ns"):
+                rate = 1 / (float(np.median(step)) * UNITS["time"][unit])
+                if LIKELY_RATES[0] <= rate <= LIKELY_RATES[1]:
+                    what += f": in {unit} its rows come at {rate:.4g} Hz, which `unit: {unit}` under `time:` says"
+                    break
             raise DataError(f"{path}: {name} spans {length:.6g} s, {step[row]:.6g} s of it after row {row}: {what}")
 
 

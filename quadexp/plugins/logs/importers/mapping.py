@@ -81,7 +81,10 @@ PLACES = {
 }  # fmt: skip
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
-TABLES, SELF_DESCRIBING = (("text", "hdf5", "parquet"), ("csv", "ulog", "rosbag", "ardupilot"))  # values of `format`
+TABLES, SELF_DESCRIBING = (
+    ("text", "hdf5", "parquet"),
+    ("csv", "ulog", "rosbag", "ardupilot", "betaflight"),
+)  # values of `format`
 IN_BODY = ("rate", "acceleration")  # unless `frame` says otherwise
 _TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
 from quadexp.plugins.logs.importers import Options, import_log
+from quadexp.plugins.logs.importers.readers import reader_of
 from tests.plugins.logs.importers import logs
 from tests.plugins.logs.importers.logs import FRD, NED, quad_x
 
@@ -49,6 +50,12 @@ def written(path, f):
         put("BAT", us, 0, f.voltage[k])
     path.write_bytes(out)
     return path
+
+
+def test_its_reader_is_declared(tmp_path):
+    """Whether or not pymavlink is installed."""
+    path = written(tmp_path / "a.BIN", logs.truth(0.1))
+    assert reader_of(path) == "ardupilot"
 
 
 def test_what_was_flown_comes_back(tmp_path):

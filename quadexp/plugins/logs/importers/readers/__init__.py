@@ -82,8 +82,6 @@ def reader_of(path: Path) -> str:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from None
         if not head:
             raise DataError(f"{path}: the file is empty")
-    if head and head.startswith(OTHERS[0][1]):  # its header is text
-        raise DataError(f"{path}: {way_of(path, head)}")
     known = next((name for name, reader in readers().items() if reader.recognises(path, head)), None)
     if known is None and head and (way := way_of(path, head)):
         raise DataError(f"{path}: {way}")
