@@ -5,7 +5,8 @@
     mpc.c             the MPC's step, around stages.c and what that includes
     real.h            precision and names
 
-loop.c, stages.c, active_set.c and riccati_backward.c are copies of the files that fly the bench.
+loop.c, stages.c and active_set.c are copies of the files that fly the bench; riccati_scalar.c, for processors without
+vector registers, stands for the bench's riccati_backward.c.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from quadexp.physics.state import N_STATE, RATE
 from quadexp.plugins.vehicle.arrays import Arrays
 
 HERE = Path(__file__).parent
-KERNELS = (compiled_loop.SOURCE, stages.SOURCE, *(stages.SOURCE.with_name(name) for name in stages.KERNELS))
+STEP = ("stages.c", "riccati_scalar.c", "active_set.c")
+KERNELS = (compiled_loop.SOURCE, *(stages.SOURCE.with_name(name) for name in STEP))
 CHANGEABLE = ("theta", "Q", "Q_end", "R", "u_min", "u_max", "settings")  # arguments that a user may change in flight
 FLOAT_TOLERANCE = 1e-4  # N: bound violation that counts as none, in single precision
 FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
