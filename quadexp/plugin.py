@@ -51,6 +51,7 @@ BRINGS: dict[str, dict[str, str]] = {
         "animate": "quadexp.cli.look:animate",
         "export": "quadexp.cli.look:export",
         "export-controller": "quadexp.plugins.vehicle.commands:export_controller",
+        "fly": "quadexp.plugins.vehicle.commands:fly",
         "options": "quadexp.cli.extend:options",
         "new": "quadexp.cli.extend:new",
         "cache": "quadexp.cli.extend:cache",
