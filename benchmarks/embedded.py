@@ -2,8 +2,8 @@
 
     python -m benchmarks.embedded FOLDER.. [--cpu m7]      folders of `quadexp export-controller`, with prefix qx
 
-Needed: gcc-arm-none-eabi and libnewlib-arm-none-eabi of the distribution, and the package unicorn. The recorded flight is
-flown again in the emulator: its first steps, and those around the largest commands. An instruction is no cycle: a
+Needed: gcc-arm-none-eabi and libnewlib-arm-none-eabi of the distribution, and the package unicorn. The recorded flight
+is flown again in the emulator: its first steps, and those around the largest commands. An instruction is no cycle: a
 Cortex-M7 makes between one half and two a cycle.
 """
 
@@ -48,11 +48,15 @@ class Board:
         self.about: dict[str, Any] = json.loads((folder / "model.json").read_text())
         self.real = np.dtype("<f8" if self.about["real"] == "double" else "<f4")
         self.program = scratch / "controller.elf"
-        sources = [folder / name for name in ("controller.c", "model.c", "mpc.c", "node.c") if name in self.about["files"]]
+        sources = [
+            folder / name for name in ("controller.c", "model.c", "mpc.c", "node.c") if name in self.about["files"]
+        ]
         files = [str(path) for path in (*sources, HERE / "embedded.c")]
         script = ["-T", str(HERE / "embedded.ld"), f"-I{folder}", "-O2", "-std=c11", "-ffp-contract=off"]
         subprocess.run([COMPILER, *FLAGS[cpu], *script, *LINK, *files, *ROOTS, "-o", str(self.program)], check=True)
-        self.places = {name: int(at, 16) for at, _, name in (line.split() for line in self._tool("nm") if line.count(" ") > 1)}
+        self.places = {
+            name: int(at, 16) for at, _, name in (line.split() for line in self._tool("nm") if line.count(" ") > 1)
+        }
         listing = "\n".join(self._tool("objdump", "-d"))
         starts = re.finditer(r"^\s*([0-9a-f]+):\t[0-9a-f]{4}(?: [0-9a-f]{4})? *\t(?!\.word)", listing, re.MULTILINE)
         self._starts = [int(found[1], 16) for found in starts]
@@ -129,7 +133,11 @@ def measured(folder: Path, cpu: str) -> dict[str, Any]:
     """A row of the table."""
     with tempfile.TemporaryDirectory() as scratch:
         board = Board(folder, cpu, Path(scratch))
-        count = (BODY + 3 + 2 * board.about["rotors"] + 1, len(board.about["node_times"]), max(len(board.about["node_times"]) - 1, 1))
+        count = (
+            BODY + 3 + 2 * board.about["rotors"] + 1,
+            len(board.about["node_times"]),
+            max(len(board.about["node_times"]) - 1, 1),
+        )
         width = count[0] + BODY * count[1] + board.about["rotors"] * count[2] + 19
         rows = np.fromfile(folder / "vectors.bin", board.real).astype(float).reshape(-1, width)
         n = board.about["rotors"]
@@ -160,7 +168,8 @@ def main() -> None:
     print(f"{'controller':28} {'step':>10} {'worst':>10} {'first':>10} {'flash':>8} {'ram':>8} {'stack':>7}  off (N)")
     for folder in given.folders:
         row = measured(folder, given.cpu)
-        numbers = f"{row['step']:10,} {row['worst']:10,} {row['first']:10,} {row['flash']:8,} {row['ram']:8,} {row['stack']:7,}"
+        widths = {"step": 10, "worst": 10, "first": 10, "flash": 8, "ram": 8, "stack": 7}
+        numbers = " ".join(f"{row[name]:{width},}" for name, width in widths.items())
         print(f"{folder.name:28} {numbers}  {row['apart']:.2g}", flush=True)
 
 

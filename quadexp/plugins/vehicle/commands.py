@@ -1,5 +1,5 @@
-"""Commands that bring a controller onto a vehicle: `quadexp export-controller`, `fly`. Only light modules are imported at the
-top."""
+"""Commands that bring a controller onto a vehicle: `quadexp export-controller`, `fly`. Only light modules are imported
+at the top."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def fly(
 
     \b
     quadexp fly udp:127.0.0.1:14540 controller=gp_mpc model=models/gp trajectory=circle trajectory.speed=4 --arm
-    quadexp fly udp:127.0.0.1:14540 controller=geometric --rates inverse=25,25,10 --thrust hover=0.5 --out runs/a.parquet
+    quadexp fly udp:127.0.0.1:14540 controller=geometric --rates inverse=25,25,10 --thrust hover=0.5
     """
     from quadexp.log.store import write_flight
     from quadexp.plugins.vehicle.mavlink.session import Asked, fly_mavlink

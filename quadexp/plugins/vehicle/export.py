@@ -15,8 +15,14 @@ from quadexp.control.compiled_loop import goes_in_c
 from quadexp.control.instant import in_operations
 from quadexp.control.wrapped import innermost, layers
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, check_remedies
-from quadexp.experiment.build import unshared
+from quadexp.experiment.build import (
+    build_controller,
+    build_trajectory,
+    build_vehicle,
+    build_world,
+    check_remedies,
+    unshared,
+)
 from quadexp.experiment.evaluate import generator
 from quadexp.experiment.identity import find_model, flight_record
 from quadexp.experiment.rollout import SampledReference
@@ -38,7 +44,12 @@ ERRORS = {"double": 1e-6, "float": 0.01}  # share of the mean tracking error
 
 
 def export_controller(
-    overrides: Sequence[str], out: Path, conf: Folders = None, *, real: str = "double", prefix: str = "qx",
+    overrides: Sequence[str],
+    out: Path,
+    conf: Folders = None,
+    *,
+    real: str = "double",
+    prefix: str = "qx",
     force: bool = False,
 ) -> dict[str, Any]:
     """Write the folder. real: precision. prefix: of all names that other objects see.
@@ -139,7 +150,7 @@ def checked_files(
     made: generate.Program, controller: Any, plant: Any, reference: SampledReference, flight: Recorder
 ) -> dict[str, str | bytes]:
     """The recorded flight, the plant, and what is to be met."""
-    names, n = made.names, controller.vehicle.n_rotors
+    names = made.names
     precision = np.dtype("<f8" if names.real == "double" else "<f4")
     files: dict[str, str | bytes] = {"vectors.bin": np.array(flight.rows).astype(precision).tobytes()}
     P, p = names.upper, names.prefix
@@ -186,13 +197,13 @@ def plant_lines(function: ca.Function, arguments: Mapping[str, np.ndarray], plan
     for i, name in enumerate(function.name_out()):
         points.append(f"left[{i}] = {places.get(name, f'spare + {spare}')};")
         spare += 0 if name in places else function.nnz_out(i)
-    told = first - inner
+    told, results = first - inner, function.sz_res()
     return [
         f"enum {{ INNER = {inner}, TOLD = {told}, TURNS = {int(bool(rotors))}, PLANT_CONTEXT = {at} }};",
-        f"enum {{ PLANT_SPARE = {spare}, PLANT_ARGUMENTS = {function.sz_arg()}, PLANT_RESULTS = {function.sz_res()} }};",
+        f"enum {{ PLANT_SPARE = {spare}, PLANT_ARGUMENTS = {function.sz_arg()}, PLANT_RESULTS = {results} }};",
         f"enum {{ PLANT_W = {function.sz_w()}, PLANT_IW = {function.sz_iw()} }};",
         "#define PLANT_INTEGER long long",
-        f"static const int turning[] = {{{of_rotors}}}; /* inner states: speeds of the rotors */",
+        f"static const int turning[] = {{{of_rotors}}}; /* inner states */",
         f"#define PLANT_POINTERS {' '.join(points)}",
     ]
 
@@ -201,10 +212,10 @@ def description(config: Config, controller: Any, names: generate.Names) -> list[
     """Lines about what is exported."""
     parts = [f"{group}={part.name}" for group, part in remedies(config).items()]
     model = f" model={config.model}" if config.model else ""
+    fingerprint = controller.vehicle.fingerprint
     return [
         f"controller={config.controller.name}{model} {' '.join(parts)}".rstrip(),
-        f"vehicle={config.vehicle.name} ({controller.vehicle.fingerprint}), {1 / controller.control_period:g} Hz,"
-        f" {names.real}",
+        f"vehicle={config.vehicle.name} ({fingerprint}), {1 / controller.control_period:g} Hz, {names.real}",
         f"checked on trajectory={config.trajectory.name} plant={config.plant.name} world={config.world}",
     ]
 
@@ -213,7 +224,9 @@ def build_files(made: generate.Program, files: Sequence[str]) -> dict[str, str]:
     """Makefile and CMakeLists.txt."""
     sources = [name for name in ("controller.c", "model.c", "mpc.c", "node.c") if name in files]
     plant = "plant.c" if "plant.c" in files else ""
-    texts = {name: (generate.HERE / f"{name}.in").read_text(encoding="utf-8") for name in ("Makefile", "CMakeLists.txt")}
+    texts = {
+        name: (generate.HERE / f"{name}.in").read_text(encoding="utf-8") for name in ("Makefile", "CMakeLists.txt")
+    }
     values = {"@SOURCES@": " ".join(sources), "@PLANT@": plant, "@NAME@": made.names.prefix}
     for name in texts:
         for key, value in values.items():

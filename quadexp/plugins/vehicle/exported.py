@@ -1,4 +1,4 @@
-"""The C of an exported controller, compiled from its folder and flown by the bench: controller=exported model=FOLDER."""
+"""The C of an exported controller, compiled from its folder, flown by the bench: controller=exported model=FOLDER."""
 
 from __future__ import annotations
 
@@ -131,7 +131,9 @@ def manifest_of(folder: Path) -> dict[str, Any]:
         known = about["exported"] == FORMAT
         files: dict[str, str] = about["files"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{file}: no exported controller ({type(error).__name__}); make one: {Exported.makes}") from None
+        raise DataError(
+            f"{file}: no exported controller ({type(error).__name__}); make one: {Exported.makes}"
+        ) from None
     if not known:
         raise DataError(f"{file}: is of format {about['exported']}, this program reads {FORMAT}: export it again")
     for name, content in files.items():

@@ -77,9 +77,9 @@ class StandIn(threading.Thread):
             self._armed = self._armed or self.arms
         elif message.command == kinds.MAV_CMD_COMPONENT_ARM_DISARM:
             self._armed = bool(message.param1)
-        elif message.command == kinds.MAV_CMD_SET_MESSAGE_INTERVAL and not self.whole:
-            if message.param1 == kinds.MAVLINK_MSG_ID_ODOMETRY:
-                return int(kinds.MAV_RESULT_UNSUPPORTED)
+        elif message.command == kinds.MAV_CMD_SET_MESSAGE_INTERVAL:
+            has = self.whole or message.param1 != kinds.MAVLINK_MSG_ID_ODOMETRY
+            return accepted if has else int(kinds.MAV_RESULT_UNSUPPORTED)
         return accepted
 
     def _beat(self) -> None:

@@ -115,7 +115,12 @@ def test_sanitizers(folders: dict[str, Path], name: str) -> None:
 # -------------------------------------------------------------------------------------------------------- in the bench
 @pytest.mark.parametrize("name", CASES)
 def test_bench_flies_it_along_the_same_path(folders: dict[str, Path], name: str) -> None:
-    world = ["trajectory=circle", "trajectory.speed=5", "trajectory.acceleration=2.5", "wind=constant"]  # not those of the export
+    world = [
+        "trajectory=circle",
+        "trajectory.speed=5",
+        "trajectory.acceleration=2.5",
+        "wind=constant",
+    ]  # not those of the export
     own = [s for s in CASES[name] if not s.startswith(("trajectory", "wind"))]
     one, other = flown(*own, *world), flown("controller=exported", f"model={folders[name]}", *world)
     assert len(one) == len(other)
@@ -141,7 +146,7 @@ def test_another_vehicle_is_refused(folders: dict[str, Path]) -> None:
         flown("controller=exported", f"model={folders['law']}", "vehicle=crazyflie")
 
 
-# ---------------------------------------------------------------------------------------------------- out of the ordinary
+# --------------------------------------------------------------------------------------------------- out of the ordinary
 def exported(folder: Path) -> ExportedController:
     config = compose(["vehicle=torrente"], None, "simulate")
     return ExportedController(folder, build_vehicle(config.vehicle))
@@ -150,7 +155,10 @@ def exported(folder: Path) -> ExportedController:
 @pytest.mark.parametrize("away", [0.5, 9.0, 40.0])
 def test_it_comes_back_from_far_away(folders: dict[str, Path], away: float) -> None:
     """Beyond the distance limit the reference is shifted, and the first solution is without a line search."""
-    loop, c = python_loop("controller=perfect_mpc", "trajectory=hover", "trajectory.duration=20"), exported(folders["mpc"])
+    loop, c = (
+        python_loop("controller=perfect_mpc", "trajectory=hover", "trajectory.duration=20"),
+        exported(folders["mpc"]),
+    )
     start = loop.start + away * np.array([0.6, 0.0, 0.8, *np.zeros(10)])
     c.residual = loop.controller.residual
     reference = SampledReference(loop.trajectory, c)
@@ -287,7 +295,10 @@ def test_numbers_may_be_changed_in_flight(folders: dict[str, Path]) -> None:
     [
         (("controller=online_mpc",), "controller=online_mpc decides or learns in Python"),
         (("controller=nominal_mpc", "remedies=auto"), "delay=auto decides or learns in Python"),
-        (("controller=pid", "delay=prediction", "delay.dead_time=0.03"), "delay=prediction decides or learns in Python"),
+        (
+            ("controller=pid", "delay=prediction", "delay.dead_time=0.03"),
+            "delay=prediction decides or learns in Python",
+        ),
         (("controller=pid", "controller.backend=interpreted"), "needs a C compiler and backend=compiled"),
     ],
 )

@@ -69,10 +69,7 @@ def test_predicted_rates_fly() -> None:
 
 @pytest.mark.parametrize(
     ("faults", "outcome", "said"),
-    [
-        ({"silent_at": 40}, "lost", "the link is silent"),
-        ({"reset_at": 40}, "solver_failed", "estimate was reset"),
-    ],
+    [({"silent_at": 40}, "lost", "the link is silent"), ({"reset_at": 40}, "solver_failed", "estimate was reset")],
 )
 def test_it_ends_with_a_reason(faults: dict[str, Any], outcome: str, said: str) -> None:
     flight, _ = bridged("controller=geometric", **faults)
@@ -111,7 +108,7 @@ def test_predicted_rates_need_a_prediction() -> None:
         fly_mavlink("udp:127.0.0.1:1", ["controller=geometric", *PATH], None, Asked())
 
 
-# ---------------------------------------------------------------------------------------------------------------- frames
+# --------------------------------------------------------------------------------------------------------------- frames
 def test_frames_turn_as_matrices_do() -> None:
     rng = np.random.default_rng(1)
     world, body = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]), np.diag([1.0, -1, -1])

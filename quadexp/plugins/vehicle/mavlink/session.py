@@ -1,4 +1,4 @@
-"""A flight through an autopilot: its state in, body rates and thrust out, until the reference ends or something is wrong.
+"""A flight through an autopilot: its state in, body rates and thrust out, till the reference ends or something fails.
 
     heartbeat -> messages asked for -> 1 s of set-points -> OFFBOARD -> armed -> the reference, from where it hovers
 
