@@ -114,8 +114,8 @@ def write_text(path: str | Path, text: str, *, force: bool = True, inside: Path 
 
 
 def write_folder(path: Path, files: Mapping[str, str | bytes], *, force: bool = True) -> Path:
-    """Write a folder of files, texts or bytes. A new one appears whole; in one that is there the files take their
-    names once all are written, the last one first. Raises as `written` does."""
+    """Write a folder of files, texts or bytes. A new one appears whole; in one that is there the files take their names
+    once all are written, the last one first. Raises as `written` does."""
     try:
         if path.is_dir():
             with contextlib.ExitStack() as stack:

@@ -22,6 +22,7 @@ ENGINE = "engine evaluate.workers evaluate.timeout evaluate.memory"
 READS = {
     "simulate": FLIGHT,
     "export-controller": FLIGHT,
+    "fly": FLIGHT,
     "evaluate": f"{FLIGHT} evaluate.metric evaluate.figures evaluate.log_period",
     "evaluate --sweep": f"{FLIGHT} evaluate engine sweep",
     "tune": f"{FLIGHT} {ENGINE} evaluate.metric evaluate.log_period sweep",

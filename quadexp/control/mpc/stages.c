@@ -75,7 +75,11 @@ static inline real limited(real value, real low, real high) {
   return value > high ? high : value < low ? low : value;
 }
 
+#ifdef SCALAR
+#include "riccati_scalar.c"
+#else
 #include "riccati_backward.c"
+#endif
 #include "active_set.c"
 
 /* The length of a quaternion brought between a half and two. */

@@ -150,7 +150,7 @@ def checked_files(
     made: generate.Program, controller: Any, plant: Any, reference: SampledReference, flight: Recorder
 ) -> dict[str, str | bytes]:
     """The recorded flight, the plant, and what is to be met."""
-    names, n = made.names, controller.vehicle.n_rotors
+    names = made.names
     precision = np.dtype("<f8" if names.real == "double" else "<f4")
     files: dict[str, str | bytes] = {"vectors.bin": np.array(flight.rows).astype(precision).tobytes()}
     P, p = names.upper, names.prefix
@@ -197,13 +197,13 @@ def plant_lines(function: ca.Function, arguments: Mapping[str, np.ndarray], plan
     for i, name in enumerate(function.name_out()):
         points.append(f"left[{i}] = {places.get(name, f'spare + {spare}')};")
         spare += 0 if name in places else function.nnz_out(i)
-    told = first - inner
+    told, results = first - inner, function.sz_res()
     return [
         f"enum {{ INNER = {inner}, TOLD = {told}, TURNS = {int(bool(rotors))}, PLANT_CONTEXT = {at} }};",
-        f"enum {{ PLANT_SPARE = {spare}, PLANT_ARGUMENTS = {function.sz_arg()}, PLANT_RESULTS = {function.sz_res()} }};",
+        f"enum {{ PLANT_SPARE = {spare}, PLANT_ARGUMENTS = {function.sz_arg()}, PLANT_RESULTS = {results} }};",
         f"enum {{ PLANT_W = {function.sz_w()}, PLANT_IW = {function.sz_iw()} }};",
         "#define PLANT_INTEGER long long",
-        f"static const int turning[] = {{{of_rotors}}}; /* inner states: speeds of the rotors */",
+        f"static const int turning[] = {{{of_rotors}}}; /* inner states */",
         f"#define PLANT_POINTERS {' '.join(points)}",
     ]
 
@@ -212,10 +212,10 @@ def description(config: Config, controller: Any, names: generate.Names) -> list[
     """Lines about what is exported."""
     parts = [f"{group}={part.name}" for group, part in remedies(config).items()]
     model = f" model={config.model}" if config.model else ""
+    fingerprint = controller.vehicle.fingerprint
     return [
         f"controller={config.controller.name}{model} {' '.join(parts)}".rstrip(),
-        f"vehicle={config.vehicle.name} ({controller.vehicle.fingerprint}), {1 / controller.control_period:g} Hz,"
-        f" {names.real}",
+        f"vehicle={config.vehicle.name} ({fingerprint}), {1 / controller.control_period:g} Hz, {names.real}",
         f"checked on trajectory={config.trajectory.name} plant={config.plant.name} world={config.world}",
     ]
 

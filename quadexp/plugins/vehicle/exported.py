@@ -1,5 +1,4 @@
-"""The C of an exported controller, compiled from its folder and flown by the bench: controller=exported
-model=FOLDER."""
+"""The C of an exported controller, compiled from its folder, flown by the bench: controller=exported model=FOLDER."""
 
 from __future__ import annotations
 

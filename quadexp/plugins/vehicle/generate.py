@@ -5,7 +5,8 @@
     mpc.c             the MPC's step, around stages.c and what that includes
     real.h            precision and names
 
-loop.c, stages.c, active_set.c and riccati_backward.c are copies of the files that fly the bench.
+loop.c, stages.c and active_set.c are copies of the files that fly the bench; riccati_scalar.c, for processors without
+vector registers, stands for the bench's riccati_backward.c.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ from quadexp.physics.state import N_STATE, RATE
 from quadexp.plugins.vehicle.arrays import Arrays
 
 HERE = Path(__file__).parent
-KERNELS = (compiled_loop.SOURCE, stages.SOURCE, *(stages.SOURCE.with_name(name) for name in stages.KERNELS))
+STEP = ("stages.c", "riccati_scalar.c", "active_set.c")
+KERNELS = (compiled_loop.SOURCE, *(stages.SOURCE.with_name(name) for name in STEP))
 CHANGEABLE = ("theta", "Q", "Q_end", "R", "u_min", "u_max", "settings")  # arguments that a user may change in flight
 FLOAT_TOLERANCE = 1e-4  # N: bound violation that counts as none, in single precision
 FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
-    "sqrt exp log log10 fabs sin cos tan asin acos atan atan2 sinh cosh tanh fmax fmin pow floor ceil copysign rint"
-    " hypot expm1 log1p fmod erf"
-).split()
+    "sqrt", "exp", "log", "log10", "fabs", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
+    "fmax", "fmin", "pow", "floor", "ceil", "copysign", "rint", "hypot", "expm1", "log1p", "fmod", "erf",
+)  # fmt: skip
 SHARED = ("mpc_prepare", "mpc_feedback", "mpc_bounded", "node_linearise", "node_held", "node_frame", "node_lanes")
 SHARED += ("node_memory", "has_lanes", "linearise", "held", "frame", "mpc_work")
 HELPERS = re.compile(  # what CasADi adds for programs that ask a library about its functions
@@ -241,8 +243,8 @@ const {p}_real *{p}_rates(void);
 {p}_real *{p}_numbers(void);
 {changed}
 
-/* References. hold: hover at a position (m) with a heading (rad). flat: of flat outputs, the first of now, the others at
-   the node times; without the air. Returns 0, with nothing written, where they are no flight: free fall, upside down. */
+/* References. hold: hover at a position (m) with a heading (rad). flat: of flat outputs, the first of now, the others
+   at the node times; without the air. 0, with nothing written, where they are no flight: free fall, upside down. */
 typedef struct {{ {p}_real path[5][3], yaw[3]; }} {p}_output; /* position .. snap; heading, rate, acceleration */
 void {p}_hold({p}_window *window, const {p}_real position[3], {p}_real heading);
 int {p}_flat({p}_window *window, const {p}_output outputs[{P}_ROWS + 1]);
@@ -263,14 +265,15 @@ def changeable(made: Program) -> list[tuple[str, np.ndarray]]:
         arguments.insert(0, made.plan.mpc.step.arguments)
     for given in arguments:
         for name, array in given.items():
-            if name in CHANGEABLE and array.size and made.arrays.place(array)[0] == "numbers":
-                if array.ctypes.data not in seen:
-                    seen.add(array.ctypes.data)
-                    found[f"{name}_{len(found)}" if name in found else name] = array
+            known = name not in CHANGEABLE or not array.size or array.ctypes.data in seen
+            if known or made.arrays.place(array)[0] != "numbers":
+                continue
+            seen.add(array.ctypes.data)
+            found[f"{name}_{len(found)}" if name in found else name] = array
     return list(found.items())
 
 
-# -------------------------------------------------------------------------------------------------------- the controller
+# ------------------------------------------------------------------------------------------------------- the controller
 def controller_c(made: Program) -> str:
     """Arrays, functions and operations of a controller, around loop.c and vehicle.c."""
     names, arrays, vehicle = made.names, made.arrays, made.controller.vehicle

@@ -101,7 +101,7 @@ def test_two_exports_are_the_same_bytes(folders: dict[str, Path], tmp_path: Path
 def test_sources_of_the_bench_are_copied(folders: dict[str, Path]) -> None:
     package = Path(requests.__file__).parent / "control"
     assert (folders["mpc"] / "loop.c").read_bytes() == (package / "loop.c").read_bytes()
-    for name in ("stages.c", "active_set.c", "riccati_backward.c"):
+    for name in ("stages.c", "active_set.c", "riccati_scalar.c"):
         assert (folders["mpc"] / name).read_bytes() == (package / "mpc" / name).read_bytes()
 
 
@@ -146,7 +146,7 @@ def test_another_vehicle_is_refused(folders: dict[str, Path]) -> None:
         flown("controller=exported", f"model={folders['law']}", "vehicle=crazyflie")
 
 
-# ---------------------------------------------------------------------------------------------------- out of the ordinary
+# --------------------------------------------------------------------------------------------------- out of the ordinary
 def exported(folder: Path) -> ExportedController:
     config = compose(["vehicle=torrente"], None, "simulate")
     return ExportedController(folder, build_vehicle(config.vehicle))
