@@ -31,7 +31,7 @@ C_USAGE = [
     "iw and w are not used (NULL)",
 ]
 LOST = [
-    "u: thrusts in N, not commands, and without limits",
+    "u: thrusts in N as the curve, or the vehicle file, states them; not commands, and without limits",
     "motor lag and dead time; wind (the velocity is that of the body, in still air)",
     "noise, and how sure the model is",
 ]
