@@ -253,7 +253,7 @@ def export(
     \b
     quadexp export runs/a.parquet --to csv --out a.csv
     quadexp export models/crazyflie --to px4 --voltage 3.9 --out crazyflie.params
-    quadexp export vehicle=hummingbird --to rotorpy --motor-lag 0.005 --out hummingbird.py
+    quadexp export vehicle=hummingbird --to rotorpy --motor-lag 0.005
     """
     from quadexp.log.exporters import FORMATS, export_flight
     from quadexp.plugin import brought, places
