@@ -113,14 +113,14 @@ def write_text(path: str | Path, text: str, *, force: bool = True, inside: Path 
     return Path(path)
 
 
-def write_folder(path: Path, files: Mapping[str, str], *, force: bool = True) -> Path:
-    """Write a folder of text files. A new one appears whole; in one that is there the files take their names once all
-    are written, the last one first. Raises as `written` does."""
+def write_folder(path: Path, files: Mapping[str, str | bytes], *, force: bool = True) -> Path:
+    """Write a folder of files, texts or bytes. A new one appears whole; in one that is there the files take their
+    names once all are written, the last one first. Raises as `written` does."""
     try:
         if path.is_dir():
             with contextlib.ExitStack() as stack:
                 for name, text in files.items():
-                    stack.enter_context(written(path / name, force=force)).write(text.encode())
+                    stack.enter_context(written(path / name, force=force)).write(_bytes(text))
             return path
         path.parent.mkdir(parents=True, exist_ok=True)
         clean(path.parent)
@@ -204,7 +204,11 @@ def _new_file(folder: int) -> tuple[str, BinaryIO]:
         file.close()
 
 
-def _fill(parent: int, temporary: str, name: str, files: Mapping[str, str]) -> None:
+def _bytes(content: str | bytes) -> bytes:
+    return content.encode() if isinstance(content, str) else content
+
+
+def _fill(parent: int, temporary: str, name: str, files: Mapping[str, str | bytes]) -> None:
     """Write the files of a new folder, held open and locked, and let it take its name."""
     folder = os.open(temporary, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=parent)
     try:
@@ -212,7 +216,7 @@ def _fill(parent: int, temporary: str, name: str, files: Mapping[str, str]) -> N
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         for inner, text in files.items():
             with os.fdopen(os.open(inner, _NEW, 0o666, dir_fd=folder), "wb") as file:
-                file.write(text.encode())
+                file.write(_bytes(text))
                 file.flush()
                 os.fsync(file.fileno())
         os.rename(temporary, name, src_dir_fd=parent, dst_dir_fd=parent)

@@ -86,7 +86,7 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     try:
         from quadexp.compile.library_function import LibraryFunction
 
-        return [LibraryFunction(function.name(), library) for function in functions]
+        return [LibraryFunction(function, library) for function in functions]
     except RuntimeError as error:  # which only names the last of the places where CasADi looked
         try:
             ctypes.CDLL(str(library))

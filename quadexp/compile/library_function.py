@@ -8,8 +8,8 @@ import casadi as ca
 
 
 class LibraryFunction(ca.Function):
-    """A function of a compiled library, the file `library`."""
+    """A function of a compiled library, the file `library`, and the function that it was compiled from."""
 
-    def __init__(self, name: str, library: Path) -> None:
-        super().__init__(ca.external(name, str(library)))
-        self.library = library
+    def __init__(self, function: ca.Function, library: Path) -> None:
+        super().__init__(ca.external(function.name(), str(library)))
+        self.library, self.origin = library, function

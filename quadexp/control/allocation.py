@@ -36,7 +36,7 @@ from quadexp.physics.vehicle import Vehicle
 MOST_ROTORS = 6  # 729 faces
 REGULAR = 1e-7  # e, relative to the largest entry of G'WG
 TOLERANCE = 1e-9  # of the thrust range within which a thrust is within its limits
-NEVER = 1e300  # cost of a face whose minimum is outside the limits
+NEVER = 1e30  # cost of a face whose minimum is outside the limits; a number in single precision too
 
 
 def faces(vehicle: Vehicle, weight: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -2,12 +2,18 @@
    so that at any instant the one may take over from the other. Every number is Python's own. What is out of the
    ordinary is left to Python, before anything has been changed, or after it was changed back: a function then returns
    0. Freestanding C11: no allocation, of libraries only math.h; the caller has the clock. compiled_loop.py reads the
-   structures. Compiled without -ffast-math: what is not a number must be seen. */
+   structures. Compiled without -ffast-math: what is not a number must be seen.
+
+   With ALONE defined there is no Python behind it (plugins/vehicle): `planned` and `within_reach`, of the text that
+   stands behind this one, do what is out of the ordinary. NO_PLAN: of a law in closed form. */
 
 #include <math.h>
 
 #ifndef REAL
 #define REAL double /* of the functions that are called too */
+#endif
+#ifndef INTEGER
+#define INTEGER long long /* likewise */
 #endif
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
@@ -15,7 +21,7 @@ enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
 enum { CALL, COPY, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
-typedef long long integer;
+typedef INTEGER integer;
 
 static const real HUGE_NUMBER = (real)1e30; /* beyond which sums may not be finite */
 static const real LARGEST = (real)1e8;      /* of a reading; readings.py decides about what is beyond */
@@ -95,10 +101,13 @@ static real attitudes_product(const real *a, const real *b) {
     return product;
 }
 
+#ifndef NO_PLAN
 /* Turns the attitudes of `count` states to the side of x's; 0 where the side is in doubt. */
 static int to_side(real *states, integer count, integer width, const real *x) {
     const real product = attitudes_product(states, x);
+#ifndef ALONE
     if (!(fabs(product) > TURNED)) return 0;
+#endif
     if (product < 0)
         for (integer k = 0; k < count; k++)
             for (int i = ATTITUDE; i < ATTITUDE + 4; i++) states[width * k + i] *= -1;
@@ -120,7 +129,7 @@ static void towards(real *guess, const real *from, const real *to, integer count
 
 /* The solution without bounds, as ModelPredictiveController.command and .feedback begin. */
 static int unbounded(const mpc *p) {
-    if (*p->unprepared) {
+    if (*p->unprepared != 0) {
         if (!to_side(p->X_ref, p->reference_rows, p->states, p->x0)) return 0;
         if (!to_side(p->X, p->nodes + 1, p->states, p->x0) || run(&p->prepare)) return 0;
     } else if (!to_side(p->x0, 1, p->states, p->X) || !(attitudes_product(p->X_ref, p->x0) > TURNED)) {
@@ -153,6 +162,8 @@ static int plan(mpc *p) {
     return 1;
 }
 
+#endif
+
 static void look_ahead(const reference *r, integer at, const operation *o, integer n) {
     const integer *rows = r->where + at * r->rows, count = o->source ? (integer)o->factor : r->rows;
     for (integer i = 0; i < count; i++) {
@@ -174,6 +185,14 @@ static void gather(real *restrict to, const operation *o) {
         }
 }
 
+#ifdef ALONE
+static int planned(mpc *p);
+static int within_reach(const operation *o, const mpc *p);
+#else
+static int planned(mpc *p) { return plan(p); }
+static int within_reach(const operation *o, const mpc *p) { return (void)o, (void)p, 0; }
+#endif
+
 static int operate(const loop *l, const operation *o, const reference *r, integer at) {
     const integer n = o->count;
     switch (o->kind) {
@@ -189,19 +208,21 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
         return 1;
     case GATHER: gather(o->to, o); return 1;
     case FINITE: return ordinary(o->source, n, HUGE_NUMBER);
-    case NEAR: return distance(o->source, o->other) <= o->factor;
-    case PLAN: return plan(l->plan);
+    case NEAR: return distance(o->source, o->other) <= o->factor || within_reach(o, l->plan);
+    case PLAN: return planned(l->plan);
     default: return 0;
     }
 }
 
 static int due(const operation *o, integer k) { return !(k % o->every) && (!o->when || *o->when != 0); }
 
+#ifndef ALONE
 /* Whether readings.py would admit what is measured; force, speed: may be null. */
 static int admitted(const loop *l, const real *x, const real *force, const real *speed) {
     if (!ordinary(x, BODY, LARGEST) || !(fabs(attitudes_product(x, x) - 1) < LENGTH_ERROR)) return 0;
     return (!force || ordinary(force, 3, LARGEST)) && (!speed || ordinary(speed, l->inputs, LARGEST));
 }
+#endif
 
 /* Control instant k of a flight, at the instant `at` of a reference, for what the controller has been told. */
 static int control(const loop *l, integer k, const reference *r, integer at) {
@@ -223,6 +244,7 @@ static int of_numbers(const reference *r, integer inputs) {
            ordinary(r->paths, PATH, LARGEST) && ordinary(r->yaws, YAW, LARGEST);
 }
 
+#ifndef ALONE
 /* A step of a loop of the user's own, who may have given a reference for it. */
 int step(loop *l) {
     const measured *m = l->given;
@@ -241,3 +263,4 @@ int step(loop *l) {
     if (l->plan) *l->plan->unprepared = 1;
     return made;
 }
+#endif

@@ -22,6 +22,7 @@ class ControllerPart(Part):
 
     prefix = "controller."
     added: ClassVar[tuple[str, ...]] = ("allow_unstable",)
+    makes: ClassVar[str] = ""  # the command that makes what `model` names, where that is no model of the air
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
     allow_unstable: bool = key(False, "fly although the loop is not stable at hover")

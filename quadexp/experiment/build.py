@@ -200,6 +200,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         residual=lambda *kinds: build_residual(kinds, vehicle, plant, model),
         residuals=lambda kinds: residuals(kinds, vehicle, model),
         checkpoint=lambda index: load_checkpoint(vehicle, model.files[index]) if model else None,
+        folder=model.path if model else "",
     )  # fmt: skip
 
     def make() -> Any:

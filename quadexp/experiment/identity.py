@@ -125,9 +125,10 @@ def find_model(config: Config) -> ModelFile | None:
     for candidate in candidates:
         if (Path(candidate) / MODEL_FILE).is_file():
             return _file(candidate)
-    advice = f"give model=PATH, or make one: {maker(residual)}"
+    made_by = controller.makes or maker(residual)
+    advice = f"give model=PATH, or make one: {made_by}"
     if config.model:
-        needs = f"{controller.name} needs one; make it: {maker(residual)}"
+        needs = f"{controller.name} needs one; make it: {made_by}"
         raise UsageError(f"model={config.model}: no checkpoint there ({needs})")
     looked = " or ".join(candidates) or "nowhere"
     raise UsageError(f"{controller.name} needs a model and none is in {looked}: {advice}")
@@ -317,7 +318,7 @@ def identity_with(
 
 def _own_models(config: Config, model: ModelFile | None) -> dict[str, Part]:
     """A user's own models of the air behind checkpoints of the controller and of the plant, whose code decides too."""
-    kinds = list(config.controller.learned) if model else []
+    kinds = [kind for kind in config.controller.learned if kind in config.controller.kinds] if model else []
     stated = getattr(config.plant, "model", None)
     if isinstance(stated, str):
         with contextlib.suppress(QuadexpError, OSError):  # said where it is read to be flown

@@ -8,25 +8,25 @@
 
    Declared before: POINTS = M, FEATURES = D; in: feature (D), points (D, M), alpha (M), factor (FACTOR, M) by columns,
    upper triangular; out: value, slope (D), known, known_slope (D). */
-double weight[POINTS], explained[POINTS];
+casadi_real weight[POINTS], explained[POINTS];
 for (int j = 0; j < POINTS; ++j) weight[j] = 0.0;
 for (int i = 0; i < FEATURES; ++i)
   for (int j = 0; j < POINTS; ++j) {
-    const double d = feature[i] - points[i * POINTS + j];
+    const casadi_real d = feature[i] - points[i * POINTS + j];
     weight[j] -= d * d;
   }
-double sum = 0.0;
+casadi_real sum = 0.0;
 for (int j = 0; j < POINTS; ++j) {
   explained[j] = exp(weight[j]);
   sum += weight[j] = alpha[j] * explained[j];
 }
 value[0] = sum;
 if (FACTOR) {
-  double root[POINTS] = {0.0}, turn[FEATURES][POINTS] = {{0.0}};
+  casadi_real root[POINTS] = {0.0}, turn[FEATURES][POINTS] = {{0.0}};
   for (int j = 0; j < POINTS; ++j) {
     for (int r = 0; r < POINTS; ++r) root[r] += factor[j * POINTS + r] * explained[j];
     for (int i = 0; i < FEATURES; ++i) {
-      const double moved = explained[j] * (feature[i] - points[i * POINTS + j]);
+      const casadi_real moved = explained[j] * (feature[i] - points[i * POINTS + j]);
       for (int r = 0; r < POINTS; ++r) turn[i][r] += factor[j * POINTS + r] * moved;
     }
   }

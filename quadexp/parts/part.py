@@ -180,8 +180,8 @@ class Given:
     controllers believe in. plant: that is flown. sheet: what is stated of its sensors, see sensor_sheet.py.
     remedies: parts around a controller, the nearest first.
     residual(kind): the model of the air of that kind, or the sum of several kinds. residuals(kinds): each by itself, of
-    kinds with checkpoints. checkpoint(i): the i-th fitted model. plant_model(path, kind): a checkpoint that is taken as
-    the truth.
+    kinds with checkpoints. checkpoint(i): the i-th fitted model. folder: that `model` names, "" for none.
+    plant_model(path, kind): a checkpoint that is taken as the truth.
     """
 
     vehicle: Any
@@ -192,4 +192,5 @@ class Given:
     residual: Any = None
     residuals: Any = None
     checkpoint: Any = None
+    folder: str = ""
     plant_model: Any = None

@@ -21,6 +21,7 @@ FLIGHT = f"{LOOP} trajectory"
 ENGINE = "engine evaluate.workers evaluate.timeout evaluate.memory"
 READS = {
     "simulate": FLIGHT,
+    "export-controller": FLIGHT,
     "evaluate": f"{FLIGHT} evaluate.metric evaluate.figures evaluate.log_period",
     "evaluate --sweep": f"{FLIGHT} evaluate engine sweep",
     "tune": f"{FLIGHT} {ENGINE} evaluate.metric evaluate.log_period sweep",
@@ -33,6 +34,7 @@ READS = {
     "validate": "vehicle",
     "show --margins": FLIGHT,
     "qx.controller": FLIGHT,
+    "gymnasium.make": " ".join(("vehicle plant seed trajectory world", *WORLD)),
 }
 
 

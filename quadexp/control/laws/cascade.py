@@ -48,7 +48,9 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer integrates
-SATURATED = 1e-9  # share of a wanted torque that the mixer leaves out, from which on an axis counts as saturated
+# Share of the largest torque that the mixer leaves out, from which on an axis counts as saturated: above the rounding
+# of single precision.
+SATURATED = 1e-5
 
 
 @keyed

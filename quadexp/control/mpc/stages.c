@@ -5,13 +5,19 @@
    and OUT_.., places of the arrays of step.py in `arg` and `res`, null where the form has none. iw: N, and the number p
    of the model's parameters; w: as many numbers as mpc_memory says, aligned to 64 bytes. The functions of a node are
    another object, of node.py: linearise, held and frame; node_lanes is linearise at as many nodes as a register has
-   lanes. Compiled with -ffast-math: whether a number is finite is seen from its bits alone. */
+   lanes. Compiled with -ffast-math: whether a number is finite is seen from its bits alone. With SCALAR defined a vector
+   is a plain number, for processors without vector registers and compilers without vector types. */
 #include <math.h>
 
 #ifndef REAL
 #define REAL double
 #endif
-#if defined(__AVX512F__)
+#ifndef INTEGER
+#define INTEGER long long
+#endif
+#if defined(SCALAR)
+enum { LANES = 1 };
+#elif defined(__AVX512F__)
 enum { LANES = 8 };
 #elif defined(__AVX__)
 enum { LANES = 4 };
@@ -20,9 +26,15 @@ enum { LANES = 2 };
 #endif
 
 typedef REAL real;
-typedef long long integer;
+typedef INTEGER integer;
+#ifdef SCALAR
+typedef real vector;
+#define LANE(v, l) (v) /* of a vector, to be written too */
+#else
 typedef real vector __attribute__((vector_size(sizeof(real) * LANES), aligned(8), may_alias));
 typedef real lanes __attribute__((vector_size(sizeof(real) * LANES))); /* one number of LANES nodes */
+#define LANE(v, l) (v)[l]
+#endif
 
 enum { PLACE = 3, ATTITUDE = 3, MOTION = STATES - PLACE, AFFINE = MOTION + N_INPUTS, LINE = (AFFINE / 8 + 1) * 8 };
 enum { BLOCK = STATES * LINE, USED = (AFFINE / LANES + 1) * LANES, COST = BLOCK + PLACE * PLACE };
@@ -30,12 +42,15 @@ enum { PUSHED = 6 }; /* numbers of a disturbance */
 enum { IS_DOUBLE = sizeof(real) == 8 };
 
 #define HIDDEN __attribute__((visibility("hidden")))
-HIDDEN extern const integer node_memory, has_lanes; /* numbers for work; whether there is node_lanes */
 HIDDEN void node_linearise(const real *const *given, real *const *results, real *work);
+#ifndef SCALAR
+HIDDEN extern const integer node_memory, has_lanes; /* numbers for work; whether there is node_lanes */
 HIDDEN void node_lanes(const lanes *const *given, lanes *const *results, lanes *work);
+#endif
 HIDDEN void node_held(const real *const *given, real *const *results, real *work);
 HIDDEN void node_frame(const real *const *given, real *const *results, real *work);
 
+#ifdef __FAST_MATH__
 static int is_finite(real number) {
   unsigned long long bits = 0;
   __builtin_memcpy(&bits, &number, sizeof(number));
@@ -48,6 +63,11 @@ static real not_a_number(void) {
   __builtin_memcpy(&number, &bits, sizeof(number));
   return number;
 }
+#else
+static int is_finite(real number) { return isfinite(number); }
+
+static real not_a_number(void) { return NAN; }
+#endif
 
 static inline real largest(real a, real b) { return a > b ? a : b; }
 
@@ -101,6 +121,7 @@ static void linearise_node(const real **arg, real **res, integer k, const real *
   node_linearise(given, &rows, work);
 }
 
+#ifndef SCALAR
 /* Numbers of the nodes `first` .. `last` - 1, LANES at most, side by side: `size` of each. */
 static const lanes *side_by_side(lanes *to, const real *from, int size, integer first, integer last) {
   for (int l = 0; l < LANES; ++l) {
@@ -177,15 +198,21 @@ static void linearise_side_by_side(const real **arg, real **res, const lanes *th
   apart(res[OUT_rows] + BLOCK * first, rows, last - first);
 }
 
+#endif
+
 /* Rows of the nodes 1 .. N - 1. */
 static void linearise_all(const real **arg, real **res, integer nodes, integer parameters, real *w) {
-  lanes *const theta = (lanes *)w, *const work = theta + parameters;
   integer k = 1;
+#ifndef SCALAR
+  lanes *const theta = (lanes *)w, *const work = theta + parameters;
   if (has_lanes) {
     in_all(theta, arg[IN_theta], parameters);
     for (; k < nodes - 1; k += LANES)
       linearise_side_by_side(arg, res, theta, k, nodes < k + LANES ? nodes : k + LANES, work);
   }
+#else
+  (void)parameters;
+#endif
   for (; k < nodes; ++k) linearise_node(arg, res, k, res[OUT_X_lin] + STATES * k, w);
 }
 
@@ -199,8 +226,9 @@ static real projected(const real *u, const real *gradient, const real *low, cons
 
 /* multiplier <- q + A' multiplier; gradient = r + B' multiplier, with the multiplier before. */
 static void adjoint(real *multiplier, const real *rows, const real *q, const real *r, real *gradient) {
-  vector sums[USED / LANES] = {{0}};
+  vector sums[USED / LANES];
   real both[USED];
+  for (int j = 0; j < USED / LANES; ++j) sums[j] = (vector){0};
   for (int i = 0; i < STATES; ++i)
     for (int j = 0; j < USED / LANES; ++j) sums[j] += multiplier[i] * *(const vector *)(rows + i * LINE + j * LANES);
   for (int j = 0; j < USED / LANES; ++j) *(vector *)(both + j * LANES) = sums[j];
@@ -252,12 +280,15 @@ static void move_and_weigh(const real **arg, real **res, integer nodes, real *wo
   }
 }
 
+#define BOUNDED_MEMORY(nodes) (ACTIVE_SET_MEMORY(nodes) + (nodes) * (2 * STATES + 4 * N_INPUTS))
+#ifndef SCALAR
 /* Of w, for N nodes and p parameters. */
 integer mpc_memory(integer nodes, integer parameters) {
   const integer node = has_lanes ? LANES * (node_memory + parameters) : node_memory;
-  const integer bounded = active_set_memory(nodes) + nodes * (2 * STATES + 4 * N_INPUTS);
+  const integer bounded = BOUNDED_MEMORY(nodes);
   return node > bounded ? node : bounded;
 }
+#endif
 
 /* What does not depend on the measured state. */
 int mpc_prepare(const real **arg, real **res, integer *iw, real *w, int memory) {
@@ -323,7 +354,7 @@ int mpc_feedback(const real **arg, real **res, integer *iw, real *w, int memory)
 
   /* The change of the state, position apart, and of the input, as a column of M's. */
   real moving[LINE] __attribute__((aligned(64))) = {0}, place[PLACE] = {0};
-  real excess = -1e30, turn = 0, size = 0;
+  real excess = (real)-1e30, turn = 0, size = 0;
   moving[AFFINE] = 1;
   for (integer k = 0; k < nodes; ++k) {
     const real *K = res[OUT_K] + k * STATES * N_INPUTS, *M = rows + BLOCK * k, *u = res[OUT_U_lin] + N_INPUTS * k;
@@ -363,7 +394,7 @@ int mpc_bounded(const real **arg, real **res, integer *iw, real *w, int memory) 
   const integer nodes = iw[0], inputs = N_INPUTS * nodes, states = STATES * nodes;
   const real *U_lin = res[OUT_U_lin], *low = arg[IN_u_min], *high = arg[IN_u_max];
   real *X = res[OUT_bounded_X], *U = res[OUT_bounded_U], turn = 0;
-  real *const dX = w + active_set_memory(nodes), *const weights = dX + states, *const dU = weights + states;
+  real *const dX = w + ACTIVE_SET_MEMORY(nodes), *const weights = dX + states, *const dU = weights + states;
   real *const start = dU + inputs, *const below = start + inputs, *const above = below + inputs;
   (void)memory;
   for (integer j = 0; j < inputs; ++j) {

@@ -44,9 +44,7 @@ PHASES = ("mpc_prepare", "mpc_feedback", "mpc_bounded")
 
 def compiled_stages(vehicle: Vehicle, residual: Residual, form: Form) -> CompiledStages:
     """The step of a model, compiled unless the cache has it."""
-    functions = [linearise_function(vehicle, residual, form, scalar=True)]
-    functions += [held_function(form)] if form.deviation else []
-    functions += [frame_function(form)] if form.frames else []
+    functions = node_functions(vehicle, residual, form)
     sources: list[tuple[str, tuple[str, ...]]] = [(node_source(functions), ()), (stages_source(form), ())]
     quick = CHOSEN is not None  # to compile: then without lanes
     side_by_side = lanes_source(functions[0]) if form.parameters <= MOST_IN_LANES and not quick else None
@@ -54,17 +52,30 @@ def compiled_stages(vehicle: Vehicle, residual: Residual, form: Form) -> Compile
     return CompiledStages(form, linked_library("mpc", *sources))
 
 
+def node_functions(vehicle: Vehicle, residual: Residual, form: Form) -> list[ca.Function]:
+    """The functions of a node that stages.c calls."""
+    functions = [linearise_function(vehicle, residual, form, scalar=True)]
+    functions += [held_function(form)] if form.deviation else []
+    functions += [frame_function(form)] if form.frames else []
+    return functions
+
+
 def stages_source(form: Form) -> str:
     """stages.c for a form, complete: what is compiled is in its text."""
+    text = SOURCE.read_text(encoding="utf-8")
+    for kernel in KERNELS:
+        text = text.replace(f'#include "{kernel}"\n', SOURCE.with_name(kernel).read_text(encoding="utf-8"))
+    return stages_constants(form) + text
+
+
+def stages_constants(form: Form) -> str:
+    """What stands before stages.c for a form."""
     constants: dict[str, float] = {"LENGTH_MIN": LENGTH_MIN, "LENGTH_MAX": LENGTH_MAX}
     constants |= {"STATES": form.states, "N_INPUTS": form.inputs, "SAMPLES": form.samples, "FRAMES": int(form.frames)}
     constants |= {"LAG": int(form.lag), "DISTURBED": int(form.disturbed)}
     for kind, names in zip(("IN", "OUT"), array_shapes(form, 1), strict=True):
         constants |= {f"{kind}_{name}": place for place, name in enumerate(names)}
-    text = SOURCE.read_text(encoding="utf-8")
-    for kernel in KERNELS:
-        text = text.replace(f'#include "{kernel}"\n', SOURCE.with_name(kernel).read_text(encoding="utf-8"))
-    return "".join(f"#define {name} {value}\n" for name, value in constants.items()) + text
+    return "".join(f"#define {name} {value}\n" for name, value in constants.items())
 
 
 def node_source(functions: list[ca.Function]) -> str:

@@ -4,12 +4,12 @@
 
    Declared before: OUTPUTS, ROWS, COLUMNS; in: gradient (OUTPUTS, ROWS), slope (ROWS), weight (ROWS, COLUMNS); out:
    product (OUTPUTS, COLUMNS); matrices by columns. */
-double through[OUTPUTS][ROWS];
+casadi_real through[OUTPUTS][ROWS];
 for (int k = 0; k < OUTPUTS; ++k)
   for (int i = 0; i < ROWS; ++i) through[k][i] = gradient[i * OUTPUTS + k] * slope[i];
 for (int j = 0; j < COLUMNS; ++j)
   for (int k = 0; k < OUTPUTS; ++k) {
-    double sum = 0.0;
+    casadi_real sum = 0.0;
     for (int i = 0; i < ROWS; ++i) sum += through[k][i] * weight[j * ROWS + i];
     product[j * OUTPUTS + k] = sum;
   }

@@ -2,6 +2,7 @@
 
 BRINGS = {
     "commands": {
+        "table": "quadexp.plugins.page.table_command:table",
         "plot": "quadexp.plugins.page.commands:plot",
         "report": "quadexp.plugins.page.commands:report",
         "animate": "quadexp.plugins.page.commands:animate",

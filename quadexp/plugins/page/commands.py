@@ -26,6 +26,8 @@ def plot(
     label: Annotated[
         tuple[str, ...], Ask("A text of your own for a key, a value or --y; repeatable.", "KEY=TEXT")
     ] = (),
+    color: Annotated[tuple[str, ...], Ask("A colour of your own for a value; repeatable.", "NAME=COLOR")] = (),
+    height: Annotated[float | None, Ask("Height of the figure (inches).", "IN")] = None,
     title: Annotated[str, Ask("The title of the figure.", "TEXT")] = "",
     out: Out = Path("plot.png"),
     force: Force = False,
@@ -39,7 +41,7 @@ def plot(
     \b
     quadexp plot results/x --x controller.horizon --y mean_error --by controller.nodes --out a.png
     quadexp plot results/x --x controller.horizon --by controller.nodes --kind heat --out map.pdf
-    quadexp plot results/x --width column --label gp_mpc="GP (ours)" --title "Circle" --out figure.pdf
+    quadexp plot results/x --width column --height 2.2 --label gp_mpc="GP (ours)" --color gp_mpc=navy --out figure.pdf
     quadexp plot results/x --x vehicle.mass --facet trajectory --where "seed in [0, 1]" --out b.html
     """
     from dataclasses import replace
@@ -60,7 +62,11 @@ def plot(
         if not frame.rows:
             raise UsageError(f"--where {where!r}: no flight fulfils it")
     figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
-    figure = replace(figure, heading=title, width=WIDTHS[width] if width else None)
+    if height is not None and not 1 <= height <= 20:
+        raise UsageError(f"--height {height:g}: must be in [1, 20] inches")
+    figure = replace(
+        figure.coloured(_colours(color)), heading=title, width=WIDTHS[width] if width else None, height=height
+    )
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)
     about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
@@ -69,6 +75,19 @@ def plot(
     record = {"path": path, **about, "notes": notes, "points": numbers}
     said = [*((figure.caption,) if width else ()), *figure.notes]
     return Answer(record, numbers, [path], said, remarks=[f"warning: {line}" for line in checked.lines()])
+
+
+def _colours(given: Sequence[str]) -> dict[str, str]:
+    """NAME=COLOR texts as name -> "#rrggbb"."""
+    from matplotlib.colors import is_color_like, to_hex
+
+    colours = {}
+    for text in given:
+        name, _, colour = text.rpartition("=")
+        if not name or not is_color_like(colour):
+            raise UsageError(f"--color {text}: give NAME=COLOR, a colour by name or as #rrggbb")
+        colours[name] = to_hex(colour)
+    return colours
 
 
 def _keys(given: Sequence[str]) -> list[str] | None:
@@ -80,7 +99,7 @@ def _keys(given: Sequence[str]) -> list[str] | None:
 def report(
     results: Annotated[Path, Ask("Results folder of `quadexp evaluate --sweep`.")],
     out: Out = Path("report.html"),
-    figures: Annotated[Path | None, Ask("Write the figures as PDF too, for a paper.", "DIR")] = None,
+    figures: Annotated[Path | None, Ask("Write each panel as a PDF too, for a paper's column.", "DIR")] = None,
     baseline: Annotated[str | None, Ask("Controller to compare the others with.", "CONTROLLER")] = None,
     force: Force = False,
 ) -> Answer:

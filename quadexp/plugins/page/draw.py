@@ -29,10 +29,11 @@ from quadexp.errors import UsageError
 from quadexp.log.store import read_flight
 from quadexp.names import named
 from quadexp.plugins.page.document import sortable_page
-from quadexp.plugins.page.view import SUCCESS, Axis, Place, Point, View, value_text, view
+from quadexp.plugins.page.view import SUCCESS, Axis, Place, View, value_text, view
 from quadexp.report.compare import names_of
 from quadexp.report.frame import SweepFrame, read_results
 from quadexp.report.pairing import SOURCE
+from quadexp.report.paper_cells import Point
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,
@@ -51,7 +52,10 @@ from quadexp.report.text import significant
 from quadexp.writer import write_text
 
 SUFFIXES = ("png", "pdf", "svg", "html")
-ON_PAPER: Any = {"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2}
+ON_PAPER: Any = {  # letters of the size and kind of the text around: Times, in its free form
+    "font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2,
+    "font.family": ["STIXGeneral", "DejaVu Sans"], "mathtext.fontset": "stix",
+}  # fmt: skip
 LEAST_PANEL = 2.2  # inches, of the width of a panel on paper
 MAX_PANELS = 36
 WIDEST_LINEAR = 5.0  # ratio of the largest to the smallest mean, beyond which their axis is logarithmic
@@ -84,7 +88,7 @@ def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, *
     dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
     lines = filter(None, (view.heading, *(() if view.width else (view.caption, *view.notes)), *dropped))
     above = [row for line in lines for row in textwrap.wrap(line, int(15 * width))]
-    figure = Figure(figsize=(width, each * down + 0.4 + room + 0.17 * len(above)))
+    figure = Figure(figsize=(width, view.height or each * down + 0.4 + room + 0.17 * len(above)))
     grid = figure.subplots(down, across, squeeze=False, **share)
     for panel, facet in zip(grid.flat, panels, strict=False):
         panel.set_title(textwrap.fill(view.title(view.facet, facet), max(12, int(11 * width / across))))
@@ -167,7 +171,12 @@ def looks_of(view: View) -> dict[Place, Look]:
     if list(labels.values()) == [""] and "controller" in view.alone:
         labels = dict.fromkeys(labels, view.alone["controller"])
     look = looks(list(labels.values()))
-    return {line: look[label] for line, label in labels.items()}
+    by_line = {}
+    for line, label in labels.items():
+        texts = [value_text(key, value) for key, value in zip(view.by, line, strict=True)] or [label]
+        own = next((view.colours[text] for text in texts if text in view.colours), "")
+        by_line[line] = replace(look[label], own=own)
+    return by_line
 
 
 def _draw_line(
@@ -184,6 +193,7 @@ def _draw_line(
     each: list[Any] = [(slice(None), label, look)]
     if view.x.key == "controller" and not view.by:  # each with the look that it has everywhere
         look_of = looks([str(value) for value in view.x.values])
+        look_of = {name: replace(worn, own=view.colours.get(name, "")) for name, worn in look_of.items()}
         each = [([i], "", look_of[str(value)].points()) for i, (value, _) in enumerate(there)]
     for some, name, drawn in each:
         yerr = bars[:, some] if np.isfinite(bars[:, some]).any() else None

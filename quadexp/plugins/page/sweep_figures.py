@@ -79,7 +79,7 @@ def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
     cells: dict[str, dict[tuple[str, str, float], Row]] = {}
     for row in rows:
         *_, speed, setting = condition_of(row)
-        worlds = [str(row[key]).partition("/")[2] or row[key] for key in several]
+        worlds = [str(row[key]) for key in several]  # as tables name them
         settings = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
         words = ", ".join(filter(None, [*worlds, settings])).replace("=", " ")
         place = names[contestant_of(row)], words, speed or 0.0

@@ -37,6 +37,7 @@ from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, sett
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
+from quadexp.report.paper_cells import Point
 from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
 
@@ -47,28 +48,6 @@ WHO = ("controller", "model")
 FLOWN = (*WHO, "trajectory")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
 MOST_VALUES = 6  # of a key that is averaged, named in a note
-
-
-@dataclass(frozen=True)
-class Point:
-    """mean, low, high: NaN where there is no common flight. flights, seeds: in the mean. ended: flights that ended
-    well, of trials. lost: outcome -> number of the others. method: of the interval. invalid: why there was nothing to
-    fly."""
-
-    mean: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
-    flights: int = 0
-    seeds: int = 0
-    ended: int = 0
-    trials: int = 0
-    lost: Mapping[str, int] = field(default_factory=dict)
-    method: str = "none"
-    invalid: str = ""
-
-    @property
-    def is_shown(self) -> bool:
-        return math.isfinite(self.mean)
 
 
 def points(
@@ -161,7 +140,8 @@ class View:
     """A figure to be drawn. y: a column of numbers, or "success". by: keys of the lines (of a heat map its rows).
     facet: keys of the panels. others: keys that vary and are averaged. notes: what a reader has to know. alone: who
     flew and what, as far as all flights share it: values of the controller, its model, the trajectory and the speed.
-    heading: the title. width: of a figure for a paper (inches)."""
+    heading: the title. width: of a figure for a paper (inches). height: of any figure, None for what it takes.
+    colours: of a line's label or value, "#rrggbb"."""
 
     kind: Kind
     y: str
@@ -176,17 +156,46 @@ class View:
     names: Mapping[str, str] = field(default_factory=dict)
     heading: str = ""
     width: float | None = None
+    height: float | None = None
+    colours: Mapping[str, str] = field(default_factory=dict)
 
     def named(self, names: Mapping[str, str]) -> View:
         """The same with texts of one's own for the metric, keys, and values of keys, such as {"gp_mpc": "GP"}.
 
         Raises UsageError for a name of none of these."""
-        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
-        known = {self.y, *self.keys, *values, *map(str, self.alone.values())}
+        known = {self.y, *self.keys, *self._texts()}
         for name in names:
             if name not in known:
                 raise UsageError(f"--label {name}: no key or value of this figure{suggestion(name, sorted(known))}")
         return replace(self, names=names, x=replace(self.x, names=names))
+
+    def coloured(self, colours: Mapping[str, str]) -> View:
+        """The same with colours of one's own for values of keys, such as {"gp_mpc": "#004fc3"}.
+
+        Raises UsageError for a value of none of the lines."""
+        known = self._texts()
+        for name in colours:
+            if name not in known:
+                raise UsageError(f"--color {name}: no value of this figure{suggestion(name, sorted(known))}")
+        return replace(self, colours=colours)
+
+    def _texts(self) -> set[str]:
+        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
+        return values | set(map(str, self.alone.values()))
+
+    def parts(self) -> dict[str, View]:
+        """Name of a file -> the view of one panel, of which it is the heading."""
+        n, name = len(self.facet), f"{self.y}_{self.file_name}"
+        if not n:
+            return {name: self}
+        found = {}
+        for facet in self.panels:
+            places = {place[n:]: point for place, point in self.places.items() if place[:n] == facet}
+            heading = self.title(self.facet, facet)
+            if any(point.is_shown for point in places.values()):
+                words = "_".join(heading.replace(",", "").split())
+                found[f"{name}_{words}"] = replace(self, facet=(), places=places, heading=heading)
+        return found
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -274,7 +283,7 @@ def view(
         raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
-    given_x, given_by, given_facet = (_checked(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
+    given_x, given_by, given_facet = (checked_keys(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
     given = [*given_x, *given_by, *given_facet]
     for key in given:
         if given.count(key) > 1:
@@ -378,7 +387,7 @@ def _names(keys: Sequence[str]) -> list[str]:
     return [key for key in keys if key in FLOWN or key.endswith(f".{OPTION}")]
 
 
-def _checked(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
+def checked_keys(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
     """The full names of keys; UsageError for what is none."""
     keys = [ALIASES.get(key, key) for key in keys]
     for key in keys:

@@ -33,6 +33,7 @@ CALLS = {  # of each command: a call that answers with a table
     "results": ("results", "results"),
     "validate": ("validate", "models/vehicle", "--flights", "logged.parquet", "--horizons", "0.1"),
     "compare": ("compare", "results", "other"),
+    "table": ("table", "results", "--intervals", "pm"),
     "plot": ("plot", "results", "--x", "controller.nodes", "--out", "p.svg", "--force"),
     "report": ("report", "results", "--out", "page.html", "--figures", "paper", "--force"),
     "export": ("export", "a.parquet", "--to", "csv", "--out", "x.csv", "--force"),

@@ -108,6 +108,8 @@ def test_the_rest_is_what_another_model_leaves(data, network):
     assert np.array_equal(rest.matrix(["tau_x"]), data.matrix(["tau_x"]))
     assert rest.sha256 != data.sha256
     with pytest.raises(UsageError, match="identified vehicle"):
-        without(data, load_model(Path(__file__).parents[2] / "models" / "stored" / "vehicle_model.json"), "models/other")
+        without(
+            data, load_model(Path(__file__).parents[2] / "models" / "stored" / "vehicle_model.json"), "models/other"
+        )
     left = without(data, network, "nn").matrix(["a_x"])
     assert np.sqrt(np.mean(left**2)) == pytest.approx(network.residual_std[0])

@@ -234,7 +234,16 @@ class TestSwept:
         assert all(figure.count("<img alt=") == 1 for block in section.blocks for figure in block.figures)
         assert [len(block.figures) for block in section.blocks] == [2] * 4
         made = make_report(two, tmp_path / "report.html", figures=tmp_path)
-        assert set(made["figures"]) == {"mean_error_against_nodes", "mean_error_map_of_nodes_and_mass"}
+        lines = {f"mean_error_against_nodes_mass_{mass}" for mass in ("1", "1.1", "1.2")}
+        maps = {f"mean_error_map_of_nodes_and_mass_{name}" for name in ("nominal_mpc", "perfect_mpc")}
+        assert set(made["figures"]) == lines | maps
+        for path in made["figures"].values():  # a column of the IEEE, 252 pt, in the letters of a paper
+            content = path.read_bytes()
+            assert (
+                re.search(rb"/MediaBox \[ ?0 0 252 ", content)
+                and b"STIXGeneral" in content
+                and b"/Type3" not in content
+            )
 
     def test_what_has_too_many_marks_is_a_picture_and_what_has_no_room_is_said(self, two, monkeypatch):
         comparison = read_comparison(two)

@@ -78,6 +78,21 @@ class TestPlot:
             assert code == 2 and said in err
         assert "is not one of 'column', 'page'" in run("plot", "r", "--width", "3")[2]
 
+    def test_colours_and_a_height_of_ones_own(self, results):
+        ours = ("--color", "perfect_mpc=navy", "--color", "nominal_mpc=#aa0000", "--height", "2")
+        words = ("plot", "r", "--x", "trajectory.speed", "--by", "controller", "--width", "column", "--force", *ours)
+        assert run(*words, "--out", "a.svg")[0] == 0
+        drawn = Path("a.svg").read_text()
+        assert "stroke: #000080" in drawn and "stroke: #aa0000" in drawn and 'height="144pt"' in drawn
+        assert "#5f6773" not in drawn  # the colour that nominal_mpc has otherwise
+        for wrong, said in (
+            (("--color", "gp_mpc=navy"), "--color gp_mpc: no value of this figure"),
+            (("--color", "perfect_mpc=colour"), "--color perfect_mpc=colour: give NAME=COLOR"),
+            (("--height", "0"), "--height 0: must be in [1, 20] inches"),
+        ):
+            code, _, err = run("plot", "r", *wrong)
+            assert code == 2 and said in err
+
     def test_where_takes_only_these_flights(self, results):
         code, out, _ = run("plot", "r", "--where", "controller == perfect_mpc and seed < 2", "--out", "a.svg", "--json")
         assert code == 0 and {point["seeds"] for point in json.loads(out)["points"]} == {2}

@@ -22,6 +22,7 @@ from quadexp.report.style import save_figure
 from quadexp.writer import check_output, write_text
 
 MOST_LINES = 200  # of a table
+COLUMN = 3.5  # inches, of the IEEE
 
 
 def make_report(
@@ -34,8 +35,8 @@ def make_report(
 ) -> dict[str, Any]:
     """Write the report of a results folder as one HTML file; returns its answer and the paths of the files.
 
-    figures: folder for the same figures as PDF. baseline: a controller.
-    Raises UsageError or DataError, before anything is written.
+    figures: folder for the same figures as PDF, a file a panel, as wide as a column of the IEEE. baseline: a
+    controller. Raises UsageError or DataError, before anything is written.
     """
     out = check_output(out, force=force)
     if figures is not None:
@@ -47,8 +48,8 @@ def make_report(
     words += ["--figures", comparison.place(Path(figures))] if figures else []
     page, left_out = render(comparison, swept, shlex.join(words), left_out)
     write_text(out, page, force=force)
-    names = {f"{view.y.removesuffix('_error')}_error_{view.file_name}": view for view in views}
-    drawn = {name: figure_of(view) for name, view in names.items()} if figures else {}
+    parts = {name: part for view in views for name, part in view.parts().items()} if figures else {}
+    drawn = {name: figure_of(replace(part, width=COLUMN)) for name, part in parts.items()}
     paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
     answered, checked = answer(comparison), comparison.checked
     return {

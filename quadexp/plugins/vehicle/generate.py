@@ -1,0 +1,412 @@
+"""The C of one controller: its tables, its functions, and what stands around the C of the bench.
+
+    controller.h/.c   arrays and the table of operations, around loop.c and vehicle.c
+    model.c           functions of the layers; node.c: those of a node of the MPC
+    mpc.c             the MPC's step, around stages.c and what that includes
+    real.h            precision and names
+
+loop.c, stages.c, active_set.c and riccati_backward.c are copies of the files that fly the bench.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import quadexp.control.compiled_loop as compiled_loop
+import quadexp.control.mpc.stages as stages
+from quadexp.compile.symbolic import ca
+from quadexp.control.instant import Operation
+from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
+from quadexp.physics.state import N_STATE, RATE
+from quadexp.plugins.vehicle.arrays import Arrays
+
+HERE = Path(__file__).parent
+KERNELS = (compiled_loop.SOURCE, stages.SOURCE, *(stages.SOURCE.with_name(name) for name in stages.KERNELS))
+CHANGEABLE = ("theta", "Q", "Q_end", "R", "u_min", "u_max", "settings")  # arguments that a user may change in flight
+FLOAT_TOLERANCE = 1e-4  # N: bound violation that counts as none, in single precision
+FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
+    "sqrt exp log log10 fabs sin cos tan asin acos atan atan2 sinh cosh tanh fmax fmin pow floor ceil copysign rint"
+    " hypot expm1 log1p fmod erf"
+).split()
+SHARED = ("mpc_prepare", "mpc_feedback", "mpc_bounded", "node_linearise", "node_held", "node_frame", "node_lanes")
+SHARED += ("node_memory", "has_lanes", "linearise", "held", "frame", "mpc_work")
+HELPERS = re.compile(  # what CasADi adds for programs that ask a library about its functions
+    r"CASADI_SYMBOL_EXPORT [^\n]*_(?:checkout|release|incref|decref|n_in|n_out|default_in|name_in|name_out|sparsity_in|"
+    r"sparsity_out|work|work_bytes|casadi_version|casadi_int_size|casadi_real_size)\([^)]*\)\s*"
+    r"\{(?:[^{}]|\{[^{}]*\})*\}\n"
+)
+LITERAL = re.compile(r"(?<![\w.])(\d+\.\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)(?![\w.])")
+QUIET = "".join(  # of generated code: arguments and tables that a function does not need; truth of a number
+    f'#pragma GCC diagnostic ignored "-W{name}"\n'
+    for name in ("unused-parameter", "unused-const-variable", "unused-function", "float-conversion")
+)
+
+
+class Names(NamedTuple):
+    """prefix: of all that is global. real: float or double."""
+
+    prefix: str
+    real: str
+
+    @property
+    def upper(self) -> str:
+        return self.prefix.upper()
+
+    def literal(self, value: float) -> str:
+        """A number as C."""
+        if not math.isfinite(value):
+            raise ValueError(f"{value} is no number of a controller")
+        if value == int(value) and abs(value) < 1e6:
+            return f"{int(value)}"
+        if self.real == "double":
+            return repr(float(value))
+        text = f"{value:.9g}"
+        return f"{text}f" if {".", "e"} & set(text) else f"{text}.0f"
+
+    def literals(self, values: Iterable[float]) -> str:
+        """Numbers of an array, which in C has one at least."""
+        return ", ".join(self.literal(value) for value in values) or "0"
+
+
+class Program(NamedTuple):
+    """A controller as C. operations: all of them. command: where they leave it. plan: a PredictiveController, or None.
+    start: see start.py. rows: of a window; shape of its inputs. hover: thrusts, (n,) (N)."""
+
+    names: Names
+    controller: Any
+    operations: Sequence[Operation]
+    command: np.ndarray
+    plan: Any
+    start: tuple[ca.Function | None, list[np.ndarray]]
+    rows: int
+    hover: np.ndarray
+    arrays: Arrays
+
+
+def program(controller: Any, names: Names, start: tuple[ca.Function | None, list[np.ndarray]], hover: Any) -> Program:
+    """The arrays of a controller, after a reset."""
+    running, arrays = controller.running, Arrays()
+    instant, told = running.instant, running.told
+    for name in ("state", "force", "speed", "path", "yaw", "fresh"):
+        arrays.add(getattr(told, name), written=True, cleared=True)
+    for memory in instant.memory:
+        for now, after in memory.pairs:
+            arrays.add_all((now, after), written=True, cleared=True)
+        arrays.add(memory.now, written=True, cleared=True)
+    for operation in instant.operations:
+        window = operation.kind == "window"
+        arrays.add(operation.to, written=True, cleared=window)
+        arrays.add(operation.other, written=True, cleared=window)
+        arrays.add(operation.source)
+        arrays.add(operation.when)
+        if operation.function is not None:
+            for name, array in operation.function.arguments.items():
+                arrays.add(array, changed=name in CHANGEABLE)
+            arrays.add_all(operation.function.results.values(), written=True, cleared=True)
+    if instant.plan is not None:
+        mpc = instant.plan.mpc
+        mpc.step.arguments["shift"][...] = mpc._shift
+        solved = ("x0", "X", "U", "X_ref", "U_ref", "guess")
+        for name, array in mpc.step.arguments.items():
+            arrays.add(array, written=name in (*solved, "shift"), cleared=name in solved, changed=name in CHANGEABLE)
+        arrays.add_all(mpc.step.results.values(), written=True, cleared=True)
+        arrays.add(instant.plan.unprepared, written=True)
+    arrays.add(instant.command, written=True)
+    arrays.lay_out()
+    rows = len(controller.node_times)
+    return Program(names, controller, instant.operations, instant.command, instant.plan, start, rows, hover, arrays)
+
+
+def functions_of(made: Program) -> dict[int, tuple[str, ca.Function]]:
+    """What its operations call, by the id of the compiled function: a name in C, and the function that was compiled."""
+    found = dict[int, tuple[str, ca.Function]]()
+    taken = set[str]()
+    for operation in made.operations:
+        if operation.function is None or id(operation.function.function) in found:
+            continue
+        origin = operation.function.function.origin  # type: ignore[attr-defined]  # compiled
+        name = f"{origin.name()}_{len(taken)}" if origin.name() in taken else origin.name()
+        if name != origin.name():
+            symbols = origin.mx_in()
+            origin = ca.Function(name, symbols, origin.call(symbols), origin.name_in(), origin.name_out())
+        taken.add(name)
+        found[id(operation.function.function)] = name, origin
+    return found
+
+
+# --------------------------------------------------------------------------------------------------------- small files
+def real_h(names: Names) -> str:
+    """Precision and names, before every other line of C."""
+    lines = [
+        "/* Precision, and the names that other objects see. */",
+        "#include <math.h>",
+        f"#define REAL {names.real}",
+    ]
+    lines += ["#define INTEGER int", "#define casadi_real REAL", "#define casadi_int INTEGER", "#define SCALAR"]
+    if names.real == "float":
+        lines += [f"#define {name} {name}f" for name in FUNCTIONS]
+    lines += [f"#define {name} {names.prefix}_{name}" for name in SHARED]
+    return "\n".join(lines) + "\n"
+
+
+def in_precision(source: str, names: Names) -> str:
+    """Code that CasADi generated, without what a program would ask a library, with literals of the precision."""
+    source = HELPERS.sub("", source)
+    return LITERAL.sub(r"\1f", source) if names.real == "float" else source
+
+
+def model_c(made: Program, functions: Sequence[ca.Function]) -> str:
+    """The functions of the layers."""
+    names = made.names
+    generator = ca.CodeGenerator(f"{names.prefix}_model", {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    renamed = "".join(f"#define {one.name()} {names.prefix}_{one.name()}\n" for one in functions)
+    body = in_precision(generator.dump(), names) if functions else ""
+    return f'#include "real.h"\n{QUIET}{renamed}{body}'
+
+
+def node_c(made: Program) -> str:
+    """The functions of a node of the MPC."""
+    mpc = made.plan.mpc
+    functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
+    return f'#include "real.h"\n{QUIET}{in_precision(stages.node_source(functions), made.names)}'
+
+
+def mpc_c(made: Program) -> str:
+    """The MPC's step; its work is as long as the longest of its phases needs."""
+    mpc = made.plan.mpc
+    functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
+    nodes, node_memory = len(mpc.step.arguments["U"]), max(function.sz_w() for function in functions)
+    return (
+        f'#include "real.h"\n{stages.stages_constants(mpc.step.form)}#include "stages.c"\n'
+        f"enum {{ NODES = {nodes}, NODE_MEMORY = {node_memory} }};\n"
+        "extern real mpc_work[];\n"
+        "real mpc_work[BOUNDED_MEMORY(NODES) > NODE_MEMORY ? BOUNDED_MEMORY(NODES) : NODE_MEMORY];\n"
+    )
+
+
+def controller_h(made: Program, about: Sequence[str]) -> str:
+    """What the program around it includes. about: lines that say what it is."""
+    names, controller = made.names, made.controller
+    p, P = names.prefix, names.upper
+    times = ", ".join(f"{t:.6g}" for t in controller.node_times)
+    places = []
+    for name, array in changeable(made):
+        places.append(f"#define {P}_{name} {made.arrays.place(array)[1]} /* {array.size} numbers */")
+    said = "\n".join(f"   {line}" for line in about)
+    changed = "\n".join(places) or "/* none */"
+    return f"""/* A controller of quadexp.
+{said}
+
+   World east north up, body forward left up, quaternion body to world with w first, SI units. */
+#ifndef {P}_CONTROLLER_H
+#define {P}_CONTROLLER_H
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+typedef {names.real} {p}_real;
+enum {{ {P}_ROTORS = {controller.vehicle.n_rotors}, {P}_ROWS = {made.rows}, {P}_INPUTS = {max(made.rows - 1, 1)} }};
+#define {P}_PERIOD {controller.control_period!r} /* s, between two steps */
+
+/* The reference from now on: states (position, quaternion, velocity, body rate) and thrusts (N) at the node times; now:
+   position with its derivatives up to snap, heading with two derivatives and its drift.
+   Node times (s): {times} */
+typedef struct {{
+    {p}_real states[{P}_ROWS][{N_STATE}], inputs[{P}_INPUTS][{P}_ROTORS], path[5][3], yaw[4];
+}} {p}_window;
+
+enum {{ {P}_OK, {P}_REFUSED, {P}_FAILED }}; /* the command is one to send in every case */
+
+/* Begin a flight. REFUSED: state or reference are no numbers. */
+int {p}_reset(const {p}_real state[{N_STATE}], const {p}_window *window);
+
+/* One step. force: of the accelerometer, body (m/s^2); speed: of the rotors (rad/s); null where not measured now.
+   command: thrusts of the rotors (N), to be held for a period. REFUSED: what is measured, or the reference, are no
+   numbers, nothing was changed. FAILED: no answer was found; it goes on from what it knew before. */
+int {p}_step(const {p}_real state[{N_STATE}], const {p}_real *force, const {p}_real *speed, const {p}_window *window,
+            {p}_real command[{P}_ROTORS]);
+
+/* Body rates (3) that are predicted for the next node (rad/s); null of a law without a prediction. */
+const {p}_real *{p}_rates(void);
+
+/* What may be changed between two steps, at these places; a reset leaves it as it is. */
+{p}_real *{p}_numbers(void);
+{changed}
+
+/* References. hold: hover at a position (m) with a heading (rad). flat: of flat outputs, the first of now, the others at
+   the node times; without the air. Returns 0, with nothing written, where they are no flight: free fall, upside down. */
+typedef struct {{ {p}_real path[5][3], yaw[3]; }} {p}_output; /* position .. snap; heading, rate, acceleration */
+void {p}_hold({p}_window *window, const {p}_real position[3], {p}_real heading);
+int {p}_flat({p}_window *window, const {p}_output outputs[{P}_ROWS + 1]);
+
+#ifdef __cplusplus
+}}
+#endif
+#endif
+"""
+
+
+def changeable(made: Program) -> list[tuple[str, np.ndarray]]:
+    """Name and array of what a user may change, each once."""
+    found = dict[str, np.ndarray]()
+    seen = set[int]()
+    arguments = [operation.function.arguments for operation in made.operations if operation.function is not None]
+    if made.plan is not None:
+        arguments.insert(0, made.plan.mpc.step.arguments)
+    for given in arguments:
+        for name, array in given.items():
+            if name in CHANGEABLE and array.size and made.arrays.place(array)[0] == "numbers":
+                if array.ctypes.data not in seen:
+                    seen.add(array.ctypes.data)
+                    found[f"{name}_{len(found)}" if name in found else name] = array
+    return list(found.items())
+
+
+# -------------------------------------------------------------------------------------------------------- the controller
+def controller_c(made: Program) -> str:
+    """Arrays, functions and operations of a controller, around loop.c and vehicle.c."""
+    names, arrays, vehicle = made.names, made.arrays, made.controller.vehicle
+    functions = functions_of(made)
+    image = arrays.contents("ram")
+    used = np.flatnonzero(image)
+    begins = image[: used[-1] + 1] if used.size else image[:0]
+    called = [function for _, function in functions.values()]
+    called += [made.start[0]] if made.start[0] is not None else []
+    work = max([1, *(function.sz_w() for function in called)])
+    places = max([1, *(function.sz_iw() for function in called)])
+    lines = ['#include "real.h"', "#define ALONE", *(["#define NO_PLAN"] if made.plan is None else [])]
+    lines += ['#include "controller.h"', '#include "loop.c"', ""]
+    lines += [f"#define QX(name) {names.prefix}_##name", f"typedef {names.prefix}_window window;"]
+    lines += [f"enum {{ ROTORS = {vehicle.n_rotors}, ROWS = {made.rows}, RAM = {max(len(image), 1)} }};"]
+    lines += [f"enum {{ IMAGE = {len(begins)}, ROUND = {math.lcm(*(o.every for o in made.operations))} }};"]
+    lines += ["static real ram[RAM];"]
+    lines += [f"static real w[{work}];", f"static integer iw[{places}];"] if called else []
+    lines += [f"static real numbers[] = {{{names.literals(arrays.contents('numbers'))}}};"]
+    if len(arrays.contents("rom")):
+        lines += [f"static const real rom[] = {{{names.literals(arrays.contents('rom'))}}};"]
+    lines += [f"static const real image[] = {{{names.literals(begins)}}};"]
+    lines += [f"static const real hover[] = {{{names.literals(made.hover)}}};"]
+    inertia = "}, {".join(names.literals(row) for row in vehicle.inertia_matrix)
+    mixer = "}, {".join(names.literals(row) for row in np.linalg.pinv(vehicle.allocation))
+    lines += [f"static const real inertia[3][3] = {{{{{inertia}}}}}, allocation[ROTORS][4] = {{{{{mixer}}}}};"]
+    lines += [f"static const real mass = {names.literal(vehicle.mass)}, gravity = {names.literal(vehicle.gravity)};"]
+    low, high = names.literal(vehicle.thrust_min), names.literal(vehicle.thrust_max)
+    lines += [f"static const real thrust_min = {low}, thrust_max = {high}; /* N */", ""]
+    lines += [line for name, function in functions.values() for line in declared(names, name)]
+    lines += [line for i, o in enumerate(made.operations) if o.function for line in called_by(made, i, o, functions)]
+    lines += plan_lines(made)
+    lines += ["static const operation operations[] = {"]
+    lines += [f"    {{{row(made, i, operation)}}}," for i, operation in enumerate(made.operations)]
+    lines += ["};", loop_line(made), *start_lines(made)]
+    lines += [f"static const real *const command_now = {arrays.at(made.command)};", "", '#include "vehicle.c"']
+    lines += ['#include "reference.c"']
+    return "\n".join(lines) + "\n"
+
+
+def declared(names: Names, name: str) -> list[str]:
+    """A function of model.c."""
+    return [f"int {names.prefix}_{name}(const real **, real **, integer *, real *, int);"]
+
+
+def called_by(made: Program, index: int, o: Operation, functions: dict[int, tuple[str, ca.Function]]) -> list[str]:
+    """The function of an operation with the places of its arguments and results; the generated one needs longer arrays
+    of pointers than these."""
+    function: Any = o.function
+    name, code = functions[id(function.function)]
+    given = [made.arrays.at(array) for array in function.arguments.values()]
+    left = [made.arrays.at(array) for array in function.results.values()]
+    given += ["0"] * (code.sz_arg() - len(given))
+    left += ["0"] * (code.sz_res() - len(left))
+    return [
+        f"static const real *given{index}[] = {{{', '.join(given) or '0'}}};",
+        f"static real *left{index}[] = {{{', '.join(left) or '0'}}};",
+        f"static const function call{index} = {{{made.names.prefix}_{name}, given{index}, left{index}, iw, w}};",
+    ]
+
+
+def row(made: Program, index: int, o: Operation) -> str:
+    """An operation, as compiled_loop.py tells it to C."""
+    at, counted = made.arrays.at, o.to if o.to is not None else o.source
+    window, count = o.kind == "window", 0
+    if counted is not None:
+        count = counted.strides[0] // 8 if window else counted.size
+    factor = float(len(o.source)) if window and o.source is not None else o.factor
+    fields = {"kind": o.kind.upper(), "every": str(o.every), "count": str(count), "factor": made.names.literal(factor)}
+    fields |= {"to": at(o.to), "other": at(o.other), "source": at(o.source), "when": at(o.when)}
+    fields["next"] = at(o.source) if o.kind == "commit" else "0"
+    fields["function"] = f"&call{index}" if o.function is not None else "0"
+    return ", ".join(f".{name} = {value}" for name, value in fields.items() if value != "0")
+
+
+def plan_lines(made: Program) -> list[str]:
+    """The MPC's step, with the arrays that it reads and leaves."""
+    if made.plan is None:
+        return []
+    mpc, at, names = made.plan.mpc, made.arrays.at, made.names
+    step = mpc.step
+    nodes, inputs = step.arguments["U"].shape
+    given = [at(array) for array in step.arguments.values()]
+    left = [at(array) for array in step.results.values()]
+    arrays = {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U", "guess")}
+    solved = ("checks", "X_new", "U_new", "X_lin", "U_lin", "bounded_checks", "bounded_X", "bounded_U", "side")
+    arrays |= {name: step.results[name] for name in solved} | {"unprepared": made.plan.unprepared}
+    fields = {name: f"{{{name_of}, plan_given, plan_left, plan_sizes, mpc_work}}" for name, name_of in PHASES.items()}
+    fields |= {"states": str(step.form.states), "inputs": str(inputs), "nodes": str(nodes)}
+    fields |= {"reference_rows": str(len(step.arguments["X_ref"]))}
+    tolerance = TOLERANCE if names.real == "double" else FLOAT_TOLERANCE
+    fields |= {"tolerance": names.literal(tolerance), "max_turn": names.literal(MAX_TURN)}
+    fields |= {name: at(array) for name, array in arrays.items()}
+    content = ", ".join(f".{name} = {value}" for name, value in fields.items())
+    steps = min(mpc.settings.initial_iterations, PLAIN_ITERATIONS)
+    rates = step.form.states + RATE.start
+    return [
+        *(f"int {phase}(const real **, real **, integer *, real *, int);" for phase in PHASES.values()),
+        "extern real mpc_work[];",
+        f"static const real *plan_given[] = {{{', '.join(given)}}};",
+        f"static real *plan_left[] = {{{', '.join(left)}}};",
+        f"static integer plan_sizes[] = {{{nodes}, {step.form.parameters}}};",
+        f"enum {{ NODES = {nodes}, SAMPLES = {step.form.samples}, FULL_STEPS = {steps} }};",
+        f"static real *const the_shift = {at(step.arguments['shift'])};",
+        f"#define RATES ({at(step.arguments['X'])} + {rates})",
+        f"static mpc the_plan = {{{content}}};",
+    ]
+
+
+PHASES = {"prepare": "mpc_prepare", "feedback": "mpc_feedback", "bounded": "mpc_bounded"}
+
+
+def loop_line(made: Program) -> str:
+    """What `control` of loop.c is given."""
+    told = made.controller.running.told
+    names = ("state", "force", "speed", "path", "yaw", "read", "turning")
+    fields = {"operations": "operations", "operations_size": str(len(made.operations))}
+    fields |= {"inputs": "ROTORS", "plan": "&the_plan" if made.plan is not None else "0"}
+    fields |= {name: made.arrays.at(getattr(told, name)) for name in names}
+    fields["period"] = made.names.literal(made.controller.control_period)
+    return "static const loop the_loop = {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "};"
+
+
+def start_lines(made: Program) -> list[str]:
+    """The function that leaves what is remembered as a flight begins."""
+    function, places = made.start
+    head = "static void start(const real *state, const real *thrust) {"
+    if function is None:
+        return [head, "    (void)state, (void)thrust;", "}"]
+    name = f"{made.names.prefix}_{function.name()}"
+    left = [made.arrays.at(array) for array in places] + ["0"] * (function.sz_res() - len(places))
+    return [
+        f"int {name}(const real **, real **, integer *, real *, int);",
+        head,
+        f"    const real *given[{max(function.sz_arg(), 2)}] = {{state, thrust}};",
+        f"    real *left[] = {{{', '.join(left)}}};",
+        f"    (void){name}(given, left, iw, w, 0);",
+        "}",
+    ]
