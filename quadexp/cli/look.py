@@ -253,7 +253,7 @@ def export(
     \b
     quadexp export runs/a.parquet --to csv --out a.csv
     quadexp export models/crazyflie --to px4 --voltage 3.9 --out crazyflie.params
-    quadexp export vehicle=hummingbird --to rotorpy --motor-lag 0.005 --out hummingbird.py
+    quadexp export vehicle=hummingbird --to rotorpy --motor-lag 0.005
     """
     from quadexp.log.exporters import FORMATS, export_flight
     from quadexp.plugin import brought, places
@@ -263,7 +263,8 @@ def export(
     form = brought("exports", to)
     if form is not None:
         if source.endswith(".parquet"):
-            raise UsageError(f"--to {to}: is for a model or vehicle=NAME; {source} is a flight: {', '.join(FORMATS)}")
+            of_flight = ", ".join(FORMATS)
+            raise UsageError(f"--to {to}: is for a model's folder or vehicle=NAME; flights are written as {of_flight}")
         files, record, lines = form(source, out=out, conf=conf, force=force, **options)
         return Answer(record, record["numbers"], [*lines, *files.values()])
     if to not in FORMATS:

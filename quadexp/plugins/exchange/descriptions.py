@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from quadexp.plugins.exchange.document import XML, Target, Written
 from quadexp.plugins.exchange.known import Known, Quantity, of_file
@@ -26,6 +27,7 @@ from quadexp.plugins.exchange.simulators import (
     RPM,
     SPEEDS,
     body,
+    hub_force,
     hub_lost,
     lag,
     largest_speed,
@@ -104,18 +106,24 @@ def gym_pybullet(known: Known, firmware: str | None, path: Path) -> Written:
     numbers["arm"] = of_file(arm, "m")
     numbers["drag_coeff_xy"] = air["k_d"]
     numbers["drag_coeff_z"] = air["k_z"]
+
+    def world_drag(velocity: np.ndarray, thrust: np.ndarray) -> np.ndarray:
+        turned = Rotation.random(len(velocity), random_state=0)
+        values = {name: air[name].value for name in ("k_d", "k_z")}
+        return turned.inv().apply(hub_force(known, turned.apply(velocity), thrust, values))
+
     radius = vehicle.rotor.radius if vehicle.rotor else arm / 2
     positions = [vehicle.rotor_position[i] for i in order]
     text = filled("cf2x.urdf", known, numbers, prop_radius=radius, positions=positions)
     lost = [
         "rotors in its order: front right, back right, back left, front left",
-        "drag acts in Physics.PYB_DRAG only, along the world's axes; what follows is at level attitude",
+        "drag acts in Physics.PYB_DRAG only, and along the world's axes; what follows is at random attitudes",
         "gravity: 9.8 m/s^2 is built in",
         "motor lag, drag of the body (|v| v), translational lift: there is none",
         "ground effect and downwash: not identified, 0",
         f"{PRODUCTS}: not in Physics.DYN",
         NO_SHAPE,
-        *hub_lost(known, {"k_d": air["k_d"], "k_z": air["k_z"]}),
+        *known.departure(world_drag),
     ]
     return Written(text, numbers, lost)
 
@@ -127,8 +135,10 @@ def mjcf(known: Known, firmware: str | None, path: Path) -> Written:
     numbers = body(known) | {f"drag_{axis}": number for axis, number in drag.items()}
     numbers["gear"] = of_file(vehicle.torque_coefficient, "m")
     numbers["ctrlrange"] = of_file([vehicle.thrust_min, vehicle.thrust_max], "N")
+    scale = known.facts["sigma"].value
     lost = [
-        "ctrl 0 to n - 1 are the rotors' thrusts in N, not commands; the controls of drag_x, drag_y, drag_z do nothing",
+        f"ctrl 0 to n - 1 are thrusts in N, not commands: {scale:.4g} times those of the curve, or of the vehicle file",
+        "the controls of drag_x, drag_y, drag_z do nothing",
         "motor lag",
         "wind (the velocity is that of the body, not of the air)",
         NO_SHAPE,

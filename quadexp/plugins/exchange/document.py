@@ -140,7 +140,11 @@ def _known(source: str, named: str | None, conf: Folders, options: Mapping[str, 
 
 
 def _stem(source: str) -> str:
-    return source.partition("=")[2] if source.startswith("vehicle=") else Path(source).resolve().name
+    """Of the file's name: the vehicle's, or that of the checkpoint folder."""
+    if source.startswith("vehicle="):
+        return source.partition("=")[2]
+    path = Path(source).resolve()
+    return path.parent.name if path.is_file() else path.name
 
 
 def _vehicle_line(vehicle: Vehicle) -> list[str]:

@@ -10,7 +10,9 @@ the Python form, which any version reads, has one assignment an operation.
 from __future__ import annotations
 
 import tempfile
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +31,7 @@ C_USAGE = [
     "iw and w are not used (NULL)",
 ]
 LOST = [
-    "u: thrusts in N, not commands, and without limits",
+    "u: thrusts in N as the curve, or the vehicle file, states them; not commands, and without limits",
     "motor lag and dead time; wind (the velocity is that of the body, in still air)",
     "noise, and how sure the model is",
 ]
@@ -49,16 +51,15 @@ def _numbers(known: Known) -> dict[str, Quantity]:
     numbers = body(known)
     numbers["rotor_position"] = of_file(known.vehicle.rotor_position, "m")
     numbers["c_tau"] = of_file(known.vehicle.torque_coefficient, "m")
-    if hasattr(known.model, "models"):
-        for record in known.model.model().records():
+    model: Any = known.model
+    if hasattr(model, "models"):
+        for record in model.model().records():
             half = record["high"] - record["value"]
             name = f"{record['axis']}_{record['term']}"
             numbers[name] = Quantity(record["value"], record["unit"], IDENTIFIED, half)
-    elif known.model is not None:
+    elif model is not None:
         drag = known.quantity(lambda p: np.array([p.d_x, p.d_y, p.d_z]), "1/s")
-        numbers["drag"] = drag._replace(
-            note=f"linear, of the same flights; in the file is the whole {known.model.kind}"
-        )
+        numbers["drag"] = drag._replace(note=f"linear, of the same flights; in the file is the whole {model.kind}")
     return numbers
 
 
@@ -85,62 +86,32 @@ def c(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(generator.dump(), _numbers(known), [STATE, *C_USAGE, *LOST], whole=True)
 
 
-# Operations of an SX function as Python; s: the operands.
-_BINARY = {
-    "ADD": "{} + {}", "SUB": "{} - {}", "MUL": "{} * {}", "DIV": "{} / {}", "POW": "{} ** {}", "CONSTPOW": "{} ** {}",
-    "LT": "{} < {}", "LE": "{} <= {}", "EQ": "{} == {}", "NE": "{} != {}", "FMIN": "ca.fmin({}, {})",
-    "FMAX": "ca.fmax({}, {})", "AND": "ca.logic_and({}, {})", "OR": "ca.logic_or({}, {})",
-    "IF_ELSE_ZERO": "ca.if_else({}, {}, 0)", "ATAN2": "ca.atan2({}, {})", "COPYSIGN": "ca.copysign({}, {})",
-    "HYPOT": "ca.hypot({}, {})",
-}  # fmt: skip
-_UNARY = {
-    "NEG": "-{}",
-    "SQ": "{0} * {0}",
-    "TWICE": "2 * {}",
-    "INV": "1 / {}",
-    "ASSIGN": "{}",
-    "NOT": "ca.logic_not({})",
-}
-_FUNCTIONS = (
-    "SQRT", "EXP", "LOG", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH", "FABS", "SIGN", "FLOOR",
-    "CEIL", "ERF", "LOG1P", "EXPM1",
-)  # fmt: skip
-
-
-def _operations() -> dict[int, str]:
-    """Code of CasADi -> Python."""
-    texts = _BINARY | _UNARY | {name: f"ca.{name.lower()}({{}})" for name in _FUNCTIONS}
-    return {getattr(ca, f"OP_{name}"): text for name, text in texts.items() if hasattr(ca, f"OP_{name}")}
-
-
 def python_text(function: ca.Function) -> str:
-    """A module with `model()`, which returns the function."""
-    operations = _operations()
+    """A module with `model()`, which builds the function from its operations, one a line, by their names."""
+    names = {code: name for name, code in vars(import_module("casadi")).items() if name.startswith("OP_")}
     lines = [
-        f'"""{STATE}; u: thrusts of the rotors (N)."""', "import casadi as ca", "", "", "def model():",
+        f'"""{STATE}; u: thrusts of the rotors (N)."""', "from math import inf, nan", "", "import casadi as ca", "",
+        "one, two = ca.SX.unary, ca.SX.binary", "", "", "def model():",
         f'    x, u = ca.SX.sym("x", {function.size1_in(0)}), ca.SX.sym("u", {function.size1_in(1)})',
-        f"    a, y = [x, u], [0] * {function.size1_out(0)}", f"    w = [0] * {function.sz_w()}",
+        f"    a, y, w = [x, u], [0] * {function.size1_out(0)}, [0] * {function.sz_w()}",
     ]  # fmt: skip
     for i in range(function.n_instructions()):
-        lines.append(f"    {_statement(function, i, operations)}")
+        lines.append(f"    {_statement(function, i, names)}")
     lines.append('    return ca.Function("model", [x, u], [ca.vertcat(*y)], ["x", "u"], ["x_dot"])')
     return "\n".join(lines) + "\n"
 
 
-def _statement(function: ca.Function, i: int, operations: dict[int, str]) -> str:
-    """One operation of an SX function."""
+def _statement(function: ca.Function, i: int, names: dict[int, str]) -> str:
+    """One operation of an SX function: a constant, an input, an output, or one of one or two work variables."""
     code, inputs, outputs = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
     if code == ca.OP_CONST:
-        return f"w[{outputs[0]}] = {function.instruction_constant(i)!r}"
+        return f"w[{outputs[0]}] = ca.SX({function.instruction_constant(i)!r})"
     if code == ca.OP_INPUT:
         return f"w[{outputs[0]}] = a[{inputs[0]}][{inputs[1]}]"
     if code == ca.OP_OUTPUT:
         return f"y[{outputs[1]}] = w[{inputs[0]}]"
-    if code not in operations:
-        raise UsageError(
-            f"--to casadi: an operation of the model (CasADi's {code}) has no Python form here: --out model.casadi"
-        )
-    return f"w[{outputs[0]}] = {operations[code].format(*(f'w[{k}]' for k in inputs))}"
+    operands = ", ".join(f"w[{k}]" for k in inputs)
+    return f"w[{outputs[0]}] = {'one' if len(inputs) == 1 else 'two'}(ca.{names[code]}, {operands})"
 
 
 CASADI = Target("casadi", casadi, ".casadi", "The model as a CasADi function")

@@ -177,6 +177,10 @@ class Known:
         freedom = min(self.facts[name].freedom for name in uncertain)
         return Quantity(value, unit, origin, half_width(np.sqrt(np.maximum(variance, 0)), freedom))
 
+    def times_mass(self, name: str, unit: str) -> Quantity:
+        """A fact that is per mass, times the mass."""
+        return self.quantity(lambda p: p.mass * getattr(p, name), unit)
+
     def _covariance(self, name: str, other: str) -> float:
         if name == other:
             return self.facts[name].error ** 2
@@ -248,8 +252,8 @@ class Known:
         if self.model is None:
             return []
         rng = np.random.default_rng(0)
-        ranges = self.model.feature_range
-        velocity = np.stack([rng.uniform(*ranges[f"v_{axis}"], STATES) for axis in AXES], axis=1)
+        low, high = np.transpose([self.model.feature_range[f"v_{axis}"] for axis in AXES])
+        velocity = rng.uniform(low, high, (STATES, 3))
         thrust = self.vehicle.hover_thrust * rng.uniform(*THRUSTS, (STATES, self.vehicle.n_rotors))
         features = np.hstack([velocity, np.zeros_like(velocity), thrust])
         ours = self.model.residual(self.vehicle)(features)[:, :3]

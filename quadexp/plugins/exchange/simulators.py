@@ -52,10 +52,9 @@ def per_rotor(known: Known) -> dict[str, Quantity]:
         numbers = {
             "k_d": known.quantity(lambda p: p.mass * p.kappa * (p.hub_x + p.hub_y) / 2, "kg/rad"),
             "k_z": known.quantity(lambda p: p.mass * p.kappa * p.climb, "kg/rad"),
-            "k_h": known.quantity(lambda p: p.mass * p.advance, "kg/m"),
+            "k_h": known.times_mass("advance", "kg/m"),
         }
-        for axis in AXES:
-            numbers[f"c_D{axis}"] = known.quantity(lambda p, axis=axis: p.mass * getattr(p, f"body_{axis}"), "kg/m")
+        numbers |= {f"c_D{axis}": known.times_mass(f"body_{axis}", "kg/m") for axis in AXES}
     else:
         numbers = {
             "k_d": known.quantity(lambda p: p.mass * (p.d_x + p.d_y) / (2 * p.n_rotors * p.hover_speed), "kg/rad"),
@@ -73,11 +72,7 @@ def is_blade_element(known: Known) -> bool:
 
 def linear_drag(known: Known) -> dict[str, Quantity]:
     """m d by axis (N s/m); a negative one is 0, and says so."""
-    drag = {}
-    for axis in AXES:
-        number = known.quantity(lambda p, axis=axis: p.mass * getattr(p, f"d_{axis}"), "N s/m")
-        drag[axis] = number.not_negative()
-    return drag
+    return {axis: known.times_mass(f"d_{axis}", "N s/m").not_negative() for axis in AXES}
 
 
 def linear_lost(known: Known, drag: dict[str, Quantity]) -> list[str]:

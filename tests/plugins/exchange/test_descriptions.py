@@ -1,6 +1,7 @@
 """Models in XML: mass and inertia are the vehicle's, and forces and torques those of the model."""
 
 import importlib.util
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -115,6 +116,24 @@ def test_forces_and_torques_of_gym_pybullet_drones(export):
     w = np.sqrt(scale * thrust / HUMMINGBIRD["k_eta"])
     wanted = -np.array([HUMMINGBIRD["k_d"]] * 2 + [HUMMINGBIRD["k_z"]]) * w.sum(axis=1, keepdims=True) * velocity
     assert relative(drag, wanted) < 3e-3
+
+
+def test_gym_pybullets_file_says_how_far_its_force_is(export):
+    """Of bodies that are turned in any way, since the drag there has its coefficients along the world's axes."""
+    text = export("hb", "gym_pybullet")
+    found, _, _ = urdf(text)
+    velocity, _, q, _ = states(hummingbird(), VEHICLE, 4000)
+    thrust = VEHICLE.hover_thrust * np.random.default_rng(3).uniform(0.3, 1.9, (4000, 4))
+    scale = 1 + hummingbird().model().coefficient("z", "thrust")[0]
+    R = rotation(q)
+    w = np.sqrt(scale * thrust / found["kf"] * RPM**2)
+    world = np.einsum("kij,kj->ki", R, velocity)
+    pull = -np.array([found["drag_coeff_xy"]] * 2 + [found["drag_coeff_z"]]) * w.sum(axis=1, keepdims=True) * world
+    force = np.einsum("kji,kj->ki", R, pull)
+    force[:, 2] += (found["kf"] / RPM**2 * w**2).sum(axis=1)
+    away = relative(force / VEHICLE.mass, specific_force(hummingbird(), VEHICLE, velocity, thrust))
+    said = float(re.search(r"specific force here: (\S+) %", text)[1])
+    assert said == pytest.approx(100 * away, rel=0.1) and away > 0.02
 
 
 def test_pybullet_reads_the_urdf(export, tmp_path):

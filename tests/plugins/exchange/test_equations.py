@@ -11,6 +11,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from quadexp.experiment.vehicle_of import vehicle_named
+from quadexp.models.checkpoint import load_model
+from quadexp.models.dataset import ResidualDataset
+from quadexp.plugins.exchange.equations import equations, python_text
+from quadexp.plugins.exchange.known import known_of
+from tests.house import ROOT
 from tests.plugins.exchange.models import crazyflie, hummingbird, relative, rotation, states, torque
 
 MODELS = {"cf": (crazyflie, vehicle_named("crazyflie", None)), "hb": (hummingbird, vehicle_named("hummingbird", None))}
@@ -94,6 +99,27 @@ def test_do_mpc_integrates_it(export):
     found = simulator.make_step(thrust.reshape(4, 1)).ravel()
     exact = solve_ivp(lambda t, s: wanted("hb", s[None], thrust[None])[0], (0, 0.01), start, rtol=1e-11, atol=1e-11)
     assert found == pytest.approx(exact.y[:, -1], abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["linear_drag", "gaussian_process_quadratic", "neural"])
+def test_every_kind_of_model_has_equations(kind):
+    """In level flight without rates v' is the specific force less gravity; the rest of the force is the prediction."""
+    vehicle = vehicle_named("torrente", None)
+    model = load_model(ROOT / "tests" / "models" / "stored" / f"{kind}.json")
+    rng = np.random.default_rng(0)
+    velocity, thrust = rng.uniform(-2, 2, (20, 3)), vehicle.hover_thrust * rng.uniform(0.8, 1.2, (20, 4))
+    columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"w_{axis}": np.zeros(20) for axis in "xyz"} | {f"u_{i}": thrust[:, i] for i in range(4)}
+    columns |= {f"a_{axis}": np.zeros(20) for axis in "xyz"} | {"flight": np.zeros(20, int)}
+    rows = ResidualDataset(columns, {"vehicle": vehicle.record})
+    predicted = {name: prediction.mean for name, prediction in model.predict(rows).items() if name.startswith("a_")}
+    function = in_python(python_text(equations(known_of(vehicle, model))))
+    states = np.hstack([np.zeros((20, 3)), np.tile([1.0, 0, 0, 0], (20, 1)), velocity, np.zeros((20, 3))])
+    found = np.array(function(states.T, thrust.T)).T[:, 7:10]
+    found += np.outer(np.ones(20), [0, 0, vehicle.gravity]) - np.outer(thrust.sum(axis=1) / vehicle.mass, [0, 0, 1])
+    assert predicted
+    for name, mean in predicted.items():
+        assert found[:, "xyz".index(name[-1])] == pytest.approx(mean, rel=1e-7, abs=1e-9), name
 
 
 def test_a_vehicle_alone_is_a_rigid_body(export):

@@ -29,7 +29,7 @@ def flight(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("FLIGHT", "--to", "px4"), "is for a model or vehicle=NAME"),
+        (("FLIGHT", "--to", "px4"), "is for a model's folder or vehicle=NAME; flights are"),
         (("FLIGHT", "--to", "csv", "--voltage", "4"), "--voltage: --to csv does not use it"),
         (("FLIGHT", "--to", "ros"), "a flight is written as csv, tum, rerun; a model or a vehicle as px4, px4_sih"),
         (("MODEL", "--to", "csv"), "is for flights"),
