@@ -51,6 +51,7 @@ BRINGS: dict[str, dict[str, str]] = {
         "report": "quadexp.cli.look:report",
         "animate": "quadexp.cli.look:animate",
         "export": "quadexp.cli.look:export",
+        "archive": "quadexp.plugins.paper.command:archive",
         "options": "quadexp.cli.extend:options",
         "new": "quadexp.cli.extend:new",
         "cache": "quadexp.cli.extend:cache",

@@ -20,8 +20,8 @@ from quadexp.names import distinct
 from quadexp.parts.schema import of_contestant
 from quadexp.report.frame import SweepFrame, setting_text, with_unit
 from quadexp.report.metrics import metric_of
-from quadexp.report.paper_cells import Intervals, cell_text, compact_cell
 from quadexp.report.pairing import condition_of, contestant_of, grouped
+from quadexp.report.paper_cells import Intervals, cell_text, compact_cell
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.table import Table
 from quadexp.report.tables import error_table

@@ -33,7 +33,6 @@ from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_colum
 from quadexp.report.metrics import metric_of
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
-from quadexp.report.paper_cells import Intervals, compact_cell
 from quadexp.report.pairing import (
     BASELINE,
     Flights,
@@ -44,6 +43,7 @@ from quadexp.report.pairing import (
     is_invalid,
     setting_pairs,
 )  # fmt: skip
+from quadexp.report.paper_cells import Intervals, compact_cell
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import CONFIDENCE, KINDS, Statistic, Statistics, of_lines, pooled
 from quadexp.report.table import Table, csv_text
@@ -187,7 +187,8 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
 def comparison_texts(statistics: Statistics, metric: str) -> tuple[Table, dict[str, str]]:
     """The error table of one metric, and name -> content of the text files made of the statistics."""
     table = error_table(statistics.flights, metric, baseline=statistics.baseline, confidence=statistics.confidence)
-    files = {"table.md": table.markdown(), "table.tex": _for_a_paper(statistics, metric), "statistics.csv": statistics.csv}
+    files = {"table.md": table.markdown(), "statistics.csv": statistics.csv}
+    files["table.tex"] = _for_a_paper(statistics, metric)
     if (comparison := comparison_table(statistics.of(metric))) is not None:
         files["table.md"] += f"\n{comparison.markdown()}"
         files["comparison.tex"] = fitted_latex(replace(comparison, beside=3), WIDTHS["page"])

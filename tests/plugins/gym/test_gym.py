@@ -118,7 +118,7 @@ def test_environments_side_by_side_do_not_disturb_each_other():
 def test_a_fall_is_lost_and_the_end_is_truncated():
     env = gymnasium.make("quadexp/Hover-v0", lost=0.5, spread=(0, 0, 0)).unwrapped
     env.reset(seed=0)
-    for k in range(100):
+    for _ in range(100):
         _, reward, terminated, truncated, info = env.step(-np.ones(4))
         if terminated:
             break
@@ -270,7 +270,7 @@ def test_an_edited_policy_is_flown_again(mine, tmp_path):
         LAW.replace("1.5 * seen[2] - 0.8 * seen[17]\n    return np.clip", "seen[2]\n    return np.clip")
     )
     assert run(*words, *own)[0] == 0
-    after = {path for path in Path("r/cells").rglob("*.parquet")} - set(before)
+    after = set(Path("r/cells").rglob("*.parquet")) - set(before)
     assert len(after) == 4  # those of the function; the network's are as they were
 
 

@@ -1,0 +1,1 @@
+"""`quadexp archive`: what a reviewer needs to fly a sweep again, in one file."""
