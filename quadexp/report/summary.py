@@ -120,7 +120,7 @@ def world_note(margins: Mapping[str, Any]) -> str:
     """That a loop was flown which is not stable; "" where it is."""
     if margins.get("delay", 1.0):
         return ""
-    return f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s"
+    return f"the loop is not stable at hover: an error doubles every {math.log(2) / margins['growth']:.2g} s"
 
 
 def _milliseconds(time: float) -> str:
