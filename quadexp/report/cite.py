@@ -1,7 +1,7 @@
 """BibTeX for the methods that flew: of each part of the flights, the papers that its option states, and this program.
 
-    cite: torrente2021                 a key of conf/references.bib, or of references.bib in a --conf folder
-    cite: [sun2022, "Doe 2026, doi"]   several; other words become an entry of their own
+cite: torrente2021                 a key of conf/references.bib, or of references.bib in a --conf folder
+cite: [sun2022, "Doe 2026, doi"]   several; other words become an entry of their own
 """
 
 from __future__ import annotations

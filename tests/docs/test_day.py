@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from quadexp.log.importers.mapping import QUANTITIES, _TOP
+from quadexp.log.importers.mapping import _TOP, QUANTITIES
 from quadexp.parts.compose import expand
 from quadexp.report.frame import read_results
 from tests.docs.commands import ROOT, steps
@@ -91,7 +91,9 @@ def test_the_exercises_run_and_give_what_the_teacher_expects(tmp_path, monkeypat
         out = step.words[step.words.index("--out") + 1]
         if step.words[0] == "evaluate":
             means[out] = read_results(out)[1]
-    ignorant = {row["speed"]: row["mean_error"] for row in means["results/ignorance"] if row["controller"] == "nominal_mpc"}
+    ignorant = {
+        row["speed"]: row["mean_error"] for row in means["results/ignorance"] if row["controller"] == "nominal_mpc"
+    }
     assert 0.05 < ignorant[2.0] < 0.07 and 0.22 < ignorant[8.0] < 0.26
     helped = {row["controller"]: row["mean_error"] for row in means["results/feedback"]}
     assert max(helped["linear_drag_mpc"], helped["nominal_mpc+disturbance"]) < 0.35 * helped["nominal_mpc"]

@@ -88,7 +88,8 @@ class Agreement(NamedTuple):
     @property
     def words(self) -> str:
         size = np.linalg.norm(self.signal)
-        return f"{self.relation.words}: the RMS difference is {self.left:.3g} {self.relation.unit}, the RMS value {size:.3g}"
+        unit = self.relation.unit
+        return f"{self.relation.words}: the RMS difference is {self.left:.3g} {unit}, the RMS value {size:.3g}"
 
 
 Agreements = dict[str, Agreement]  # by relation

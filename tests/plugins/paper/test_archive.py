@@ -81,7 +81,11 @@ def test_the_commands_of_its_readme_fly_it_again_in_an_empty_folder(flown, packe
     gone.rename(gone.with_name("moved"))  # nothing of where it was flown is needed
     try:
         check, fly, compare = commands((folder / "README.md").read_text())
-        assert (check[0], fly[:3], compare[:2]) == ("sha256sum", ["quadexp", "evaluate", "--sweep"], ["quadexp", "compare"])
+        assert (check[0], fly[:3], compare[:2]) == (
+            "sha256sum",
+            ["quadexp", "evaluate", "--sweep"],
+            ["quadexp", "compare"],
+        )
         if shutil.which("sha256sum"):
             assert called(check, folder).returncode == 0
         done = called(fly, folder)
@@ -89,7 +93,9 @@ def test_the_commands_of_its_readme_fly_it_again_in_an_empty_folder(flown, packe
         assert "8 of 8 pairs are the same to the last bit" in called(compare, folder).stdout
     finally:
         gone.with_name("moved").rename(gone)
-    first, again = (sorted(read_results(path)[1], key=lambda row: row["key"]) for path in (flown / "r", folder / "results_again"))
+    first, again = (
+        sorted(read_results(path)[1], key=lambda row: row["key"]) for path in (flown / "r", folder / "results_again")
+    )
     assert len(first) == len(again) == 8
     for name in set(METRICS) - set(TIMES):
         assert [str(row[name]) for row in first] == [str(row[name]) for row in again]
@@ -99,7 +105,9 @@ def test_the_commands_of_its_readme_fly_it_again_in_an_empty_folder(flown, packe
 def test_it_holds_parts_tables_versions_and_papers_and_nothing_else(packed):
     with zipfile.ZipFile(packed) as archive:
         names = set(archive.namelist())
-        texts = {name: archive.read(name).decode() for name in ("citations.bib", "versions.txt", "README.md", "SHA256SUMS")}
+        texts = {
+            name: archive.read(name).decode() for name in ("citations.bib", "versions.txt", "README.md", "SHA256SUMS")
+        }
     own = {f"outside/0_parts/{name}" for name in ("mine.py", "gains.py", "controller/mine.yaml", "references.bib")}
     made = {f"results/{name}" for name in ("results.parquet", "statistics.csv", "table.md", "table.tex")}
     assert own | made | {"rerun/experiment/archived.yaml"} <= names
@@ -124,7 +132,10 @@ def test_a_part_that_was_edited_since_is_said_and_nothing_is_written(flown, tmp_
         code, _, err = run("archive", "r", "--out", str(tmp_path / "c.zip"))
         assert code == 1 and "gains.py: has changed since the sweep read it" in err and err.count("\n") == 1
         file.unlink()
-        assert "gains.py: the sweep read this file, and it is gone" in run("archive", "r", "--out", str(tmp_path / "c.zip"))[2]
+        assert (
+            "gains.py: the sweep read this file, and it is gone"
+            in run("archive", "r", "--out", str(tmp_path / "c.zip"))[2]
+        )
     finally:
         file.write_text(before)
     assert not (tmp_path / "c.zip").exists() and Path("r").is_dir()
