@@ -241,7 +241,8 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
     for output, row in report["outputs"].items():
         lines.append(f"  {output}  {'TOO FEW FLIGHTS TO TELL' if few else WORDS[row['verdict']]}: {row['text']}")
         lines.append(
-            f"       RMSE {row['rmse']:.3g} m/s^2 (linear drag {row['drag_rmse']:.3g}): of it noise at most {row['noise']:.3g},"
+            f"       RMSE {row['rmse']:.3g} m/s^2 (linear drag {row['drag_rmse']:.3g}): of it"
+            f" noise at most {row['noise']:.3g},"
             f" the model's error at least {row['unexplained']:.3g}"
         )
     if not report.get("identified"):

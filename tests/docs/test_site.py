@@ -55,7 +55,8 @@ def test_the_navigation_has_the_pages_that_there_are(tmp_path, monkeypatch):
 
 
 def test_a_command_and_what_it_prints_are_blocks_of_their_own():
-    page = "Text:\n\n    quadexp simulate a=1 \\\n            b=2\n    printed 1\n\n    quadexp show x\n\nEnd.\n\n- item\n    more\n"
+    page = "Text:\n\n    quadexp simulate a=1 \\\n            b=2\n    printed 1\n\n    quadexp show x\n\nEnd.\n\n"
+    page += "- item\n    more\n"
     made = site_builder().separated(page)
     assert made == (
         "Text:\n\n```bash\nquadexp simulate a=1 \\\n        b=2\n```\n\n```text\nprinted 1\n```\n\n"
