@@ -32,7 +32,7 @@ LANDING = ROOT / "docs" / "site" / "landing.md"  # index.html of the site; READM
 NAV_PAGE = re.compile(r"^\s+- (?:.*: )?(\S+\.(?:md|ipynb))$")
 LINK = re.compile(r"\]\(([^)#\s]+)")
 MATH = re.compile(r"^```math\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
-PROGRAMS = "quadexp python pip source export git dask apt-get pytest sha256sum chromium".split()
+PROGRAMS = ("quadexp", "python", "pip", "source", "export", "git", "dask", "apt-get", "pytest", "sha256sum")
 COMMANDS = ("make", "QUADEXP", "DASK", "CC=", *(f"{program} " for program in PROGRAMS))  # how one begins
 FOLDERS = {"examples/notebooks)": "examples/notebooks/compare_controllers.ipynb)"}  # a folder has no page
 

@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#([\w-]+))?\)")
 # Not the names of environments of Gymnasium.
-PLACE = re.compile(r"(?<![\w/.])((?:quadexp|tests|benchmarks|examples|conf)/[\w/.-]*\w)(?<!-v0)")
+PLACE = re.compile(r"(?<![\w/.])((?![\w/]+-v0)(?:quadexp|tests|benchmarks|examples|conf)/[\w/.-]*\w)")
 NAMED = re.compile(r"(quadexp/[\w/]+\.py) ((?:`[\w.]+`(?:, )?)+)")
 
 

@@ -190,5 +190,6 @@ With quadexp of that version (see `versions.txt`) on the `PATH`, in this folder:
     quadexp compare results results_again
 
 The first (on macOS `shasum -a 256 --check SHA256SUMS`) says nothing where every file is as it was packed. The last
-compares the two sweeps: on the same kind of processor, with the same libraries, all numbers but wall times are equal to the last digit; elsewhere to rounding.
+compares the two sweeps: on the same kind of processor, with the same libraries, all numbers but wall times are equal to
+the last digit; elsewhere to rounding.
 """
